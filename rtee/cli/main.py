@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "generic": ("rtee.cli.define:generic", "Define a generic action."),
     "openings": ("rtee.cli.openings:openings", "List how far fingertips open."),
     "grasp-plan": ("rtee.cli.grasp_plan:grasp_plan", "Rank the actions of a hand for an object."),
+    "retarget": ("rtee.cli.retarget:retarget", "Show how a person's hand moves a hand."),
     "import": ("rtee.cli.import_:import_", "Import action files of ROS End-Effector."),
     "export": ("rtee.cli.export:export", "Write a hand's model for other programs."),
     # online
@@ -40,7 +41,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("rtee.cli.status:status", "Show the loop and the devices."),
     "info": ("rtee.cli.info:info", "Describe the hand, as a grasp planner needs it."),
     "gains": ("rtee.cli.gains:gains", "Show or set the gains of the devices."),
-    "teleop": ("rtee.cli.teleop:teleop", "Move a hand from a gamepad or the keyboard."),
+    "teleop": ("rtee.cli.teleop:teleop", "Move a hand from a gamepad, the keyboard or a tracker."),
     "stream": ("rtee.cli.teleop:app", "Play recorded streams of set-points."),
     "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
     "mcp": ("rtee.cli.mcp:mcp", "Offer hands to a language model, behind a gate."),

@@ -27,17 +27,31 @@ app = typer.Typer(no_args_is_help=True)
 
 def teleop(
     actions: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="[AXIS=]ACTION…",
             help="Actions with their elements, each quoted: 'PinchTight index thumb'; with an axis "
             "before, or by the next one: rt lt up right right_up right_right a b x y rb lb.",
         ),
-    ],
+    ] = None,
     gamepad: Annotated[bool, typer.Option("--gamepad", help="From a gamepad.")] = False,
     keyboard: Annotated[
         bool, typer.Option("--keyboard", help="From the keyboard: q/a, w/s, e/d, …; space opens.")
     ] = False,
+    landmarks: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|-",
+            help="Points of a person's hand: lines of JSON, or .npz; - reads them as they come.",
+        ),
+    ] = None,
+    layout: Annotated[
+        str,
+        typer.Option(help="Their order and unit: mediapipe webxr leap manus manus21 mano."),
+    ] = "mediapipe",
+    side: Annotated[
+        str, typer.Option(help="Which of the person's hands: right or left.")
+    ] = "right",
     device: Annotated[
         str | None, typer.Option(metavar="PATH", help="The gamepad, such as /dev/input/event5.")
     ] = None,
@@ -47,12 +61,23 @@ def teleop(
     connect: ConnectOption = None,
     wait: WaitOption = None,
 ) -> None:
-    """Move a hand by intensities of actions, from a gamepad or the keyboard, until Ctrl-C.
+    """Move a hand from a gamepad or the keyboard, by actions, or as a person's hand moves.
+
+    Until Ctrl-C, or until the points end.
 
     Example: rtee teleop --gamepad "rt=PinchTight index thumb" "lt=Trig ring"
     """
-    if gamepad == keyboard:
-        raise ConfigError("give either --gamepad or --keyboard")
+    if gamepad + keyboard + (landmarks is not None) != 1:
+        raise ConfigError("give either --gamepad or --keyboard or --landmarks")
+    if landmarks is not None:
+        if actions:
+            raise ConfigError("points of a hand move all of it: give no actions")
+        from rtee.cli.landmarks import follow
+
+        follow(landmarks, layout, side, rate, effort or [], hand, connect, wait)
+        return
+    if not actions:
+        raise ConfigError("give the actions that the axes move, such as 'PinchTight index thumb'")
     from rtee.actions.cli_syntax import read_efforts
     from rtee.teleop.drive import assigned
     from rtee.teleop.inputs import Keyboard, open_gamepad

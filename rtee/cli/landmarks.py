@@ -1,0 +1,79 @@
+"""`rtee teleop --landmarks`: a running hand follows the points of a person's hand."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import AsyncIterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rtee.cli._online import effort_limits, with_hand
+from rtee.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.retarget.frames import Frame
+    from rtee.retarget.retargeter import Retargeter
+
+
+def follow(
+    source: str,
+    layout: str,
+    side: str,
+    rate: float,
+    effort: Sequence[str],
+    hand: str | None,
+    connect: str | None,
+    wait: float | None,
+) -> None:
+    """Move a hand by points in a file, or by those on the standard input (``-``).
+
+    Raises:
+        UserError: The points, the hand or an option can't be used.
+    """
+    import anyio
+
+    from rtee.actions.cli_syntax import read_efforts
+    from rtee.errors import needing_extra
+
+    with needing_extra("retargeting", "retarget"):
+        from rtee.retarget import frames as tracker
+        from rtee.retarget.layouts import layout_named, side_named
+        from rtee.retarget.retargeter import Retargeter
+    efforts, known, chosen = read_efforts(list(effort)), layout_named(layout), side_named(side)
+    # Read before the hand is connected, so that a wrong file moves nothing.
+    frames: Sequence[Frame] = ()
+    if source != "-":
+        frames = tracker.read_frames(Path(source), known, chosen)
+        rate = (len(frames) - 1) / max(frames[-1].stamp - frames[0].stamp, 1e-3) or rate
+
+    async def run(remote: RemoteHand) -> None:
+        info = await remote.info()
+        retargeter = Retargeter.of(info.name, side=chosen)
+        _check(retargeter, [actuator.name for actuator in info.actuators])
+        retargeter.begin((await remote.state()).positions)
+        reader = tracker.FrameReader(known, chosen, "the standard input")
+        coming: AsyncIterable[Frame] = (
+            tracker.due(frames) if frames else tracker.live(anyio.wrap_file(sys.stdin), reader)
+        )
+        limits = await effort_limits(remote, efforts)
+        async with remote.stream(rate, effort=limits) as stream:
+
+            async def send(positions: Mapping[str, float], stamp: float) -> None:
+                await stream.send(positions, stamp=stamp)
+
+            sent = await tracker.follow(coming, retargeter, send)
+        print(f"{sent} frames followed, {retargeter.dropped} dropped as outliers", file=sys.stderr)
+
+    # Ctrl-C is the usual end, not a failure.
+    with contextlib.suppress(KeyboardInterrupt):
+        with_hand(hand, connect, "teleop", run, wait=wait)
+
+
+def _check(retargeter: Retargeter, actuators: Sequence[str]) -> None:
+    if list(retargeter.hand.actuator_names) != list(actuators):
+        raise ConfigError(
+            f"the running {retargeter.hand.name} has other actuators than the hand of that name "
+            "here: its folder should be the same"
+        )

@@ -1,0 +1,187 @@
+"""Which finger of a hand answers which of a person's, as ``retarget.yaml`` in the hand's folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from annotated_types import Ge, Len
+
+from rtee.actions.documents import read_as
+from rtee.actions.openings import model_of
+from rtee.errors import ConfigError
+from rtee.hand.files import write_atomically
+from rtee.hand.model import Hand
+from rtee.hand.yamlfile import read_yaml
+from rtee.hand.yamlwrite import emit
+
+FILE_NAME: Final = "retarget.yaml"
+"""Name of the file in a hand's folder."""
+
+FORMAT: Final = 1
+"""Version of the file."""
+
+Vector = tuple[float, float, float]
+
+
+class Human(StrEnum):
+    """A human finger, or that one of the four whose tip is nearest to the thumb's."""
+
+    THUMB = "thumb"
+    INDEX = "index"
+    MIDDLE = "middle"
+    RING = "ring"
+    LITTLE = "little"
+    NEAREST = "nearest"
+
+
+@dataclass(frozen=True, slots=True)
+class Palm:
+    """The palm's axes, unit vectors in the hand's base frame.
+
+    Attributes:
+        palmar: Out of the palm, where the fingers close.
+        radial: Towards the thumb's side.
+        distal: Towards the open fingers' tips.
+    """
+
+    palmar: Vector
+    radial: Vector
+    distal: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class FingerMap:
+    """A finger of the hand and the human one that it follows.
+
+    Attributes:
+        human: The human finger.
+        base: Where it begins, in the hand's base frame [m].
+        tip: Its tip in the frame of its tip link [m].
+        reach: Farthest distance of the tip from the base [m]: where a straight human finger is.
+        scale: Factor of the reach, for people who want a finger to go less or more far.
+        follow: Weight of the human tip's place, 0 or more.
+    """
+
+    human: Human
+    base: Vector
+    tip: Vector
+    reach: Annotated[float, Ge(0.0)]
+    scale: Annotated[float, Ge(0.0)] = 1.0
+    follow: Annotated[float, Ge(0.0)] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pinch:
+    """Two fingertips that meet.
+
+    Attributes:
+        fingers: The fingers, the thumb's first.
+        widest: Distance of their surfaces when the human tips are fully apart, for grippers [m];
+            else the distance of the tips is scaled.
+        contact: The positions at which their surfaces meet [rad | m], as extraction found them;
+            none if it found no pinch.
+    """
+
+    fingers: tuple[str, str]
+    widest: Annotated[float, Ge(0.0)] | None = None
+    contact: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """How a person's hand moves this one.
+
+    Attributes:
+        format: Version of the file.
+        model: Fingerprint of the URDF for which it was made.
+        palm: The palm's axes.
+        fingers: The fingers that follow a human one, by name.
+        closed: Positions when the fingers are closed, of actuators that close them [rad | m].
+        pinches: The pairs of tips that meet as the person's do.
+    """
+
+    format: int
+    model: str
+    palm: Palm
+    fingers: Annotated[dict[str, FingerMap], Len(1)]
+    closed: dict[str, float] = field(default_factory=dict)
+    pinches: tuple[Pinch, ...] = ()
+
+
+def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
+    """Return what a hand's folder says, or ``None`` if it has no such file.
+
+    Raises:
+        ConfigError: The file cannot be read, or is for another model.
+        ActionError: It is not as it should be; names the line.
+    """
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return None
+    found = read_as(Correspondence, read_yaml(path, "the retargeting"))
+    again = f"`rtee retarget {hand.name} --save` makes it again"
+    if found.format != FORMAT:
+        raise ConfigError(f"has format {found.format}, not {FORMAT}; {again}", path=path)
+    if found.model != model_of(hand):
+        raise ConfigError(f"was made for another model of the hand; {again}", path=path)
+    fingers, actuators = {*found.fingers}, {*found.closed}
+    for pinch in found.pinches:
+        fingers.update(pinch.fingers)
+        actuators.update(pinch.contact)
+    tips = {finger.name for finger in hand.fingers if finger.tip_links}
+    for name in sorted(fingers):
+        if name not in tips or name not in found.fingers:
+            raise ConfigError(f"the finger '{name}' has no tip, or follows no finger", path=path)
+    for name in sorted(actuators):
+        hand.actuator_index(name)
+    return found
+
+
+def write_correspondence(folder: Path, hand: Hand, found: Correspondence) -> Path:
+    """Write it into a hand's folder and return the file; raises `ConfigError` if that fails."""
+    path = folder / FILE_NAME
+    lines = (
+        f"How a person's hand moves this one, made by `rtee retarget {hand.name} --save`.",
+        "Yours to change: which finger follows which human one, how far, and where tips meet.",
+    )
+    write_atomically(path, emit(_document(found), lines))
+    return path
+
+
+def _document(found: Correspondence) -> dict[str, Any]:
+    palm, fingers = found.palm, found.fingers
+    return {
+        "format": found.format,
+        "model": found.model,
+        "palm": {
+            "palmar": list(palm.palmar),
+            "radial": list(palm.radial),
+            "distal": list(palm.distal),
+        },
+        "fingers": {
+            name: {
+                "human": str(each.human),
+                "base": list(each.base),
+                "tip": list(each.tip),
+                "reach": each.reach,
+                "scale": each.scale,
+                "follow": each.follow,
+            }
+            for name, each in fingers.items()
+        },
+        **_unless_empty("closed", found.closed),
+        **_unless_empty("pinches", [_pinch(pinch) for pinch in found.pinches]),
+    }
+
+
+def _pinch(pinch: Pinch) -> dict[str, Any]:
+    widest = {} if pinch.widest is None else {"widest": pinch.widest}
+    return {"fingers": list(pinch.fingers), **widest, **_unless_empty("contact", pinch.contact)}
+
+
+def _unless_empty(key: str, value: Mapping[str, Any] | list[Any]) -> dict[str, Any]:
+    return {key: value} if value else {}

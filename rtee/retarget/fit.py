@@ -1,0 +1,255 @@
+"""Offline: which finger of a hand answers which human one, from its model and its pinches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+
+from rtee.actions.openings import model_of
+from rtee.actions.types import Action, Primitive, PrimitiveKind
+from rtee.errors import ConfigError
+from rtee.hand.halton import halton
+from rtee.hand.model import Finger, Hand
+from rtee.retarget.correspondence import (
+    FORMAT,
+    Correspondence,
+    FingerMap,
+    Human,
+    Palm,
+    Pinch,
+    Vector,
+)
+from rtee.retarget.tips import Tips
+from rtee.sample import FloatArray
+
+_NAMES: Final = {str(human): human for human in Human} | {"pinky": Human.LITTLE}
+
+_IN_ORDER: Final = (Human.INDEX, Human.MIDDLE, Human.RING, Human.LITTLE)
+
+_POSTURES: Final = 128
+"""Postures by which the reach of a finger is found: enough for its few joints."""
+
+_BEGIN: Final = 0.3
+"""Share of the way to the closed posture on which a finger's motion shows where the palm faces."""
+
+_PINCHING: Final = 0.5
+"""How far the fingers are closed in a usual pinch; of several pinches the nearest one is taken."""
+
+
+def fit(hand: Hand, actions: Iterable[Action], tips: Tips | None = None) -> Correspondence:
+    """Find how a person's hand moves this one, from its model and its primitives alone.
+
+    Raises:
+        ConfigError: The hand has less than two fingertips.
+        ModelError: A mesh of it cannot be read.
+    """
+    return _Fit(hand, actions, tips or Tips(hand)).found()
+
+
+class _Fit:
+    def __init__(self, hand: Hand, actions: Iterable[Action], tips: Tips) -> None:
+        self._hand, self._tips = hand, tips
+        self._primitives = [action for action in actions if isinstance(action, Primitive)]
+        self._fingers = [finger for finger in hand.fingers if finger.tip_links]
+        if len(self._fingers) < 2:
+            raise ConfigError(
+                f"a person's fingers need at least two fingertips; {hand.name} has "
+                f"{len(self._fingers)}"
+            )
+        self._rest = np.array(hand.rest)
+        self._closed = self._closing()
+        self._bases = {finger.name: self._base(finger) for finger in self._fingers}
+        self._ends = {finger.name: self._end(finger) for finger in self._fingers}
+
+    def found(self) -> Correspondence:
+        hand = self._hand
+        humans = self._humans()
+        grips = Human.NEAREST in humans.values()
+        thumb = next(name for name, human in humans.items() if human is Human.THUMB)
+        pairs = [(thumb, name) for name in humans if name != thumb]
+        return Correspondence(
+            FORMAT,
+            model_of(hand),
+            self._palm(humans, thumb),
+            {
+                name: FingerMap(
+                    human,
+                    _vector(self._bases[name]),
+                    _vector(self._ends[name][1]),
+                    round(self._reach(name), 4),
+                    # A gripper's fingers open and close; where a human tip is says nothing else.
+                    follow=0.0 if grips else 1.0,
+                )
+                for name, human in humans.items()
+            },
+            {name: round(value, 4) for name, value in self._closed.items()},
+            tuple(self._pinch(pair, grips=grips) for pair in pairs),
+        )
+
+    # --- fingers -----------------------------------------------------------------------------
+
+    def _base(self, finger: Finger) -> FloatArray:
+        """Return where a finger begins: its first joint that an actuator moves, at rest."""
+        hand, path = self._hand, self._hand.urdf.path_to(str(finger.tip))
+        rows = {joint.name: row for row, joint in enumerate(hand.joints)}
+        own = {hand.actuator_index(name) for name in finger.own or finger.actuators}
+        moved = [j.child for j in path if j.moving and hand.transmission.moves(rows[j.name]) in own]
+        link = moved[0] if moved else finger.base
+        return np.array(self._tips.kinematics.link_pose(self._rest, link)[:3, 3])
+
+    def _end(self, finger: Finger) -> tuple[int, FloatArray]:
+        """Return the body of a fingertip and its farthest point in the frame of its link."""
+        geometry, kinematics = self._tips.geometry, self._tips.kinematics
+        body, placement = kinematics.bodies[str(finger.tip)]
+        shapes = [geometry.shapes[i] for i in geometry.of_links(*finger.tip_links)]
+        points = np.concatenate(
+            [s.points @ s.placement.rotation.T + s.placement.translation for s in shapes]
+        )
+        # From the finger's base at rest, which is where most hands are open.
+        self._tips.go(self._rest)
+        base = kinematics.data.oMi[body].actInv(self._bases[finger.name])
+        far = points[np.argmax(np.linalg.norm(points - base, axis=1))]
+        # A little inside, in the middle of the tip's end rather than on an edge of it.
+        ends = points[points @ _unit(far - base) > far @ _unit(far - base) - 0.004]
+        return body, np.array(placement.actInv(ends.mean(axis=0)))
+
+    def _tip(self, name: str, u: FloatArray) -> FloatArray:
+        """Return where a tip is at positions ``(n,)`` [m]."""
+        link = str(self._hand.finger(name).tip)
+        pose = self._tips.kinematics.link_pose(u, link)
+        found: FloatArray = pose[:3, :3] @ self._ends[name][1] + pose[:3, 3]
+        return found
+
+    def _reach(self, name: str) -> float:
+        hand = self._hand
+        own = [hand.actuator_index(a) for a in self._hand.finger(name).actuators]
+        lower, upper = _limits(hand)
+        far = [float(np.linalg.norm(self._tip(name, self._rest) - self._bases[name]))]
+        for shares in halton(len(own), _POSTURES) if own else ():
+            u = self._rest.copy()
+            u[own] = lower[own] + shares * (upper - lower)[own]
+            far.append(float(np.linalg.norm(self._tip(name, u) - self._bases[name])))
+        return max(far)
+
+    # --- closing -----------------------------------------------------------------------------
+
+    def _closing(self) -> dict[str, float]:
+        """Return the positions of the actuators that close fingers, closed."""
+        kinds = (PrimitiveKind.TRIG, PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS)
+        closed: dict[str, float] = {}
+        for kind in kinds:
+            for primitive in self._primitives:
+                if primitive.kind is kind:
+                    posture = primitive.posture
+                    for name in posture.involved:
+                        closed.setdefault(name, posture.position[name])
+        return closed
+
+    def _at(self, closed: float) -> FloatArray:
+        """Return the positions when all fingers are closed so far, 0 to 1 ``(n,)``."""
+        u = self._rest.copy()
+        for name, value in self._closed.items():
+            i = self._hand.actuator_index(name)
+            u[i] += closed * (value - u[i])
+        return u
+
+    def _motion(self, name: str) -> FloatArray:
+        return self._tip(name, self._at(_BEGIN)) - self._tip(name, self._rest)
+
+    # --- correspondence ----------------------------------------------------------------------
+
+    def _humans(self) -> dict[str, Human]:
+        """Return the human finger of each finger that has one."""
+        names = [finger.name for finger in self._fingers]
+        known = {name: _NAMES[name] for name in names if name in _NAMES}
+        if Human.THUMB not in known.values():
+            motions = {name: self._motion(name) for name in names}
+            total = sum(motions.values(), np.zeros(3))
+            thumb = min(names, key=lambda name: float(motions[name] @ (total - motions[name])))
+            # Without a palm, fingers have no names: the hand opens and closes.
+            return {name: Human.THUMB if name == thumb else Human.NEAREST for name in names}
+        if len(names) == 2:
+            return {name: known.get(name, Human.NEAREST) for name in names}
+        free = [human for human in _IN_ORDER if human not in known.values()]
+        thumb = next(name for name, human in known.items() if human is Human.THUMB)
+        others = [name for name in names if name not in known]
+        # From the one nearest to the thumb on, along the line of their bases.
+        others.sort(key=lambda n: float(np.linalg.norm(self._bases[n] - self._bases[thumb])))
+        return known | dict(zip(others, free, strict=False))
+
+    def _palm(self, humans: Mapping[str, Human], thumb: str) -> Palm:
+        names = sorted(
+            (name for name in humans if name != thumb),
+            key=lambda name: list(Human).index(humans[name]),
+        )
+        bases = [self._bases[name] for name in names]
+        ways = [self._tip(name, self._rest) - self._bases[name] for name in names]
+        distal = _unit(np.sum([_unit(way) for way in ways], axis=0))
+        palmar = np.sum([self._motion(name) for name in names], axis=0)
+        across = bases[0] - bases[-1]
+        if len(names) < 2 or not np.linalg.norm(across) > 1e-3:
+            across = np.cross(distal, palmar)
+        radial = _unit(_without(across, distal))
+        normal = np.cross(radial, distal)
+        palmar = normal if normal @ palmar >= 0.0 else -normal
+        return Palm(_vector(palmar), _vector(radial), _vector(distal))
+
+    # --- pinches -----------------------------------------------------------------------------
+
+    def _pinch(self, pair: tuple[str, str], *, grips: bool) -> Pinch:
+        widest = round(self._widest(pair), 4) if grips else None
+        return Pinch(pair, widest, self._contact(pair))
+
+    def _widest(self, pair: tuple[str, str]) -> float:
+        hand = self._hand
+        lower, upper = _limits(hand)
+        gaps = []
+        for u in (self._rest, lower, upper):
+            self._tips.go(u)
+            gaps.append(self._tips.gap(pair)[0])
+        return max(0.0, *gaps)
+
+    def _contact(self, pair: tuple[str, str]) -> dict[str, float]:
+        """Return where the tips of two fingers first meet on the way to their pinch."""
+        hand, usual = self._hand, self._at(_PINCHING)
+        lower, upper = _limits(hand)
+        best: tuple[float, dict[str, float]] = (np.inf, {})
+        for primitive in self._primitives:
+            kinds = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
+            if primitive.kind not in kinds or {*primitive.elements} != {*pair}:
+                continue
+            for posture, evidence in zip(primitive.postures, primitive.evidence, strict=True):
+                share = 1.0 if evidence.contact_at is None else evidence.contact_at
+                contact = {
+                    name: rest + share * (posture.position[name] - rest)
+                    for name in posture.involved
+                    for rest in [hand.actuator(name).rest]
+                }
+                rows = [hand.actuator_index(name) for name in contact]
+                off = (np.array([*contact.values()]) - usual[rows]) / (upper - lower)[rows]
+                best = min(best, (float(np.linalg.norm(off)), contact), key=lambda each: each[0])
+        return {name: round(value, 4) for name, value in best[1].items()}
+
+
+def _limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
+    """Return the limits ``(n,)``; those of one turn for actuators without."""
+    return (
+        np.where(np.isfinite(hand.lower), hand.lower, -np.pi),
+        np.where(np.isfinite(hand.upper), hand.upper, np.pi),
+    )
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    found: FloatArray = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    return found
+
+
+def _without(vector: FloatArray, axis: FloatArray) -> FloatArray:
+    return vector - (vector @ axis) * axis
+
+
+def _vector(values: FloatArray) -> Vector:
+    x, y, z = (round(float(value), 5) for value in values)
+    return x, y, z

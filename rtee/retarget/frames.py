@@ -1,0 +1,231 @@
+"""Frames of a tracker: JSON lines, as they come or from a file, and arrays of NumPy."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import (
+    AsyncIterable,
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import anyio
+import numpy as np
+
+from rtee import monotonic
+from rtee.errors import LogError, UserError
+from rtee.retarget.layouts import Layout, Side, layout_named
+from rtee.retarget.retargeter import Retargeter
+from rtee.sample import FloatArray
+
+Send = Callable[[Mapping[str, float], float], Awaitable[None]]
+"""Sends positions by actuator [rad | m] with their time [s]."""
+
+_RATE: Final = 30.0
+"""Rate of an array without times [Hz], a webcam's."""
+
+_LONGEST: Final = 65536
+"""Longest line [characters]: a frame with all that MediaPipe tells takes 10,000."""
+
+_LARGEST: Final = 200_000_000
+"""Largest file [bytes]: hours of frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What a tracker saw at one time.
+
+    Attributes:
+        stamp: Its time, by any clock that never goes back [s].
+        points: The points in MediaPipe's order ``(21, 3)`` [m]; ``None``: the hand was not found.
+    """
+
+    stamp: float
+    points: FloatArray | None
+
+
+class FrameReader:
+    """Reads frames of one side of a person, each from a line of JSON.
+
+    A line has the time, ``t`` [s] or ``timestamp_ms``, and the ``points``, rows of three numbers,
+    or MediaPipe's ``hand_world_landmarks`` and ``handedness``; null or no points say that no hand
+    was found. A first line ``{"layout": …}`` names the layout, or describes it by the numbers of
+    its points in MediaPipe's order, ``{"order": […], "count": 25, "unit": 0.001}``.
+    """
+
+    def __init__(self, layout: Layout, side: Side, path: Path | str) -> None:
+        self._layout = layout
+        self._side, self._path, self._number = side, path, 0
+        self._last = -math.inf
+
+    def read(self, line: str) -> Frame | None:
+        """Return the frame in a line; ``None`` if it has none.
+
+        Raises:
+            LogError: The line makes no sense; says what would.
+        """
+        self._number += 1
+        if not line.strip():
+            return None
+        try:
+            if len(line) > _LONGEST:
+                raise ValueError(f"it has more than {_LONGEST} characters")
+            entry = json.loads(line)
+            if not isinstance(entry, dict):
+                raise ValueError(
+                    'a frame is an object such as {"t": 0.033, "points": [[x, y, z], …]}'
+                )
+            if "layout" in entry:
+                self._layout = _layout(entry["layout"])
+                return None
+            return self._frame(entry)
+        except RecursionError:
+            raise self._error("it is nested too deeply") from None
+        except UserError as error:
+            raise self._error(error.message) from None
+        except ValueError as error:
+            raise self._error(str(error)) from None
+
+    def _error(self, why: str) -> LogError:
+        return LogError(f"makes no sense: {why}", path=self._path, line=self._number)
+
+    def _frame(self, entry: Mapping[str, Any]) -> Frame:
+        stamp = _time(entry)
+        if not stamp > self._last:
+            raise ValueError(f"its time, {stamp:g} s, is not later than the last one")
+        if "hand_world_landmarks" in entry:
+            points = self._of_mediapipe(entry)
+        elif "points" in entry:
+            points = entry["points"] or None
+        else:
+            raise ValueError("it has neither 'points' nor 'hand_world_landmarks'")
+        found = None if points is None else self._layout.points(points)
+        self._last = stamp
+        return Frame(stamp, found)
+
+    def _of_mediapipe(self, entry: Mapping[str, Any]) -> Any:
+        """Return the points of the wanted hand in a result of MediaPipe's hand landmarker."""
+        try:
+            found = list(entry["hand_world_landmarks"] or ())
+            said = [hand[0]["category_name"].lower() for hand in entry.get("handedness") or ()]
+            if said:
+                found = [f for f, s in zip(found, said, strict=True) if s == self._side]
+            return [[p["x"], p["y"], p["z"]] for p in found[0]] if found else None
+        except (KeyError, TypeError, IndexError, AttributeError, ValueError):
+            raise ValueError(
+                "it is not a result of MediaPipe's hand landmarker: lists of points with x, y and "
+                "z, and of handedness with a category_name"
+            ) from None
+
+
+def _time(entry: Mapping[str, Any]) -> float:
+    for key, unit in (("t", 1.0), ("timestamp_ms", 1e-3)):
+        value = entry.get(key)
+        if isinstance(value, int | float) and math.isfinite(value):
+            return unit * value
+    raise ValueError("it has no time, 't' in seconds or 'timestamp_ms'")
+
+
+def _layout(given: Any) -> Layout:
+    if isinstance(given, str):
+        return layout_named(given)
+    try:
+        order = tuple(
+            (int(i),) if isinstance(i, int) else tuple(map(int, i)) for i in given["order"]
+        )
+        return Layout("the layout", order, int(given["count"]), float(given.get("unit", 1.0)))
+    except (KeyError, TypeError, AttributeError):
+        raise ValueError(
+            "a layout is a name, or an object with the 'order' of 21 numbers of points, their "
+            "'count' and their 'unit' in metres"
+        ) from None
+
+
+def read_frames(path: Path, layout: Layout, side: Side) -> list[Frame]:
+    """Return the frames in a file.
+
+    A file of NumPy (``.npz``) has ``points`` or ``joints`` ``(k, count, 3)`` and perhaps the times
+    ``t`` ``(k,)`` [s], else it has 30 frames per second; all others have a frame in each line, as
+    `FrameReader` reads it.
+
+    Raises:
+        LogError: The file cannot be read, or has no frames.
+    """
+    reader = FrameReader(layout, side, path)
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise LogError(f"is larger than {_LARGEST // 1_000_000} MB", path=path)
+        if path.suffix.lower() == ".npz":
+            frames = list(_of_arrays(path, reader))
+        else:
+            with path.open(encoding="utf-8") as file:
+                frames = [frame for line in file if (frame := reader.read(line)) is not None]
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise LogError(f"cannot be read: {why}", path=path) from None
+    if not any(frame.points is not None for frame in frames):
+        raise LogError("holds no points of a hand", path=path)
+    return frames
+
+
+def _of_arrays(path: Path, reader: FrameReader) -> Iterator[Frame]:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            name = next((name for name in ("points", "joints") if name in arrays), None)
+            if name is None:
+                raise ValueError("it has no array 'points'")
+            points = np.array(arrays[name], dtype=np.float64)
+            times = arrays["t"] if "t" in arrays else np.arange(len(points)) / _RATE
+        if points.ndim != 3 or times.shape != points.shape[:1]:
+            raise ValueError("it should have points (frames, count, 3) and times t (frames)")
+    except (ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise LogError(f"cannot be read: {error}", path=path) from None
+    for stamp, each in zip(times.tolist(), points, strict=True):
+        # A frame all of NaN is how arrays say that nothing was found.
+        lost = bool(np.isnan(each).all())
+        frame = reader.read(json.dumps({"t": stamp, "points": None if lost else each.tolist()}))
+        if frame is not None:
+            yield frame
+
+
+async def due(frames: Sequence[Frame]) -> AsyncIterator[Frame]:
+    """Yield recorded frames when they are due, stamped by the clock."""
+    begin = monotonic.now() - frames[0].stamp
+    for frame in frames:
+        stamp = begin + frame.stamp
+        await anyio.sleep(max(0.0, stamp - monotonic.now()))
+        yield Frame(stamp, frame.points)
+
+
+async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[Frame]:
+    """Yield the frames in lines as they come; raises `LogError` for a line without sense."""
+    async for line in lines:
+        frame = reader.read(line)
+        if frame is not None:
+            yield frame
+
+
+async def follow(frames: AsyncIterable[Frame], retargeter: Retargeter, send: Send) -> int:
+    """Send the answer to each frame and return how many were sent.
+
+    Nothing is sent before a hand was found. While it is lost, the last answer is sent again.
+
+    Raises:
+        TrackingError: The points are not those of the expected hand.
+    """
+    sent = 0
+    async for frame in frames:
+        if frame.points is None and not sent:
+            continue
+        await send(retargeter.step(frame.points, frame.stamp), frame.stamp)
+        sent += 1
+    return sent

@@ -1,0 +1,142 @@
+"""What 21 points of a human hand say: where the tips are, in the palm's own frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.retarget.layouts import Side
+from rtee.sample import FloatArray
+
+FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
+"""The human fingers, in the order of the points."""
+
+PALM: Final = 0.095
+"""Length of the palm, wrist to middle knuckle, for which lengths are given [m]: the mean of adults.
+Longer and shorter hands are scaled to it."""
+
+_FLEXION: Final = (0.3, 3.9)
+"""Sum of a finger's three angles of flexion when it counts as straight and as closed [rad]."""
+
+_THUMB: Final = (0.095, 0.035)
+"""Distance of the thumb's tip from the little finger's knuckle when it is open and closed [m]."""
+
+_BENT: Final = 0.2
+"""A finger whose joints are further than this behind the palm in the mean, as a share of its
+length, would be bent backwards: the hand is a mirror image."""
+
+_BONES: Final = np.array([(i, i + 1) for i in range(1, 20) if i % 4])
+"""The points between which bones of the fingers lie."""
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """A human hand, seen in its palm's frame: palmar, towards the thumb's side, towards the tips.
+
+    Left and right hands look the same in it. Lengths are those of a palm of `PALM`.
+
+    Attributes:
+        tips: Tips of the five fingers from their bases, as shares of the fingers' lengths
+            ``(5, 3)``.
+        curls: How far the fingers are closed, 0 to 1 ``(5,)``.
+        gaps: Distances of the tips from the thumb's ``(5,)`` [m]; the first is 0.
+    """
+
+    tips: FloatArray
+    curls: FloatArray
+    gaps: FloatArray
+
+
+def palm_frame(points: FloatArray, side: Side) -> FloatArray:
+    """Return the palm's axes as rows ``(3, 3)``: palmar, to the thumb's side, to the fingers."""
+    distal = points[9] - points[0]
+    distal = distal / max(float(np.linalg.norm(distal)), 1e-9)
+    radial = points[5] - points[17]
+    radial = radial - (radial @ distal) * distal
+    radial = radial / max(float(np.linalg.norm(radial)), 1e-9)
+    palmar = np.cross(radial, distal)
+    return np.array([palmar if side is Side.RIGHT else -palmar, radial, distal])
+
+
+def in_palm(points: FloatArray, side: Side) -> FloatArray:
+    """Return points ``(21, 3)`` in the palm's frame from the wrist, in the unit given."""
+    seen: FloatArray = (points - points[0]) @ palm_frame(points, side).T
+    return seen
+
+
+def bones(points: FloatArray) -> FloatArray:
+    """Return the lengths of the fingers' three bones each ``(15,)``, in the unit given."""
+    lengths: FloatArray = np.linalg.norm(points[_BONES[:, 1]] - points[_BONES[:, 0]], axis=1)
+    return lengths
+
+
+def posture_of(seen: FloatArray, lengths: FloatArray, palm: float) -> Posture:
+    """Return the posture of a hand.
+
+    Args:
+        seen: Points in the palm's frame ``(21, 3)`` [m].
+        lengths: The person's bones ``(15,)`` [m].
+        palm: Length of the person's palm [m].
+    """
+    first, last = seen[1::4], seen[4::4]
+    size = PALM / palm
+    tips = (last - first) / lengths.reshape(5, 3).sum(axis=1)[:, None]
+    # Angles between bones, the first of them from the palm's own direction.
+    chain = np.diff(seen[1:].reshape(5, 4, 3), axis=1)
+    chain /= np.maximum(np.linalg.norm(chain, axis=2, keepdims=True), 1e-9)
+    into = np.clip(chain[:, 0, 2], -1.0, 1.0)
+    inner = np.clip((chain[:, 1:] * chain[:, :-1]).sum(axis=2), -1.0, 1.0)
+    flexion = np.arccos(into) * (chain[:, 0, 0] > 0.0) + np.arccos(inner).sum(axis=1)
+    curls = (flexion - _FLEXION[0]) / (_FLEXION[1] - _FLEXION[0])
+    across = size * math.dist(seen[4], seen[17])
+    curls[0] = (_THUMB[0] - across) / (_THUMB[0] - _THUMB[1])
+    gaps = size * np.linalg.norm(last - last[0], axis=1)
+    return Posture(tips, np.clip(curls, 0.0, 1.0), gaps)
+
+
+def mirrored(seen: FloatArray) -> bool:
+    """Return whether fingers bend backwards, as those of the other hand would seem to."""
+    palmar = seen[5:, 0].reshape(4, 4)
+    long = np.linalg.norm(np.diff(seen[5:].reshape(4, 4, 3), axis=1), axis=2).sum(axis=1)
+    return int(((palmar[:, 1:].mean(axis=1) - palmar[:, 0]) < -_BENT * long).sum()) >= 2
+
+
+class Smoother:
+    """The one-euro filter (Casiez et al., 2012): smooth at rest, without lag in motion."""
+
+    _CUTOFF: Final = 2.0
+    """Cutoff frequency at rest [Hz]: below it are a person's slow motions."""
+
+    _SPEED: Final = 25.0
+    """Increase of the cutoff with the speed [Hz/(m/s)]: 2.5 Hz more at 0.1 m/s."""
+
+    _OF_SPEED: Final = 4.0
+    """Cutoff frequency of the speed itself [Hz]."""
+
+    def __init__(self) -> None:
+        self._at: FloatArray | None = None
+        self._speed: FloatArray = np.zeros(0)
+
+    def step(self, points: FloatArray, dt: float) -> FloatArray:
+        """Return points ``(k, 3)`` filtered, ``dt`` [s] after the last ones."""
+        if self._at is None or dt <= 0.0:
+            self._at, self._speed = points, np.zeros_like(points)
+            return points
+        self._speed = self._speed + _share(self._OF_SPEED, dt) * (
+            (points - self._at) / dt - self._speed
+        )
+        fast = np.sqrt((self._speed * self._speed).sum(axis=1, keepdims=True))
+        share = 1.0 / (1.0 + 1.0 / (2.0 * math.pi * dt * (self._CUTOFF + self._SPEED * fast)))
+        self._at = self._at + share * (points - self._at)
+        return self._at
+
+    def restart(self) -> None:
+        """Forget what came before."""
+        self._at = None
+
+
+def _share(cutoff: float, dt: float) -> float:
+    return 1.0 / (1.0 + 1.0 / (2.0 * math.pi * cutoff * dt))

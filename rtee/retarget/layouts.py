@@ -1,0 +1,131 @@
+"""The points of trackers, by name, and their translation into MediaPipe's order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from rtee.errors import ConfigError
+from rtee.sample import FloatArray
+
+POINTS: Final = 21
+"""Points of MediaPipe's hand: the wrist, then four of each finger from the palm to the tip, thumb,
+index, middle, ring, little."""
+
+
+class Side(StrEnum):
+    """Which of a person's hands."""
+
+    LEFT = "left"
+    RIGHT = "right"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a tracker orders and measures the points of a hand.
+
+    The frame does not matter, as long as it is right-handed: the palm's own one is used.
+
+    Attributes:
+        name: Its name.
+        order: For each of MediaPipe's 21 points, the tracker's points whose mean it is.
+        count: The number of points that the tracker gives.
+        unit: The tracker's unit of length [m].
+    """
+
+    name: str
+    order: tuple[tuple[int, ...], ...]
+    count: int
+    unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        known = all(part and all(0 <= i < self.count for i in part) for part in self.order)
+        if len(self.order) != POINTS or not known or not 0.0 < self.unit < np.inf:
+            raise ConfigError(
+                f"the layout '{self.name}' should name {POINTS} points from 0 to "
+                f"{self.count - 1}, and a unit above 0 m"
+            )
+
+    @cached_property
+    def _mean(self) -> FloatArray:
+        mean = np.zeros((POINTS, self.count))
+        for row, part in enumerate(self.order):
+            mean[row, list(part)] = self.unit / len(part)
+        return mean
+
+    def points(self, given: object) -> FloatArray:
+        """Return a tracker's points ``(count, 3)`` as MediaPipe's ``(21, 3)`` [m].
+
+        Raises:
+            ConfigError: They are not as many, or not finite numbers.
+        """
+        try:
+            found = np.array(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ConfigError(f"points are {self.count} rows of 3 numbers") from None
+        if found.shape != (self.count, 3):
+            shape = " x ".join(map(str, found.shape)) or "a single number"
+            raise ConfigError(f"{self.name} gives {self.count} points of 3 numbers, not {shape}")
+        odd = np.flatnonzero(~np.isfinite(found).all(axis=1))
+        if len(odd):
+            raise ConfigError(f"point {odd[0]} is not three finite numbers")
+        points: FloatArray = self._mean @ found
+        return points
+
+
+def _picked(name: str, order: Sequence[int], count: int, unit: float = 1.0) -> Layout:
+    return Layout(name, tuple((i,) for i in order), count, unit)
+
+
+_WITHOUT_METACARPALS: Final = (0, 1, 2, 3, 4, *(i for i in range(5, 25) if i % 5 != 0))
+"""Of 25 points, the wrist, the thumb's four, and those of each finger after its metacarpal's."""
+
+LAYOUTS: Final[Mapping[str, Layout]] = {
+    layout.name: layout
+    for layout in (
+        _picked("mediapipe", range(21), 21),
+        # XRHand: wrist, four of the thumb, five of each finger from the metacarpal's base.
+        _picked("webxr", _WITHOUT_METACARPALS, 25),
+        # LeapC, ends of bones in millimetres: four of the thumb, whose metacarpal has no length,
+        # and five of each finger. The wrist is where the metacarpals begin.
+        Layout(
+            "leap",
+            (
+                (4, 9, 14, 19),
+                *((i,) for i in range(4)),
+                *((i,) for i in range(4, 24) if (i - 4) % 5 != 0),
+            ),
+            24,
+            0.001,
+        ),
+        # Manus Core's raw skeleton: wrist, four of the thumb, five of each finger.
+        _picked("manus", _WITHOUT_METACARPALS, 25),
+        _picked("manus21", range(21), 21),
+        # SMPL-X's joints of MANO (index, middle, little, ring, thumb), then tips from the thumb.
+        _picked(
+            "mano",
+            (0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20),
+            21,
+        ),
+    )
+}
+"""The layouts by name."""
+
+
+def layout_named(name: str) -> Layout:
+    """Return a layout; raises `ConfigError` if there is none of this name."""
+    if name not in LAYOUTS:
+        raise ConfigError(f"there is no layout '{name}'; there are: {', '.join(LAYOUTS)}")
+    return LAYOUTS[name]
+
+
+def side_named(name: str) -> Side:
+    """Return a side; raises `ConfigError` if the name is not one."""
+    if name not in (*Side,):
+        raise ConfigError(f"a person's hand is left or right, not '{name}'")
+    return Side(name)

@@ -1,0 +1,137 @@
+"""`rtee retarget`, and `rtee teleop --landmarks`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import anyio.from_thread
+import numpy as np
+import pytest
+from remote.serving import Served, serving
+from typer.testing import CliRunner
+
+from rtee.actions.library import ActionLibrary
+from rtee.cli._common import app_of
+from rtee.cli.retarget import retarget
+from rtee.cli.teleop import teleop
+from rtee.errors import LogError, UserError
+from rtee.hand.catalog import find_hand
+from rtee.hand.load import load_hand
+from rtee.retarget import LAYOUTS, Retargeter, Side
+from rtee.retarget.frames import read_frames
+from rtee.testing.human_hand import HumanHand
+
+HUMAN = HumanHand()
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    monkeypatch.delenv("RTEE_HAND", raising=False)
+    hand = load_hand("leap_hand")
+    library = ActionLibrary.load(hand, find_hand("leap_hand") / "actions")
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(serving(hand, library)) as served,
+    ):
+        yield served
+
+
+def run(command: object, *words: str, given: str | None = None) -> str:
+    result = CliRunner().invoke(app_of(command), words, input=given, catch_exceptions=False)  # type: ignore[arg-type]
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def lines(frames: Sequence[np.ndarray[Any, Any]], rate: float = 30.0) -> str:
+    found = ({"t": k / rate, "points": points.tolist()} for k, points in enumerate(frames))
+    return "".join(json.dumps(frame) + "\n" for frame in found)
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_hand_follows_a_persons(served: Served, tmp_path: Path, live: bool) -> None:
+    text = lines([HUMAN.points((c / 12,) * 5) for c in range(12)])
+    file = tmp_path / "hand.jsonl"
+    file.write_text(text)
+    said = run(teleop, "--landmarks", "-" if live else str(file), given=text if live else None)
+    assert "12 frames followed, 0 dropped" in said
+    middle = served.loop.hand.actuator_index("middle_mcp_forward")
+    # How far it gets in 0.4 s is up to a busy computer.
+    moved = abs(served.loop.controller.reference_position[middle])
+    assert live or moved > 0.01  # all lines come at once, and the stream ends
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("[1, 2]", "an object such as"),
+        ('{"points": []}', "no time"),
+        ('{"t": 1}', "neither 'points'"),
+        ('{"t": 1, "points": [[0, 0, 0]]}', "21 points"),
+        (json.dumps({"t": 1, "points": [[0, 0, float("nan")]] * 21}), "finite"),
+        ('{"t": -1, "points": null}', "not later"),
+        ('{"t": 1, "hand_world_landmarks": [[{"x": 1}]]}', "MediaPipe"),
+        ('{"layout": {"order": [1]}}', "a layout is"),
+        ('{"layout": "octopus"}', "there is no layout"),
+        ("not json", "makes no sense"),
+    ],
+)
+def test_a_line_without_sense_moves_nothing(tmp_path: Path, line: str, said: str) -> None:
+    file = tmp_path / "hand.jsonl"
+    file.write_text(lines([HUMAN.points()]) + line + "\n")
+    with pytest.raises(LogError, match=said) as caught:
+        run(teleop, "--landmarks", str(file))
+    assert caught.value.line == 2
+
+
+def test_points_need_no_actions_and_no_gamepad() -> None:
+    for words in (["fist"], ["--keyboard"], ["--side", "middle"], ["--layout", "octopus"]):
+        with pytest.raises(UserError):
+            run(teleop, "--landmarks", "-", *words)
+
+
+def test_results_of_mediapipe_and_arrays_are_read(tmp_path: Path) -> None:
+    points = HUMAN.points()
+    marks = [dict(zip("xyz", point, strict=True)) for point in points.tolist()]
+    result = {
+        "timestamp_ms": 40,
+        "handedness": [[{"category_name": "Left"}], [{"category_name": "Right"}]],
+        "hand_world_landmarks": [marks[:1], marks],
+    }
+    file = tmp_path / "hand.jsonl"
+    file.write_text(json.dumps(result) + '\n{"timestamp_ms": 80, "hand_world_landmarks": []}\n')
+    seen, lost = read_frames(file, LAYOUTS["mediapipe"], Side.RIGHT)
+    assert seen.stamp == pytest.approx(0.04)
+    assert seen.points == pytest.approx(points)
+    assert lost.points is None
+    np.savez(tmp_path / "hand.npz", joints=np.array([points, points * np.nan]))
+    first, second = read_frames(tmp_path / "hand.npz", LAYOUTS["mediapipe"], Side.RIGHT)
+    assert (first.stamp, second.points) == (0.0, None)
+    assert first.points == pytest.approx(points)
+
+
+def test_what_a_hand_follows_is_a_file_to_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "config" / "leap_hand"
+    shutil.copytree(find_hand("leap_hand"), folder)
+    monkeypatch.chdir(tmp_path)
+    file = folder / "retarget.yaml"
+    file.unlink(missing_ok=True)
+    assert "thumb" in run(retarget, "leap_hand", "--save")
+    kept = file.read_text()
+    file.write_text(kept.replace("human: ring", "human: little"))
+    assert Retargeter.of(folder).correspondence.fingers["ring"].human == "little"
+    for wrong, said in (
+        (kept.replace("human: ring", "human: toe"), "retarget.yaml:"),
+        (kept.replace("model: ", "model: x"), "another model"),
+        (kept.replace("  ring:", "  nose:"), "'nose' has no tip"),
+    ):
+        file.write_text(wrong)
+        with pytest.raises(UserError, match=said):
+            Retargeter.of(folder)
