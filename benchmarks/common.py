@@ -40,6 +40,7 @@ HELP = {
     "runs": "runs of each hand",
     "no_sampling": "leave random sampling out",
     "starts": "compare depths with those of a search from this many starts",
+    "tls": "send the stops through TLS",
     "times": "number of extractions of each hand",
     "every": "print every pinch, not only those that differ",
     "rounds": "number of rounds, in which all cases are measured by turns",

@@ -1,15 +1,16 @@
 """Measure how long a hand still gets references after a stop was sent, under attack.
 
-    python benchmarks/stop.py [--times 100] [--rate 1000] [--only silent] [--realtime]
+    python benchmarks/stop.py [--times 100] [--rate 1000] [--only silent] [--tls] [--realtime]
 
 A hand of this benchmark's own runs at 1 kHz in a process of its own, with a kinematic device, one
 whose exchanges hang now and then, and TLS. It is moving whenever a stop is sent. Printed are, for
 each attack and for all at once, the time from sending the stop until the last reference that a
 device received before it stood still, and how many stops the device that answers has confirmed:
-through the hand's stop socket (as `rtee stop` does on the same computer), and the whole time until
-the answer. The same is measured without an attack, in the same run. The command itself, Python's
-start included, comes last. With --realtime the hand and the program that stops it have precedence
-over all others, so that other programs of a busy computer count for less.
+through the hand's stop socket (as `rtee stop` does on the same computer), or with --tls through an
+open session of another certificate than the attackers', and the whole time until the answer. The
+same is measured without an attack, in the same run. The command itself, Python's start included,
+comes last. With --realtime the hand and the program that stops it have precedence over all others,
+so that other programs of a busy computer count for less.
 
 The attacks are programs of their own: *silent*: 60 connections a second to the TLS port that send
 four bytes; *sessions*: one certificate opens as many sessions as it gets, and says hello 1500 times
@@ -34,6 +35,8 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
 from pathlib import Path
 
 import anyio
@@ -70,7 +73,7 @@ from rtee.remote.stopping import stop_at, stop_path
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Event, Reference
 
-ATTACKS = ("silent", "sessions", "samples", "clients", "requests", "page")
+ATTACKS = ("silent", "sessions", "samples", "requests", "page", "clients")
 
 HANGS = 200
 """One exchange in so many hangs."""
@@ -196,26 +199,30 @@ async def client_attack(kind: str, hand: str) -> None:
     """Attack as a client on this computer."""
     async with anyio.create_task_group() as group:
 
-        async def one(number: int) -> None:
-            async with rtee.connect(hand) as remote:
-                while True:
-                    if kind == "samples":
-                        sample = StreamTargets(
-                            "x", time.monotonic(), {"thumb": 0.1}, {}, remote.client
-                        )
-                        remote._link.put("sample", STREAM_TARGETS.encode(sample), "x")
-                        await anyio.sleep(1.0 / 300.0)
-                    elif kind == "requests":
-                        for name in ("info", "status", "hello"):
-                            remote._link.send(name, os.urandom(60)).add_done_callback(
-                                lambda future: future.exception()
-                            )
-                        await anyio.sleep(0.001)
-                    else:
-                        await anyio.sleep(1.0)
+        async def one() -> None:
+            while True:  # with 64 clients, not all attackers get in at once
+                with contextlib.suppress(RteeError):
+                    async with rtee.connect(hand) as remote:
+                        await use(remote)
+                await anyio.sleep(1.0)
 
-        for number in range({"samples": 1, "requests": 3, "clients": 64}[kind]):
-            group.start_soon(one, number)
+        async def use(remote: rtee.RemoteHand) -> None:
+            while True:
+                if kind == "samples":
+                    sample = StreamTargets("x", time.monotonic(), {"thumb": 0.1}, {}, remote.client)
+                    remote._link.put("sample", STREAM_TARGETS.encode(sample), "x")
+                    await anyio.sleep(1.0 / 300.0)
+                elif kind == "requests":
+                    for name in ("info", "status", "hello"):
+                        remote._link.send(name, os.urandom(60)).add_done_callback(
+                            lambda future: future.exception()
+                        )
+                    await anyio.sleep(0.001)
+                else:
+                    await anyio.sleep(1.0)
+
+        for _ in range({"samples": 1, "requests": 3, "clients": 64}[kind]):
+            group.start_soon(one)
             await anyio.sleep(0.02)
 
 
@@ -242,6 +249,30 @@ async def page() -> None:
         group.start_soon(anyio.to_thread.run_sync, send)
 
 
+Send = Callable[[], Awaitable[dict[str, bool]]]
+"""Sends a stop; returns which devices have confirmed it."""
+
+
+async def here() -> dict[str, bool]:
+    """Stop the hand as `rtee stop` does on this computer."""
+    path = stop_path(running()["small"].endpoints[0])
+    assert path is not None
+    return await anyio.to_thread.run_sync(stop_at, path, "small", "benchmark")
+
+
+@contextlib.asynccontextmanager
+async def sending(endpoint: str, *, tls: bool) -> AsyncIterator[Send]:
+    """Yield what sends a stop: here, or through a session of a certificate of its own."""
+    if not tls:
+        yield here
+        return
+    attackers = os.environ[credentials.IDENTITY_VARIABLE]
+    os.environ[credentials.IDENTITY_VARIABLE] = str(Path(attackers).with_name("ben.pem"))
+    async with rtee.connect("small", endpoint=endpoint) as remote:
+        os.environ[credentials.IDENTITY_VARIABLE] = attackers
+        yield remote.stop
+
+
 class Judge:
     """Moves the hand, stops it, and reads what the hand says about it."""
 
@@ -255,14 +286,12 @@ class Judge:
         for line in hand.stdout:
             self._said.append(json.loads(line))
 
-    async def stop(self) -> tuple[float, float, bool]:
+    async def stop(self, send: Send) -> tuple[float, float, bool]:
         """Return the times to the last reference and to the answer [s], and whether confirmed."""
         await anyio.sleep(random.uniform(1.1, 1.5) * MOVE_EVERY)  # it moves again
-        path = stop_path(running()["small"].endpoints[0])
-        assert path is not None
         seen, sent = len(self._said), time.monotonic()
         try:
-            confirmed = await anyio.to_thread.run_sync(stop_at, path, "small", "benchmark")
+            confirmed = await send()
         except RteeError:
             return 1.0, 1.0, False
         answered = time.monotonic()
@@ -279,7 +308,9 @@ def quantiles(values: list[float]) -> str:
     return f"{statistics.median(ordered) * 1e3:.1f} / {high * 1e3:.1f} / {ordered[-1] * 1e3:.1f}"
 
 
-async def measure(hand: subprocess.Popen[str], endpoint: str, times: int, only: str) -> None:
+async def measure(
+    hand: subprocess.Popen[str], endpoint: str, times: int, only: str, *, tls: bool
+) -> None:
     """Measure all attacks by turns with none, and print."""
     judge = Judge(hand)
     table = Table(
@@ -296,7 +327,8 @@ async def measure(hand: subprocess.Popen[str], endpoint: str, times: int, only: 
             os.sched_setscheduler(one.pid, os.SCHED_OTHER, os.sched_param(0))
         await anyio.sleep(3.0 if case else 0.0)
         try:
-            found = [await judge.stop() for _ in range(times)]
+            async with sending(endpoint, tls=tls) as send:
+                found = [await judge.stop(send) for _ in range(times)]
         finally:
             for one in attackers:
                 one.kill()
@@ -306,6 +338,7 @@ async def measure(hand: subprocess.Popen[str], endpoint: str, times: int, only: 
         done = 100.0 * sum(each[2] for each in found) / times
         table.row(name, quantiles(last), quantiles(answer), f"{done:.0f} %")
         await anyio.sleep(1.0)
+    print(f"\nLoad of the computer: {', '.join(f'{each:.1f}' for each in os.getloadavg())}")
     began = monotonic.now()
     await stop_hand("small", endpoint=endpoint)
     print(f"\nstop_hand() over TLS, with its session: {monotonic.now() - began:.2f} s")
@@ -316,7 +349,7 @@ async def measure(hand: subprocess.Popen[str], endpoint: str, times: int, only: 
 
 def main() -> None:
     """Parse the command line and measure."""
-    parser = command_line(__doc__, times=100, rate=1000.0, only="", realtime=False)
+    parser = command_line(__doc__, times=100, rate=1000.0, only="", tls=False, realtime=False)
     parser.add_argument("--role", default="", help=argparse.SUPPRESS)
     parser.add_argument("--endpoint", default="", help=argparse.SUPPRESS)
     parser.add_argument("--name", default="small", help=argparse.SUPPRESS)
@@ -331,12 +364,13 @@ def main() -> None:
     elif args.role:
         attack(args.role, args.endpoint, args.name)
     else:
-        with tempfile.TemporaryDirectory() as name, socket.socket() as probe:
-            folder = Path(name) / "small"
-            os.environ[credentials.FOLDER_VARIABLE] = name
+        with tempfile.TemporaryDirectory() as place, socket.socket() as probe:
+            folder = Path(place) / "small"
+            os.environ[credentials.FOLDER_VARIABLE] = place
             authority.make_authority(folder, "small")
-            _, text = authority.add_client(folder, "ann", Role.OBSERVER)
-            authority.write_private(folder.parent / "ann.pem", text)
+            for name in ("ann", "ben"):
+                _, text = authority.add_client(folder, name, Role.OBSERVER)
+                authority.write_private(folder.parent / f"{name}.pem", text)
             os.environ[credentials.IDENTITY_VARIABLE] = str(folder.parent / "ann.pem")
             probe.bind(("127.0.0.1", 0))
             endpoint = f"tls/127.0.0.1:{probe.getsockname()[1]}"
@@ -344,7 +378,8 @@ def main() -> None:
             words = [sys.executable, __file__, "--role", "hand", "--endpoint", endpoint]
             words += ["--rate", str(args.rate), *["--realtime"][: args.realtime]]
             hand = child(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-            anyio.run(measure, hand, endpoint, args.times, args.only)
+            todo = partial(measure, hand, endpoint, args.times, args.only, tls=args.tls)
+            anyio.run(todo)
             hand.kill()
 
 
