@@ -12,23 +12,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
 
 from rtee.sample import NOTHING, BoolArray, FloatArray
-
-FORMER_NAMES: Mapping[str, str] = MappingProxyType(
-    {
-        "release": "disable",
-        "idle_release": "idle_disable",
-        "holding_effort": "grip_effort",
-        "holding_after": "grip_after",
-    }
-)
-"""Keys and values of hand.yaml that were renamed. Older recordings are read by the new names; an
-older hand.yaml is refused with a message that says what to change."""
 
 
 # A function, since a dataclass refuses the mapping itself as a default: it has no hash.

@@ -12,7 +12,6 @@ from rtee import monotonic
 from rtee.cli._common import ConnectOption, RunningOption
 from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
-from rtee.errors import RequestRejected
 from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def state(
     async def execute(remote: RemoteHand) -> None:
         # In a script, the command has to end by itself.
         if once or not (follow or on_terminal()):
-            _print(remote.name, await remote.state(), await _touch(remote), as_json)
+            _print(remote.name, await remote.state(), await remote.touch_state(), as_json)
         elif as_json or not on_terminal():
             touch = _TouchPoll(remote)
             async for newest in remote.states(rate):
@@ -66,14 +65,6 @@ def state(
             await _live(remote, rate)
 
     with_hand(hand, connect, "state", execute)
-
-
-async def _touch(remote: RemoteHand) -> Touch:
-    """Return the newest values of the touch sensors; none from a hand of an earlier version."""
-    try:
-        return await remote.touch_state()
-    except RequestRejected:
-        return {}
 
 
 class _TouchPoll:
@@ -86,7 +77,7 @@ class _TouchPoll:
     async def newest(self) -> Touch:
         """Return values that are at most `_TOUCH_EVERY` old."""
         if monotonic.now() >= self._due:
-            self._known = await _touch(self._remote)
+            self._known = await self._remote.touch_state()
             self._due = monotonic.now() + _TOUCH_EVERY
         return self._known
 

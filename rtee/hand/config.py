@@ -34,7 +34,6 @@ from rtee.hand.model import CLEARANCE
 from rtee.hand.names import check_name
 from rtee.hand.validation import OTHERS, Check, Invalid, known_keys, validated
 from rtee.hand.yamlfile import YamlDocument, read_yaml
-from rtee.types import FORMER_NAMES
 
 MeasuredOpening = tuple[
     Annotated[float, Interval(ge=0, le=1)], Annotated[float, Interval(ge=0, le=2)]
@@ -181,12 +180,6 @@ def _first_error(errors: Invalid, document: YamlDocument) -> ConfigError:
     )
     value = repr(error["input"])[:80]
     match error["type"]:
-        # Older files: the answer is what to change, not that the key is unknown.
-        case "extra_forbidden" if location[-1] in FORMER_NAMES:
-            return document.error(location, f"is called '{FORMER_NAMES[str(location[-1])]}' now")
-        case "literal_error" if str(error["input"]) in FORMER_NAMES:
-            former = str(error["input"])
-            return document.error(location, f"'{former}' is called '{FORMER_NAMES[former]}' now")
         case "extra_forbidden":
             hint = suggestion(str(location[-1]), known_keys(HandConfig, location[:-1]))
             return document.error(location, f"unknown key; {hint}")

@@ -12,7 +12,6 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from rtee.errors import LogError
-from rtee.types import FORMER_NAMES
 
 T = TypeVar("T")
 
@@ -60,12 +59,8 @@ def _value_of(value: Any, kind: Any) -> Any:
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         known = {field.name for field in dataclasses.fields(kind)}
-        # Older recordings use former names, and may have fields that no longer exist.
-        present = {key if key in known else FORMER_NAMES.get(key, key): value[key] for key in value}
+        # Older recordings may have fields that no longer exist.
         return typing.cast("Any", kind)(
-            **{key: _value_of(item, hints[key]) for key, item in present.items() if key in known}
+            **{key: _value_of(item, hints[key]) for key, item in value.items() if key in known}
         )
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        known = {member.value for member in kind}
-        return kind(value if value in known else FORMER_NAMES.get(value, value))
     return kind(value)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rtee.commands import SetActive
 from rtee.errors import ConfigError
-from rtee.hand.config_schema import Behaviour, GraspSettings, SafetySettings, ThermalSettings
+from rtee.hand.config_schema import ThermalSettings
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import from_json, to_json
 from rtee.loop.controller import Controller
@@ -18,7 +18,7 @@ from rtee.loop.measured import Measured
 from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import PLAUSIBLE, Level, Thermal
 from rtee.loop.thermal_model import CurrentHeat
-from rtee.types import FORMER_NAMES, Event
+from rtee.types import Event
 
 
 def settled(current: float, nominal: float = 0.5, **options: float) -> tuple[float, CurrentHeat]:
@@ -111,21 +111,6 @@ def test_an_estimate_derates_and_releases_through_the_controller(hand: Hand) -> 
 def test_nominal_currents_are_kept_in_recordings() -> None:
     settings = LoopSettings(thermal=ThermalSettings(nominal_current={"index": 0.1, "thumb": 2.5}))
     assert from_json(to_json(settings), LoopSettings) == settings
-
-
-def test_settings_of_older_recordings_are_read_by_their_new_names() -> None:
-    safety = SafetySettings(on_exit=Behaviour.DISABLE, idle_disable=3.0)
-    settings = LoopSettings(
-        thermal=ThermalSettings(disable=77.0),
-        safety=safety,
-        grasp=GraspSettings(grip_effort=0.3, grip_after=1.0),
-    )
-    text = to_json(settings)
-    for former, name in FORMER_NAMES.items():
-        text = text.replace(f'"{name}"', f'"{former}"')
-    assert '"release": 77.0' in text
-    assert '"on_exit": "release"' in text
-    assert from_json(text, LoopSettings) == settings
 
 
 @pytest.mark.parametrize("broken", [-60.0, 200.0])
