@@ -1,0 +1,52 @@
+"""A goal played in simulation before a hand does it."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtee.errors import ConfigError, GoalRejected
+from rtee.hand.load import load_configured
+from rtee.trials.rehearsal import Rehearsal, rehearse
+from rtee.types import Goal
+
+CUBE = "box:0.03x0.03x0.03"
+
+
+def played(name: str, goal: Goal, thing: str = "", **position: float) -> Rehearsal:
+    return rehearse(name, load_configured(name)[0].urdf.text, goal, thing, position)
+
+
+def test_what_is_held_may_be_done() -> None:
+    goal = Goal("", opening=0.03, force=10.0, grasp=True, speed=0.5)
+    rehearsal = played("robotiq_2f_85", goal, CUBE)
+    assert rehearsal.held
+    assert rehearsal.refusal(20.0) == ""
+    # The blow of the closing fingers counts.
+    assert (
+        rehearsal.refusal(10.0) == f"it comes to {rehearsal.force:.1f} N, and a person allows 10 N"
+    )
+
+
+def test_what_is_lost_may_not() -> None:
+    # It closes on nothing at a quarter of its way.
+    rehearsal = played("robotiq_2f_85", Goal("Grasp", intensity=0.25, speed=0.5), CUBE)
+    assert not rehearsal.held
+    assert rehearsal.refusal(20.0) == f"{CUBE} is lost"
+    assert f"{CUBE} is lost" in rehearsal.words
+
+
+def test_a_hand_that_strikes_itself_is_told() -> None:
+    pinch = Goal("MultiPinchTight_3", ("thumb", "ring", "pinky"), speed=0.5)
+    assert "the hand strikes itself with " in played("schunk_svh", pinch).refusal(1000.0)
+
+
+def test_it_begins_where_the_hand_is() -> None:
+    closed = played("robotiq_2f_85", Goal("open", speed=0.5), finger_joint=0.5)
+    assert closed.result.duration > 0.5 > played("robotiq_2f_85", Goal("open")).result.duration
+
+
+def test_other_files_and_impossible_goals_are_refused() -> None:
+    with pytest.raises(ConfigError, match="here are not those of the hand that runs"):
+        rehearse("robotiq_2f_85", "<robot/>", Goal("open"), "", {})
+    with pytest.raises(GoalRejected, match="mm"):
+        played("robotiq_2f_85", Goal("", opening=0.2, grasp=True), CUBE)
