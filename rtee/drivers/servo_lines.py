@@ -1,35 +1,52 @@
-"""Common parts of drivers of servos on a line: options, presence check and calibration.
+"""What all servos on a shared line have in common: options, units, presence, calibration.
 
-A calibration consists of the reading of each servo at 0 rad, and the servo's identity.
+The engine of their drivers is `rtee.drivers.servos`. A calibration consists of the reading of each
+servo at 0 rad, and the servo's identity.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
-from rtee.drivers.base import Driver
-from rtee.drivers.json_files import read_calibration_file, write_json
-from rtee.drivers.options import Positive
+from rtee.drivers.json_files import read_calibration_file
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.errors import CalibrationError, DeviceFault, HandshakeError, NotConnected
 from rtee.sample import FloatArray
+
+LATENCY = 1e-3
+"""Latency of a USB adapter per read [s]: the shortest setting of an FTDI chip's timer."""
+
+DELAY_UNIT = 2e-6
+"""Time per count of a servo's return delay [s]."""
+
+_VOLTAGE_UNIT = 0.1
+"""Supply voltage per count [V]."""
+
+_MOST_SPEED = 0x7FFF
+"""Largest speed that fits into the registers [counts]."""
 
 
 class ServoOptions(BaseModel):
     """Options of one servo that all kinds have.
 
     Attributes:
+        id: Its id on the line.
+        zero: Its position at 0 rad [counts]; by default the middle of its range or turn.
         direction: +1 or -1: sign of its positions relative to the joint's angle.
         gear: Turns of the servo per turn of the joint.
         model: Expected model number; by default any known one.
         torque_per_ampere: Torque per current [N·m/A]; by default that of the line or the model.
+        p: Proportional gain; by default that of the line.
+        i: Integral gain.
+        d: Derivative gain.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -38,17 +55,60 @@ class ServoOptions(BaseModel):
     gear: Positive = 1.0
     model: int | None = None
     torque_per_ampere: Positive | None = None
+    id: Annotated[int, Field(ge=0, le=253)]
+    zero: Annotated[float, Field(ge=0.0)] | None = None
+    p: Annotated[int, Field(ge=0)] | None = None
+    i: Annotated[int, Field(ge=0)] | None = None
+    d: Annotated[int, Field(ge=0)] | None = None
 
 
-def check_line(baudrate: int, rates: Collection[int], ids: Sequence[int]) -> None:
-    """Check the options of a line: its rate, its servos' rates [baud], and their ids.
+class LineOptions(DeviceOptions):
+    """Options of a line of servos that all kinds have."""
 
-    Raises `ValueError` if they do not support the rate, or two have the same id.
+    port: str = Field("/dev/ttyUSB0", description="tty, socket:// or rfc2217://")
+    baudrate: int = Field(1_000_000, description="rate of the line [baud]")
+    calibration: Path | None = Field(
+        None, description="file of a calibration (`rtee calibrate`); its zeros replace those above"
+    )
+    p: Annotated[int, Field(ge=0)] | None = Field(
+        None, description="proportional gain; else as the servos have it"
+    )
+    i: Annotated[int, Field(ge=0)] | None = Field(None, description="integral gain")
+    d: Annotated[int, Field(ge=0)] | None = Field(None, description="derivative gain")
+    return_delay: Annotated[int, Field(ge=0, le=254)] | None = Field(
+        0, description="set in servos that have another one [2 µs]; null: leave"
+    )
+    outside: Positive = Field(
+        0.35, description="how far a joint may be outside its limits before its zero is doubted"
+    )
+    deadline: Positive = Field(0.1, description="for an exchange [s]")
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Field(ge=0.0)] = Field(
+        LATENCY, description="time per answer that the bytes do not explain [s]"
+    )
+
+
+def check_line(
+    line: LineOptions, servos: Mapping[str, ServoOptions], rates: Collection[int], most_gain: int
+) -> None:
+    """Check the options of a line.
+
+    Args:
+        line: The options.
+        servos: Those of its servos, by name.
+        rates: The rates that they support [baud].
+        most_gain: Their largest gain [counts].
+
+    Raises:
+        ValueError: if a value is not supported, or two servos have the same id.
     """
-    if baudrate not in rates:
+    if line.baudrate not in rates:
         raise ValueError(f"baudrate is one of {', '.join(str(rate) for rate in rates)}")
-    if len(set(ids)) != len(ids):
+    if len({servo.id for servo in servos.values()}) != len(servos):
         raise ValueError("two servos have the same id")
+    gains = [line.p, line.i, line.d, *(g for s in servos.values() for g in (s.p, s.i, s.d))]
+    if any(gain is not None and gain > most_gain for gain in gains):
+        raise ValueError(f"gains are from 0 to {most_gain}")
 
 
 def check_present(
@@ -195,23 +255,122 @@ def _differences(then: Calibrated, now: Calibrated) -> list[str]:
     return changes
 
 
-class CalibratesServos(Driver):
-    """A driver of servos that are calibrated with the hand in its rest posture."""
+@dataclass(slots=True)
+class Scale:
+    """The units of one servo.
 
-    @abstractmethod
-    async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
-        """Set the zeros so that the present positions are a posture [rad]; raises `BusError`."""
+    Attributes:
+        count: Angle of the servo per count of its position [rad].
+        zero: Position at 0 rad of the joint [counts].
+        direction: +1 or -1: sign of its positions relative to the joint's angle.
+        gear: Turns of the servo per turn of the joint.
+        speed_unit: Speed of the servo per speed count [rad/s].
+        current_unit: Current per count [A].
+        effort_unit: Torque of the joint per count of its measurement [N·m].
+        limit_unit: Torque of the joint per count of the torque limit [N·m].
+        turns: Counts by which the servo's position exceeds the joint's; set by `unwrap`.
+    """
 
-    async def calibrate(
-        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
-    ) -> list[Calibrated]:
-        """Let the user put the hand into its rest posture; set and store the zeros.
+    count: float
+    zero: float
+    direction: int = 1
+    gear: float = 1.0
+    speed_unit: float = math.nan
+    current_unit: float = math.nan
+    effort_unit: float = math.nan
+    limit_unit: float = math.nan
+    turns: int = 0
 
-        Arguments and errors as for `Calibrates.calibrate`.
+    @property
+    def rad(self) -> float:
+        """Angle of the joint per count, signed [rad]."""
+        return self.direction * self.count / self.gear
+
+    def to_rad(self, position: float) -> float:
+        """Return the joint's angle [rad] at a position [counts]."""
+        return (position - self.zero - self.turns) * self.rad
+
+    def to_counts(self, angle: float) -> int:
+        """Return the position [counts] at an angle of the joint [rad]."""
+        return round(self.zero + angle / self.rad) + self.turns
+
+    def to_speed(self, rate: float) -> int:
+        """Return the speed limit [counts], at least 1, for a rate of the joint [rad/s]."""
+        # For some servos 0 is the largest speed, for others standstill.
+        return min(max(round(abs(rate) * self.gear / self.speed_unit), 1), _MOST_SPEED)
+
+    def to_limit(self, torque: float) -> int:
+        """Return the torque limit [counts] for a torque of the joint [N·m]."""
+        return round(abs(torque) / self.limit_unit)
+
+    def unwrap(self, position: float, lower: float, upper: float) -> None:
+        """Choose the turn in which a position [counts] lies in a range [rad], or nearest to it.
+
+        After a power cycle a servo counts within one turn again, so that a joint whose range
+        crosses the wrap may read a whole turn off.
         """
-        # Servos with torque would resist the hand that bends the joints.
-        await self.deactivate()
-        await ready("Put every joint into the rest posture; the servos are without torque.")
-        servos = await self.take_zeros(rest)
-        write_json(path, {"servos": [asdict(servo) for servo in servos]})
-        return servos
+        self.turns = 0
+        turn = 2.0 * math.pi / self.count
+        # The turn nearest to the middle of the range leaves the largest margin.
+        middle = (lower + upper) / 2.0 if math.isfinite(upper - lower) else 0.0
+        self.turns = round(round((self.to_rad(position) - middle) / (self.rad * turn)) * turn)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The measurements of the servos of a device, arrays ``(n,)``.
+
+    Attributes:
+        angle: Angles [rad].
+        rate: Angular velocities [rad/s].
+        torque: Torques [N·m]; ``NaN``: not known.
+        current: Currents [A]; ``NaN``: not measured.
+        temperature: Temperatures [°C].
+        voltage: Supply voltages [V].
+    """
+
+    angle: FloatArray
+    rate: FloatArray
+    torque: FloatArray
+    current: FloatArray
+    temperature: FloatArray
+    voltage: FloatArray
+
+
+class Scales:
+    """The units of all servos as arrays, copied from each servo's `Scale`.
+
+    Args:
+        scales: The units, in the order of the servos.
+    """
+
+    def __init__(self, scales: Sequence[Scale]) -> None:
+        sense = np.array([float(s.direction) for s in scales])
+        self._turns = np.array([float(s.turns) for s in scales])
+        self._zero = np.array([s.zero for s in scales])
+        self._rad = np.array([s.rad for s in scales])
+        self._speed = sense * np.array([s.speed_unit / s.gear for s in scales])
+        self._effort = sense * np.array([s.effort_unit for s in scales])
+        self._current = sense * np.array([s.current_unit for s in scales])
+
+    def measured(self, columns: FloatArray) -> Measured:
+        """Return measurements in SI units.
+
+        Args:
+            columns: Position, speed, effort, current, temperature [°C] and voltage [0.1 V] of each
+                servo ``(6, n)`` [counts].
+        """
+        position, speed, effort, current, temperature, voltage = columns
+        return Measured(
+            (position - (self._zero + self._turns)) * self._rad,
+            speed * self._speed,
+            effort * self._effort,
+            current * self._current,
+            temperature,
+            voltage * _VOLTAGE_UNIT,
+        )
+
+    def counts(self, angles: FloatArray) -> list[int]:
+        """Return the positions [counts] at angles of the joints [rad]."""
+        # Rounded before the turns are added, as in `Scale.to_counts`, so that both agree.
+        return [int(p) for p in (np.rint(angles / self._rad + self._zero) + self._turns).tolist()]

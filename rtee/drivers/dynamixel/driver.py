@@ -3,48 +3,50 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from enum import IntFlag
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
-from rtee.buses.retry import patiently
-from rtee.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.dynamixel import setup, table
-from rtee.drivers.dynamixel.cycle import ServoCycle
+from rtee.drivers.dynamixel import table
+from rtee.drivers.dynamixel.codec import ALERT, Hardware
+from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions
-from rtee.drivers.dynamixel.table import model_of
-from rtee.drivers.emulators import emulator_of
+from rtee.drivers.dynamixel.table import MODELS, PULSES, Mode, Register, model_of
 from rtee.drivers.options import read_options
-from rtee.drivers.servo_lines import Calibrated, CalibratesServos, zeros_of
+from rtee.drivers.servo_lines import DELAY_UNIT, Scale, ServoOptions
+from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
-from rtee.errors import RteeError
-from rtee.sample import ActuatorState, FloatArray
-from rtee.types import DeviceSpec, Reference
+from rtee.errors import BusError, BusTimeout, ConfigError, FrameError, HandshakeError
+from rtee.sample import FloatArray
+from rtee.types import DeviceSpec
 
-_SLOW = 5.0
-"""Longest time to read or write all servos one by one [s]."""
-
-_ONE_SERVO = 1.0
-"""Longest time for one request to one servo, retries included [s]."""
+WATCHDOG_TRIPPED = 0x101
+"""Code of the driver's own fault, above the eight bits of the hardware error status."""
 
 _REBOOT_POLL = 0.1
 """Pause between two pings of rebooted servos [s]; a reboot takes about 0.4 s."""
 
-_MOST_GAIN = 16383
-"""Largest gain of the position controllers (addresses 80 to 84)."""
+_TRIPPED = -1
+"""Value of a tripped bus watchdog (address 98)."""
 
-GAINS = {"p": table.POSITION_P, "i": table.POSITION_I, "d": table.POSITION_D}
-"""Registers of the gains that can be tuned."""
+_TIME_BASED = 0x04
+"""Bit of the drive mode (address 10): the profile velocity is a time, not a speed limit."""
+
+_STATE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+"""The state registers, side by side in the control table."""
+
+_HEALTH = np.dtype([("voltage", "<u2"), ("temperature", "u1")])
+"""The health registers, likewise."""
 
 
-class DynamixelDriver(CalibratesServos):
+class DynamixelDriver(ServoDriver[DynamixelLink]):
     """Dynamixel X servos on one line.
 
     A cycle is one group read of current, velocity and position, and one group write of goal
@@ -52,24 +54,48 @@ class DynamixelDriver(CalibratesServos):
     positions when they change. Hardware errors set the alert bit of every answer.
 
     Servos lose their turn count with their supply: for a joint whose range crosses the wrap, the
-    turn is assumed in which it is within its limits. Servos with torque keep it, and their goals,
-    when the line is opened and when it is closed.
+    turn is assumed in which it is within its limits.
     """
 
     Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
+    TORQUE: ClassVar[Any] = table.TORQUE
+    GOAL: ClassVar[Any] = table.GOAL_POSITION
+    GAINS: ClassVar[Mapping[str, Any]] = {
+        "p": table.POSITION_P,
+        "i": table.POSITION_I,
+        "d": table.POSITION_D,
+    }
+    MOST_GAIN: ClassVar[int] = table.MOST_GAIN
+    STORED: ClassVar[int] = table.RAM
+    # No source says whether the goal of a servo without torque follows the shaft; 16 pulses are
+    # 1.4°, too small for a jump.
+    NEAR: ClassVar[int] = 16
+    HINT: ClassVar[str] = (
+        "free the hand and check its supply, then `rtee recover` reboots the servo"
+    )
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        super().__init__(spec, buses)
-        self.options = read_options(DynamixelOptions, spec)
-        check_names(spec, "servos", self.options.servos)
-        self.connection: Connection[ServoCycle] = Connection(spec)
-        self.capabilities = Capabilities(
-            measures=frozenset({"position", "velocity", "current", "temperature"}),
-            accepts=frozenset({"position", "max_velocity"}),
-            best_rate=self._best_rate(fast=self.options.fast != "never"),
-            watchdog=self.options.watchdog > 0.0,
-            recoverable=True,
-            gains=tuple(GAINS),
+        self.options = options = read_options(DynamixelOptions, spec)
+        check_names(spec, "servos", options.servos)
+        servos = {a.name: options.servos[a.name] for a in spec.actuators}
+        scales = [
+            Scale(
+                table.RAD_PER_PULSE,
+                float(table.CENTER if s.zero is None else s.zero),
+                s.direction,
+                s.gear,
+                table.VELOCITY_UNIT,
+            )
+            for s in servos.values()
+        ]
+        super().__init__(spec, buses, options, servos, scales)
+        self._mode = Mode[options.mode.upper()]
+        self._health: FloatArray = np.full((2, len(scales)), math.nan)
+        self._sent: dict[Register, dict[int, int]] = {}
+        self.capabilities = replace(
+            self.capabilities,
+            best_rate=self._best_rate(fast=options.fast != "never"),
+            watchdog=options.watchdog > 0.0,
         )
 
     def _best_rate(self, *, fast: bool) -> float:
@@ -81,152 +107,247 @@ class DynamixelDriver(CalibratesServos):
         # A byte takes ten bits on the line: eight of data between a start and a stop bit.
         return 1.0 / (count * 10.0 / self.options.baudrate + self.options.turnaround)
 
-    # --- life --------------------------------------------------------------------------------
-
-    async def configure(self) -> None:
-        """Open the line and find every servo; writes nothing."""
+    async def _connect(self) -> DynamixelLink:
         options = self.options
-        cycle = await self.connection.open(
-            self.buses.dynamixel(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                emulator=emulator_of(self.spec, "dynamixel"),
+        self._sent = {}
+        return await self.open(
+            self.buses.dynamixel,
+            options.port,
+            lambda bus: DynamixelLink(
+                bus, self.ids, options.deadline, options.retries, options.turnaround
             ),
-            lambda bus: ServoCycle(self.spec, options, bus),
-        )
-        link = cycle.link
-        await link.run(cycle.find, _SLOW)
-        # After finding the servos, since a calibration of other servos is refused.
-        if options.calibration is not None:
-            zeros = zeros_of(options.calibration, self.spec.name, _as_calibrated(cycle))
-            for scale, zero in zip(cycle.scales, zeros, strict=True):
-                scale.zero = zero
-        await link.run(partial(link.choose_read, options.fast), _ONE_SERVO)
-        self._describe(cycle)
-        await link.run(cycle.unwrap, _SLOW)
-
-    def _describe(self, cycle: ServoCycle) -> None:
-        """Refine the capabilities according to the servos found."""
-        servos = cycle.found.values()
-        models = Counter(model_of(servo.model).name for servo in servos)
-        measures = {"position", "velocity", "temperature"}
-        if all(math.isfinite(s.current_unit) for s in cycle.scales):
-            measures.add("current")
-        if all(math.isfinite(s.to_effort(1.0)) for s in cycle.scales):
-            measures.add("effort")
-        accepts, refuses = {"position", "max_velocity"}, {}
-        if cycle.limits_effort:
-            accepts.add("max_effort")
-        else:
-            refuses["max_effort"] = "'mode: current_based_position' in its options takes one"
-        fast = cycle.link.fast
-        self.capabilities = replace(
-            self.capabilities,
-            measures=frozenset(measures),
-            accepts=frozenset(accepts),
-            refuses=refuses,
-            best_rate=self._best_rate(fast=fast),
-            identity={
-                "model": ", ".join(f"{n} x {name}" for name, n in models.items()),
-                "firmware": ", ".join(sorted({str(s.firmware) for s in servos})),
-                "read": "fast sync read" if fast else "sync read",
-            },
+            emulator="dynamixel",
+            baudrate=options.baudrate,
         )
 
-    async def activate(self) -> None:
-        """Set up the servos without torque and power them at their positions."""
-        cycle = self.connection.link
-        cycle.link.patient = True
-        # Again, since a power cycle after `configure` has reset the turn counts.
-        await cycle.link.run(cycle.unwrap, _SLOW)
-        await cycle.link.run(cycle.power, _SLOW)
-        # From now on the exchanges have to fit into a cycle.
-        cycle.link.patient = False
-        cycle.active = True
+    # --- set-up ------------------------------------------------------------------------------
 
-    async def examine(self) -> str:
-        """Raise the fault that the servos report."""
-        cycle = self.connection.link
-        await cycle.link.run(cycle.check, _SLOW)
-        return ""
+    def _model(self, number: int | None) -> str:
+        return "unknown" if number is None else model_of(number).name
 
-    async def deactivate(self) -> None:
-        """Disable the torque."""
-        if self.connection.is_open:
-            cycle = self.connection.link
-            # From here on, missing torque is no fault.
-            cycle.active = False
-            await cycle.link.run(cycle.release, _ONE_SERVO)
+    def _check_model(self, name: str, servo: ServoOptions, model: int) -> None:
+        if servo.model is None and model not in MODELS:
+            raise HandshakeError(
+                self.spec.name,
+                f"an X-series servo as {servo.id} ({name})",
+                f"model {model}",
+                hint="if it has the same control table, say so by 'model'",
+            )
+
+    def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
+        def get(register: Register) -> int:
+            return register.unpack(stored[register.address :])
+
+        # Only in this mode does a servo refuse goals beyond its limits.
+        limited = self._mode is Mode.POSITION
+        return Found(
+            number,
+            get(table.MODEL),
+            str(get(table.FIRMWARE)),
+            get(table.DRIVE_MODE),
+            get(table.HOMING_OFFSET),
+            get(table.OPERATING_MODE),
+            get(table.RETURN_DELAY),
+            (get(table.MIN_POSITION), get(table.MAX_POSITION)) if limited else (0, 0),
+            get(table.CURRENT_LIMIT),
+            powered,
+        )
+
+    def _check_found(self, name: str, found: Found) -> None:
+        expected = self.options.servos[name].drive_mode
+        if found.drive_mode & table.REVERSE != expected & table.REVERSE:
+            raise HandshakeError(
+                self.spec.name,
+                f"servo {found.id} ({name}) with drive mode {expected}",
+                f"drive mode {found.drive_mode}",
+                hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",
+            )
+
+    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+        # In a group read the servos answer one after the other, so their delays add up.
+        self.connection.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
+        model = model_of(found.model)
+        given = self.options.servos[self.names[servo.id]].current_unit
+        scale.current_unit = given or model.current_unit
+        per_ampere = servo.torque_per_ampere or model.torque_per_ampere
+        scale.effort_unit = scale.limit_unit = scale.current_unit * per_ampere * scale.gear
+
+    async def _place(self) -> None:
+        link = self.connection.link
+        if link.fast is None:
+            link.fast = self.options.fast != "never"
+            try:
+                await self._readings()
+            except BusError:
+                if self.options.fast != "auto":
+                    raise
+                # Older firmware does not support it and does not answer.
+                link.fast = False
+        readings = await self._readings()
+        for scale, actuator, position in zip(
+            self.scales, self.spec.actuators, readings.columns[0].tolist(), strict=True
+        ):
+            scale.unwrap(position, actuator.lower, actuator.upper)
+        self._use_scales()
+        # Here already, since a turn follows from the limits.
+        self._check_places(readings)
+
+    def _check_range(self, number: int, ends: Sequence[float]) -> None:
+        if self._mode is Mode.POSITION and not all(0 <= end < PULSES for end in ends):
+            raise ConfigError(
+                f"device '{self.spec.name}': the range of '{self.names[number]}' crosses the turn "
+                "of its servo; use mode 'extended_position' or 'current_based_position'"
+            )
+
+    def _described(self) -> tuple[float, str]:
+        fast = bool(self.connection.link.fast)
+        return self._best_rate(fast=fast), "fast sync read" if fast else "sync read"
+
+    def _refuses_effort(self) -> str:
+        known = all(math.isfinite(scale.limit_unit) for scale in self.scales)
+        if known and self._mode is Mode.CURRENT_BASED_POSITION:
+            return ""
+        return "'mode: current_based_position' in its options takes one"
+
+    async def _prepare(self, off: Sequence[int]) -> None:
+        link, delay = self.connection.link, self.options.return_delay
+        # The mode before gains and goals: a servo that changes its mode resets its goals.
+        for number in off:
+            servo = self.found[number]
+            if servo.mode != self._mode:
+                # Only if it differs, since EEPROM wears out.
+                await link.run(partial(link.write, number, table.OPERATING_MODE, self._mode))
+            # From the factory it is 0.5 ms, so 16 servos would delay every read by 8 ms.
+            if delay is not None and servo.return_delay != delay:
+                await link.run(partial(link.write, number, table.RETURN_DELAY, delay))
+        await self._set_gains(off)
+        if self._mode is Mode.CURRENT_BASED_POSITION:
+            most = {n: self._most(i) for i, n in enumerate(self.ids) if n in off}
+            await self._set(table.GOAL_CURRENT, most)
+
+    async def _arm(self) -> Collection[int]:
+        """Set all bus watchdogs; return the servos whose one had tripped, and is cleared."""
+        guards = await self.connection.link.values(table.BUS_WATCHDOG, self.ids)
+        # 0 clears a watchdog that has tripped; any other value is refused until then.
+        await self._set(table.BUS_WATCHDOG, dict.fromkeys(self.ids, 0))
+        if self.options.watchdog > 0.0:
+            count = min(max(round(self.options.watchdog / table.WATCHDOG_UNIT), 1), 127)
+            await self._set(table.BUS_WATCHDOG, dict.fromkeys(self.ids, count))
+        # Limits written before a power cycle are lost.
+        self._sent = {}
+        # After clearing a tripped watchdog, a servo must not move to its old goal.
+        return {n for n, guard in guards.items() if guard == _TRIPPED}
 
     # --- every cycle -------------------------------------------------------------------------
 
-    async def sense(self) -> ActuatorState:
-        """Read current, velocity and position of all servos in one exchange."""
-        cycle = self.connection.link
-        return await cycle.link.run(cycle.sense)
+    async def _readings(self) -> Readings:
+        link = self.connection.link
+        data, errors = await link.run(partial(link.read_group, table.STATE, table.STATE_SIZE, None))
+        state = np.frombuffer(b"".join([data[number] for number in self.ids]), _STATE)
+        columns = np.empty((6, len(self.ids)))
+        columns[0], columns[1] = state["position"], state["velocity"]
+        columns[2] = columns[3] = state["current"]
+        columns[4:] = self._health
+        return Readings(columns, errors)
 
-    async def move(self, reference: Reference) -> None:
-        """Write changed limits, then the goal positions."""
-        cycle = self.connection.link
-        await cycle.link.run(partial(cycle.move, reference))
+    async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
+        # The alert bit says that there is an error; this register says which.
+        alerted = [number for number, error in errors.items() if error & ALERT]
+        link = self.connection.link
+        return {
+            number: Hardware((await link.values(table.HARDWARE_ERROR, [number]))[number])
+            for number in alerted
+        }
 
-    async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Write gains of the position controllers of all servos."""
-        link = self.connection.link.link
+    async def _watch(self) -> None:
+        """Read voltages and temperatures now and then, since they change slowly; check the torque.
+
+        Raises `DeviceFault` if torque is off, or a watchdog has tripped.
+        """
+        if self._count % self.options.health_every:
+            return
+        link = self.connection.link
+        data, _ = await link.run(partial(link.read_group, table.HEALTH, table.HEALTH_SIZE, None))
+        health = np.frombuffer(b"".join([data[number] for number in self.ids]), _HEALTH)
+        self._health = np.array([health["temperature"], health["voltage"]], dtype=np.float64)
+        if not self.active:
+            return
+        # Servos do not answer a group write, so limits are written again now and then.
+        self._sent = {}
+        # The watchdog first, as it explains why a servo does not follow.
+        if self.options.watchdog > 0.0:
+            guards = await link.values(table.BUS_WATCHDOG, self.ids)
+            tripped = [n for n, guard in guards.items() if guard == _TRIPPED]
+            if tripped:
+                raise self._lost(tripped, "watchdog tripped", WATCHDOG_TRIPPED)
+        torque = await link.values(table.TORQUE, self.ids)
+        lost = [n for n, powered in torque.items() if not powered]
+        if lost:
+            await self._refuse(await self._readings())
+            raise self._lost(lost)
+
+    def _most(self, i: int) -> int:
+        """Return the largest current of a servo [counts]: its limit, or a smaller option."""
+        number, unit = self.ids[i], self.scales[i].current_unit
+        limit = self.found[number].most
+        wanted = self.options.servos[self.names[number]].current or self.options.current
+        if wanted is None or not math.isfinite(unit):
+            return limit
+        return min(limit, round(wanted / unit))
+
+    async def _write(self, goals: Goals) -> None:
+        currents, speeds, positions = dict[int, int](), dict[int, int](), dict[int, int]()
+        limited = not self._refuses_effort()
+        timed = any(found.drive_mode & _TIME_BASED for found in self.found.values())
+        for i, (position, rate, effort) in goals.items():
+            number, scale, most = self.ids[i], self.scales[i], self._most(i)
+            positions[number] = position
+            if limited:
+                wanted = scale.to_limit(effort) if math.isfinite(effort) else most
+                currents[number] = min(wanted, most)
+            if not timed:
+                # A profile velocity of 0 means no limit.
+                speeds[number] = scale.to_speed(rate) if math.isfinite(rate) else 0
+        link = self.connection.link
 
         def write() -> None:
-            for name, value in gains.items():
-                count = min(max(round(value), 0), _MOST_GAIN)
-                link.write_confirmed(GAINS[name], dict.fromkeys(link.ids, count))
+            for register, values in (
+                (table.GOAL_CURRENT, currents),
+                (table.PROFILE_VELOCITY, speeds),
+            ):
+                sent = self._sent.setdefault(register, {})
+                changed = {n: v for n, v in values.items() if sent.get(n) != v}
+                link.write_group(register, changed)
+                # Not before the write, so that a failed one is repeated.
+                sent.update(changed)
+            link.write_group(table.GOAL_POSITION, positions)
 
-        await link.run(write, _ONE_SERVO)
+        await link.run(write)
 
-    # --- stop and faults ---------------------------------------------------------------------
-
-    async def stop(self) -> None:
-        """Hold the measured posture."""
-        # It must not raise, not even before the line is open.
-        with contextlib.suppress(RteeError, OSError):
-            cycle = self.connection.link
-            await patiently(partial(cycle.link.run, partial(cycle.hold, self.standstill)))
-
-    async def disable(self) -> None:
-        """Disable the torque; the fingers go limp."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+    # --- faults ------------------------------------------------------------------------------
 
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`."""
-        cycle = self.connection.link
-        link, cycle.active = cycle.link, False
-        link.patient = True
-        broken = await link.run(partial(setup.hurt, link), _SLOW)
-        for number in broken:
-            await link.run(partial(link.reboot, number), _ONE_SERVO)
-        # A servo is silent until its reboot is done.
-        end = monotonic.now() + self.options.reboot_time
-        while broken:
-            await asyncio.sleep(_REBOOT_POLL)
-            models = [await link.run(partial(link.ping, n), _ONE_SERVO) for n in broken]
-            broken = [n for n, model in zip(broken, models, strict=True) if model is None]
-            if broken and monotonic.now() > end:
-                raise cycle.fault(setup.TORQUE_LOST, "silent after its reboot", broken)
-        await link.run(cycle.find, _SLOW)
-        await link.run(cycle.check, _SLOW)
+        link, self.active = self.connection.link, False
+        with link.unhurried():
+            broken = []
+            for number in self.ids:
+                try:
+                    hurt = (await link.values(table.HARDWARE_ERROR, [number]))[number]
+                except (BusTimeout, FrameError):
+                    hurt = 1
+                if hurt:
+                    broken.append(number)
+                    await link.run(partial(link.reboot, number))
+            # A servo is silent until its reboot is done.
+            end = monotonic.now() + self.options.reboot_time
+            while broken:
+                await asyncio.sleep(_REBOOT_POLL)
+                broken = [n for n in broken if await link.model(n) is None]
+                if broken and monotonic.now() > end:
+                    raise self._lost(broken, "silent after its reboot")
+            await self.find()
+            await self._refuse(await self._readings())
 
-    # --- calibration -------------------------------------------------------------------------
-
-    async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
-        """Set the zeros so that the present positions are a posture [rad]; raises `BusError`."""
-        cycle = self.connection.link
-        await cycle.link.run(partial(cycle.set_zeros, rest), _SLOW)
-        return _as_calibrated(cycle)
-
-
-def _as_calibrated(cycle: ServoCycle) -> list[Calibrated]:
-    """Return the servos with the zeros that they have now."""
-    return [
-        Calibrated(cycle.names[f.id], f.id, f.model, f.drive_mode, f.homing_offset, scale.zero)
-        for f, scale in zip((cycle.found[n] for n in cycle.link.ids), cycle.scales, strict=True)
-    ]
+    def _zero(self, position: float) -> float:
+        return position % PULSES

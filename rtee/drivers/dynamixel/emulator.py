@@ -24,6 +24,7 @@ from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.servo_emulator import ServoLine
+from rtee.drivers.servo_lines import LATENCY
 
 _SPAN = 4
 """Bytes of address and length at the beginning of most instructions' parameters."""
@@ -56,7 +57,7 @@ class LineProperties:
     ids: tuple[int, ...] = (1,)
     servo: ServoProperties = field(default_factory=ServoProperties)
     special: dict[int, ServoProperties] = field(default_factory=dict)
-    latency: float = table.LATENCY
+    latency: float = LATENCY
     fast: bool = True
 
 

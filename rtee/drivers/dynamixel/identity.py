@@ -16,8 +16,6 @@ from rtee.errors import ConfigError, DriverError, NotConnected
 _OWNER = "set-id"
 _DEADLINE = 0.1
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
-_ALL = 5.0
-"""Longest time for an exchange with all its repetitions [s]."""
 _ATTEMPTS = 4
 """Attempts to write an id or a rate that the servo does not use afterwards."""
 _SETTLES = 0.02
@@ -57,7 +55,7 @@ async def set_id(
             )
         link = _link(bus, old)
         # With torque, a servo refuses to write its EEPROM.
-        await patiently(partial(link.run, partial(link.write, old, table.TORQUE, 0), _ALL))
+        await patiently(partial(link.run, partial(link.write, old, table.TORQUE, 0)))
         if new != old:
             await _store(bus, old, table.ID, new)
             if not await _answers_as(bus, old, new):
@@ -95,18 +93,20 @@ async def _answers_as(bus: DynamixelBus, old: int, new: int) -> bool:
 async def _store(bus: DynamixelBus, number: int, register: table.Register, value: int) -> None:
     """Write a register without expecting an answer: it may come with the new id or rate."""
     link = _link(bus, number)
-    await link.run(partial(link.write_group, register, {number: value}), _ALL)
+    await link.run(partial(link.write_group, register, {number: value}))
     await asyncio.sleep(_SETTLES)
 
 
 async def _asked(bus: DynamixelBus, number: int) -> Model | None:
     link = _link(bus, number)
-    model = await link.run(partial(link.ping, number), _ALL)
+    model = await link.model(number)
     return None if model is None else model_of(model)
 
 
 def _link(bus: DynamixelBus, number: int) -> DynamixelLink:
-    return DynamixelLink(bus, [number], _DEADLINE, 3)
+    link = DynamixelLink(bus, [number], _DEADLINE, 3)
+    link.patient = True
+    return link
 
 
 async def _line(pool: BusPool, port: str, baudrate: int) -> DynamixelBus:

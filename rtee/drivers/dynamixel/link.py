@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 import dynamixel_sdk as sdk
 
 from rtee import monotonic
 from rtee.buses.dynamixel import DynamixelBus
-from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error
 from rtee.drivers.dynamixel.table import Register
 from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
@@ -28,6 +29,9 @@ _PATIENT_LATENCY = 0.03
 
 _ATTEMPTS = 4
 """Attempts to write a group of servos that do not have the value afterwards."""
+
+_UNHURRIED = 5.0
+"""Longest time for an exchange outside the cycle, with all its repetitions [s]."""
 
 
 def _heard(result: int, error: int) -> int:
@@ -96,7 +100,7 @@ class DynamixelLink:
     Attributes:
         bus: The line.
         ids: The device's servos, in the order of its actuators.
-        fast: Whether groups are read with the fast sync read.
+        fast: Whether groups are read with the fast sync read; ``None``: not decided yet.
         patient: Whether answers may take longer: during set-up there is no cycle to keep, and a
             computer that is busy for a moment must not be a failure.
         delay: Sum of the servos' return delays [s], allowed in addition to the time on the wire.
@@ -112,20 +116,50 @@ class DynamixelLink:
     ) -> None:
         self.bus = bus
         self.ids = tuple(ids)
-        self.fast = False
-        self.patient = True
+        self.fast: bool | None = None
+        self.patient = False
         self.delay = 0.0
         self._deadline = deadline
         self._retries = retries
         self._latency = max(_LATENCY, 2.0 * turnaround)
         self._groups: dict[tuple[int, int], GroupRead] = {}
 
-    async def run(self, function: Callable[[], T], deadline: float | None = None) -> T:
-        """Call a function that makes exchanges in the worker thread; raises `BusError`.
+    @contextmanager
+    def unhurried(self) -> Iterator[None]:
+        """Let exchanges take longer, outside the cycle."""
+        before, self.patient = self.patient, True
+        try:
+            yield
+        finally:
+            self.patient = before
 
-        Its ``deadline`` [s] is by default that of two exchanges.
+    async def run(self, function: Callable[[], T]) -> T:
+        """Call a function that makes exchanges in the worker thread; raises `BusError`."""
+        usual = 2.0 * (self._deadline + self.delay)
+        return await self.bus.run(function, _UNHURRIED if self.patient else usual)
+
+    async def model(self, number: int) -> int | None:
+        """Return a servo's model number, or ``None`` if it does not answer; raises `BusError`."""
+        return await self.run(partial(self.ping, number))
+
+    async def data(self, number: int, address: int, size: int) -> bytes:
+        """Return bytes of a servo's control table; raises `BusError`."""
+        found, _ = await self.run(partial(self.read_group, address, size, [number]))
+        return found[number]
+
+    async def values(self, register: Register, numbers: Sequence[int]) -> dict[int, int]:
+        """Return a register of several servos, by id; raises `BusError`."""
+        return await self.run(partial(self._values, register, list(numbers))) if numbers else {}
+
+    async def set_all(
+        self, register: Register, values: Mapping[int, int], within: int = 0
+    ) -> dict[int, int]:
+        """Write a register of several servos, and again to those that have not received it.
+
+        Servos do not answer a group write, so the register is read back, and may differ by
+        ``within``. Returns the other values that servos have kept, by id; raises `BusError`.
         """
-        return await self.bus.run(function, deadline or 2.0 * (self._deadline + self.delay))
+        return await self.run(partial(self._confirmed, register, values, within)) if values else {}
 
     def repeated(self, attempt: Callable[[], int]) -> None:
         """Repeat an attempt until it succeeds, within deadline and retries; in the worker thread.
@@ -198,18 +232,6 @@ class DynamixelLink:
         answers = {n: bytes(data) for n, data in group.data_dict.items()}
         return answers, group.errors
 
-    def choose_read(self, choice: str) -> None:
-        """Decide whether groups are read by the fast sync read: ``auto``, ``always``, ``never``.
-
-        Older firmware does not support it and does not answer.
-        """
-        self.fast = choice != "never"
-        if choice == "auto":
-            try:
-                self.read_group(table.STATE, table.STATE_SIZE)
-            except BusError:
-                self.fast = False
-
     def write_group(self, register: Register, values: Mapping[int, int]) -> None:
         """Write a register of several servos at once; servos do not answer."""
         params: list[int] = []
@@ -221,28 +243,24 @@ class DynamixelLink:
         if values:
             self.repeated(lambda: int(write(port, address, size, params, len(params))))
 
-    def write_confirmed(
-        self, register: Register, values: Mapping[int, int], *, within: int = 0
-    ) -> None:
-        """Write a register of several servos, and again to those that have not received it.
+    def _values(self, register: Register, numbers: Sequence[int]) -> dict[int, int]:
+        # Without ids if all are meant: that group is kept between calls.
+        ids = None if set(numbers) == set(self.ids) else numbers
+        there, _ = self.read_group(register.address, register.size, ids)
+        return {number: register.unpack(there[number]) for number in numbers}
 
-        Servos do not answer a group write, so the register is read back, and may differ by
-        ``within``. Raises `FrameError` if a servo does not accept its value, and `BusError`.
-        """
-        left = dict(values)
+    def _confirmed(
+        self, register: Register, values: Mapping[int, int], within: int
+    ) -> dict[int, int]:
+        left, kept = dict(values), dict[int, int]()
         for _ in range(_ATTEMPTS):
-            if not left:
-                return
             self.write_group(register, left)
-            # Without ids if all are meant: that group is kept between calls.
-            ids = None if left.keys() == set(self.ids) else list(left)
-            there, _ = self.read_group(register.address, register.size, ids)
-            left = {n: v for n, v in left.items() if abs(register.unpack(there[n]) - v) > within}
-        if left:
-            number, value = next(iter(left.items()))
-            raise FrameError(
-                self.bus.name, f"servo {number} does not take {value} at address {register.address}"
-            )
+            there = self._values(register, list(left))
+            kept = {n: has for n, has in there.items() if abs(has - left[n]) > within}
+            left = {number: left[number] for number in kept}
+            if not left:
+                break
+        return kept
 
     def write(self, number: int, register: Register, value: int) -> None:
         """Write a register of one servo and check the answer.

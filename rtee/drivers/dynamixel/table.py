@@ -14,12 +14,12 @@ VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 """Speed per count [rad/s]: 0.229 rpm."""
 WATCHDOG_UNIT = 0.02
 """Time per count of the bus watchdog [s], as in the e-manual."""
-LATENCY = 1e-3
-"""Latency of a USB adapter per read [s]: the shortest setting of an FTDI chip's timer."""
+MOST_GAIN = 16383
+"""Largest gain of the position controllers (addresses 80 to 84)."""
 END = 228
 """First address behind the table."""
 
-_RAM = 64
+RAM = 64
 """First address of the RAM area; the addresses below are EEPROM."""
 
 
@@ -48,7 +48,7 @@ class Register:
     @property
     def eeprom(self) -> bool:
         """Whether it keeps its value without power, and can be written only without torque."""
-        return self.address < _RAM
+        return self.address < RAM
 
     def pack(self, value: int) -> bytes:
         """Return a value as bytes."""

@@ -2,38 +2,39 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import replace
-from functools import partial
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from enum import IntFlag
+from typing import Any, ClassVar
+
+import numpy as np
 
 from rtee.buses.pool import BusPool
-from rtee.buses.retry import patiently
-from rtee.buses.serial import SerialBus
-from rtee.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.feetech import table
-from rtee.drivers.feetech.cycle import ServoCycle
+from rtee.drivers.feetech.codec import Status
+from rtee.drivers.feetech.identity import recognise
 from rtee.drivers.feetech.joints import Joints
 from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions
-from rtee.drivers.feetech.setup import POWERED
-from rtee.drivers.feetech.table import FAMILIES, model_name
+from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, State, model_name
 from rtee.drivers.options import read_options
-from rtee.drivers.servo_lines import Calibrated, CalibratesServos, zeros_of
-from rtee.errors import RteeError
-from rtee.sample import ActuatorState, FloatArray
-from rtee.types import DeviceSpec, Reference
+from rtee.drivers.servo_lines import DELAY_UNIT, Scale, ServoOptions
+from rtee.drivers.servos import POWERED, Found, Goals, Readings, ServoDriver
+from rtee.errors import BusTimeout, ConfigError, FrameError, HandshakeError
+from rtee.types import DeviceSpec
 
-GAINS = {"p": table.P, "i": table.I, "d": table.D}
-"""Registers of the gains that can be tuned."""
-_MOST_GAIN = 254
-"""Largest gain [counts]."""
-
+RESTARTED = 0x200
+"""Code of the driver's own fault, above the bits of the status."""
+_MARK = 0x80
+"""Unused bit of the register of errors that the LED shows. It is written but not stored, so a servo
+without it has had a power cycle."""
+_FASTER = 1.5
+"""Speed limit of references without one [velocity limit of the actuators]: a servo that lags behind
+its set-points has to be faster than they are."""
+_QUICK = 30.0
+"""Largest plausible speed of a servo [rad/s]: several times that of a free one."""
+_JUMP = 0.1
+"""Change of a servo's angle that is plausible at any speed [rad]: backlash, and a push."""
 _REFUSES: Mapping[str, str] = {
     "": "SCS servos take no torque limit while they run; 'torque' in the options sets one for all",
     "share": "with 'stall_torque' in its options it takes one",
@@ -42,153 +43,300 @@ _REFUSES: Mapping[str, str] = {
 """Why an effort limit is not accepted, by how the family limits torques."""
 
 
-class FeetechDriver(CalibratesServos):
+class FeetechDriver(ServoDriver[FeetechLink]):
     """SCS, STS, SMS or HLS servos on one line.
 
     A cycle reads position, speed, load, voltage, temperature and current, by one request for all
     servos or, if the family does not support that, by one for each; and it sets position, speed and
     torque limit of all by one frame without answers. This frame always carries all values, so that
-    the next one makes up for a lost one.
+    the next one makes up for a lost one. The driver stores nothing in the servos.
 
-    Servos with torque keep it, and their goals, when the line is opened and when it is closed. The
-    driver stores nothing in the servos.
+    Attributes:
+        family: The servos' family.
     """
 
     Options: ClassVar[type[FeetechOptions]] = FeetechOptions
+    TORQUE: ClassVar[Any] = table.TORQUE
+    GOAL: ClassVar[Any] = table.GOAL_POSITION
+    GAINS: ClassVar[Mapping[str, Any]] = {"p": table.P, "i": table.I, "d": table.D}
+    MOST_GAIN: ClassVar[int] = table.MOST_GAIN
+    STORED: ClassVar[int] = table.RAM
+    HINT: ClassVar[str] = "free the hand and check its supply, then `rtee recover` powers it again"
+    LOST: ClassVar[str] = (
+        "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
+    )
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        super().__init__(spec, buses)
-        self.options = read_options(FeetechOptions, spec)
-        self.connection: Connection[ServoCycle] = Connection(spec)
-        self._family = FAMILIES[self.options.family]
-        self._joints = Joints(spec, self.options)
-        measures = {"position", "velocity", "temperature"}
-        if self._family.has_current:
-            measures.add("current")
-        self.capabilities = Capabilities(
-            measures=frozenset(measures),
-            accepts=frozenset({"position", "max_velocity"}),
-            recoverable=True,
-            gains=tuple(GAINS),
-        )
+        self.options = options = read_options(FeetechOptions, spec)
+        family = self.family = FAMILIES[options.family]
+        joints = Joints(spec, options)
+        servos = {name: options.servos[name] for name in joints.names}
+        middle = float(family.center)
+        scales = [
+            Scale(family.rad_per_count, middle if s.zero is None else s.zero, s.direction, s.gear)
+            for s in servos.values()
+        ]
+        super().__init__(spec, buses, options, servos, scales, joints if joints.pairs else None)
+        self._joints = joints
+        self._by_current = [False] * len(servos)
+        self._silent = False
+        self._seen: tuple[float, list[int]] | None = None
+        self._doubted: list[int] = []
+        self._fastest = [_FASTER * a.velocity for a in spec.actuators]
 
-    # --- life --------------------------------------------------------------------------------
-
-    async def configure(self) -> None:
-        """Open the line and find every servo; writes nothing."""
+    async def _connect(self) -> FeetechLink:
         options = self.options
-        cycle = await self.connection.open(
-            self.buses.serial(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                # A reply does not identify its request, so a late one could be taken for the next.
-                fresh=True,
-                emulator=emulator_of(self.spec, "feetech"),
+        together = self.family.sync_read if options.read == "auto" else options.read == "sync"
+        return await self.open(
+            self.buses.serial,
+            options.port,
+            lambda bus: FeetechLink(
+                bus, self.family, options.deadline, options.retries, options.turnaround, together
             ),
-            self._talk,
-        )
-        with cycle.link.unhurried():
-            await cycle.find()
-        if options.calibration is not None:
-            zeros = zeros_of(options.calibration, self.spec.name, cycle.calibrated())
-            for scale, zero in zip(cycle.scales, zeros, strict=True):
-                scale.zero = zero
-            cycle.use_scales()
-        self._describe(cycle)
-
-    def _talk(self, bus: SerialBus) -> ServoCycle:
-        options = self.options
-        link = FeetechLink(bus, self._family, options.deadline, options.retries)
-        link.turnaround = options.turnaround
-        return ServoCycle(self.spec, options, self._joints, link)
-
-    def _describe(self, cycle: ServoCycle) -> None:
-        """Refine the capabilities according to the servos found."""
-        link = cycle.link
-        models = Counter(model_name(servo.model) for servo in cycle.found.values())
-        measures = set(self.capabilities.measures)
-        if all(math.isfinite(scale.torque_unit) for scale in cycle.scales):
-            measures.add("effort")
-        accepts, refuses = {"position", "max_velocity"}, {}
-        if cycle.limits_effort:
-            accepts.add("max_effort")
-        else:
-            refuses["max_effort"] = _REFUSES[cycle.family.limits_torque]
-        n, size = len(cycle.ids), cycle.family.state
-        reading = link.read_time(size, n) if cycle.together else n * link.read_time(size)
-        self.capabilities = replace(
-            self.capabilities,
-            measures=frozenset(measures),
-            accepts=frozenset(accepts),
-            refuses=refuses,
-            best_rate=1.0 / (reading + link.write_time(cycle.written, n)),
-            identity={
-                "model": ", ".join(f"{count} x {name}" for name, count in models.items()),
-                "firmware": ", ".join(sorted({s.firmware for s in cycle.found.values()})),
-                "read": "all at once" if cycle.together else "one by one",
-            },
+            emulator="feetech",
+            baudrate=options.baudrate,
+            # A reply does not identify its request, so a late one could be taken for the next.
+            fresh=True,
         )
 
-    async def activate(self) -> None:
-        """Set up the servos without torque and power them at their positions."""
-        cycle = self.connection.link
-        with cycle.link.unhurried():
-            await cycle.power()
+    # --- set-up ------------------------------------------------------------------------------
 
-    async def examine(self) -> str:
-        """Raise the fault that the servos report, or an error of their positions."""
-        cycle = self.connection.link
-        with cycle.link.unhurried():
-            cycle.check(await cycle.states())
-        return ""
+    def _model(self, number: int | None) -> str:
+        return model_name(number)
 
-    async def deactivate(self) -> None:
-        """Disable the torque."""
-        if self.connection.is_open:
-            cycle = self.connection.link
-            cycle.active = False
-            with cycle.link.unhurried():
-                await cycle.link.set_all(table.TORQUE, dict.fromkeys(cycle.ids, 0))
+    def _check_model(self, name: str, servo: ServoOptions, model: int) -> None:
+        known, family = MODELS.get(model), self.family
+        if servo.model is None and (known is None or known.family != family.name):
+            data = family.pack(table.MODEL, model)
+            other = recognise(data)
+            raise HandshakeError(
+                self.spec.name,
+                f"an {family.name.upper()} servo as {servo.id} ({name})",
+                f"model {data.hex(' ').upper()}"
+                if other is None
+                else f"{other.name}, of family {other.family}",
+                hint="is `family` right? If it has the same registers, say so by 'model'",
+            )
+
+    def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
+        family = self.family
+
+        def get(register: table.Register) -> int:
+            return family.unpack(register, stored)
+
+        by_current, scs = family.limits_torque == "current", family.offset is None
+        return Found(
+            number,
+            get(table.MODEL),
+            f"{stored[0]}.{stored[1]}",
+            0 if scs else get(table.PHASE),
+            0 if family.offset is None else get(family.offset),
+            0 if scs else get(table.MODE),
+            # To HLS servos the register is a second id, which cannot be read.
+            0 if by_current else get(table.RETURN_DELAY),
+            (get(table.MIN_ANGLE), get(table.MAX_ANGLE)),
+            get(table.PROTECTION_CURRENT if by_current else table.MAX_TORQUE),
+            powered,
+            (get(table.P), get(table.I), get(table.D)),
+            bool(get(table.ALARM) & _MARK),
+        )
+
+    def _check_found(self, name: str, found: Found) -> None:
+        if found.limits == (0, 0) and self.family.offset is None:
+            raise HandshakeError(
+                self.spec.name,
+                f"servo {found.id} ({name}) with limits of its position",
+                "limits of 0 and 0, with which it turns without end",
+                hint="give it its limits back; from the factory they are 20 and 1003",
+            )
+
+    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+        options, family = self.options, self.family
+        # That of the slowest servo, since the deadline is the same for all.
+        self.connection.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())
+        model = MODELS.get(found.model)
+        known = math.nan if model is None else model.stall_torque
+        stall = options.servos[self.names[servo.id]].stall_torque or options.stall_torque or known
+        per_ampere = servo.torque_per_ampere or options.torque_per_ampere or math.nan
+        by_load, by_current = stall / FULL, per_ampere * CURRENT_UNIT
+        # By the current if it is measured and its torque known, else by the load; both are good
+        # approximations only at standstill.
+        measured = family.has_current and math.isfinite(per_ampere)
+        self._by_current[self.ids.index(servo.id)] = measured
+        scale.effort_unit = scale.gear * (by_current if measured else by_load)
+        limited = {"share": by_load, "current": by_current}.get(family.limits_torque, math.nan)
+        scale.limit_unit = scale.gear * limited
+        scale.current_unit = CURRENT_UNIT if family.has_current else math.nan
+        scale.speed_unit = family.speed_unit(found.drive_mode)
+
+    def _described(self) -> tuple[float, str]:
+        link, n, size = self.connection.link, len(self.ids), self.family.state
+        together = link.together and n > 1
+        reading = link.read_time(size, n) if together else n * link.read_time(size)
+        # Position, speed and, where it can be limited by its share, torque.
+        written = 8 if self.family.limits_torque == "share" else 6
+        rate = 1.0 / (reading + link.write_time(written, n))
+        return rate, "all at once" if together else "one by one"
+
+    def _refuses_effort(self) -> str:
+        limited = all(math.isfinite(scale.limit_unit) for scale in self.scales)
+        return "" if limited else _REFUSES[self.family.limits_torque]
+
+    def _ends(self) -> list[tuple[float, float]]:
+        return self._joints.ends(self.spec.actuators)
+
+    def _check_range(self, number: int, ends: Sequence[float]) -> None:
+        low, high = self.found[number].limits
+        # A servo with the opposite sign swaps the ends.
+        first, last = sorted(ends)
+        # A servo that counts turns has limits of 0 and goes anywhere.
+        if low < high and not low <= first <= last <= high:
+            raise ConfigError(
+                f"device '{self.spec.name}': servo {number} ({self.names[number]}) would have to "
+                f"go from {first} to {last}, but takes {low} to {high}; set its 'zero', or tighten "
+                "the limits of its actuator"
+            )
+
+    async def _prepare(self, off: Sequence[int]) -> None:
+        options, family, link = self.options, self.family, self.connection.link
+        # Locked servos accept settings without storing them, so that their memory does not wear
+        # out.
+        await self._set(family.lock, dict.fromkeys(off, 1))
+        await self._set_gains(off)
+        found = [self.found[number] for number in off]
+        if family.offset is not None:
+            # SCS servos have no such register; their limits choose between position and turning.
+            await self._set(table.MODE, {s.id: 0 for s in found if s.mode})
+        if options.torque is not None and not family.limits_torque:
+            most = round(options.torque * FULL)
+            await self._set(table.MAX_TORQUE, {s.id: most for s in found if s.most != most})
+        if options.acceleration is not None and family.offset is not None:
+            await self._set(table.ACCELERATION, dict.fromkeys(off, options.acceleration))
+        delay = options.return_delay
+        # In HLS servos, the register of the return delay has another meaning.
+        if delay is not None and family.name != "hls":
+            slow = [s.id for s in found if s.return_delay != delay]
+            # Not an error if a servo keeps its delay: it is only slower.
+            await link.set_all(table.RETURN_DELAY, dict.fromkeys(slow, delay))
+        # A servo that does not accept the mark is driven, too, but its power cycles go unnoticed.
+        new = [s.id for s in found if not s.marked]
+        alarms = await link.values(table.ALARM, new)
+        await link.set_all(table.ALARM, {n: alarm | _MARK for n, alarm in alarms.items()})
 
     # --- every cycle -------------------------------------------------------------------------
 
-    async def sense(self) -> ActuatorState:
-        """Return the servos' measurements."""
-        return await self.connection.link.sense()
+    async def _readings(self) -> Readings:
+        first, size = table.PRESENT_POSITION.address, self.family.state
+        try:
+            answers = await self.connection.link.read_all(first, size, self.ids)
+        except BusTimeout:
+            # Remembered for the next cycle, which looks for a power cycle.
+            self._silent = True
+            raise
+        states = [
+            State.from_bytes(self.family, answers[n].params, answers[n].code) for n in self.ids
+        ]
+        columns = [
+            (s.position, s.speed, s.current if by else s.load, s.current, s.temperature, s.voltage)
+            for s, by in zip(states, self._by_current, strict=True)
+        ]
+        statuses = {n: int(s.status) for n, s in zip(self.ids, states, strict=True)}
+        return Readings(np.array(columns, dtype=np.float64).T, statuses)
 
-    async def move(self, reference: Reference) -> None:
-        """Set positions, speeds and torque limits of the servos that a reference commands."""
-        await self.connection.link.move(reference)
+    async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
+        # Read again, since a sum of bytes misses one damaged answer in fifty.
+        again = (await self._readings()).errors
+        return {number: Status(error) for number, error in again.items() if error}
 
-    async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Write gains of the position controllers of all servos without storing them."""
-        cycle = self.connection.link
-        for name, value in gains.items():
-            register = GAINS[name]
-            data = cycle.family.pack(register, min(max(round(value), 0), _MOST_GAIN))
-            await cycle.link.write_all(register.address, dict.fromkeys(cycle.ids, data))
+    async def _watch(self) -> None:
+        """Check one servo in turn, or all after a silence, which may have been a power cycle."""
+        turn, rest = divmod(self._count + 1, self.options.check_every)
+        # One servo at a time: all together would take as long as a whole cycle.
+        due = [self.ids[turn % len(self.ids)]] if rest == 0 else []
+        for number in (self.ids if self._silent else due) if self.active else ():
+            await self._check_servo(number)
+        if self.active:
+            self._silent = False
 
-    # --- stop and faults ---------------------------------------------------------------------
+    async def _condition(self, number: int) -> tuple[int, bool]:
+        """Return a servo's torque register, and whether it has lost its mark."""
+        first = table.ALARM.address
+        size = table.TORQUE.address + 1 - first
+        data = await self.connection.link.data(number, first, size)
+        alarm = self.family.unpack(table.ALARM, data, first)
+        # A servo that had no mark when it was found cannot lose it.
+        lost = self.found[number].marked and not alarm & _MARK
+        return self.family.unpack(table.TORQUE, data, first), lost
 
-    async def stop(self) -> None:
-        """Hold the measured posture; servos without torque stay without."""
-        with contextlib.suppress(RteeError, OSError):
-            cycle = self.connection.link
-            # The new goals end every grip, so no actuator is left alone any more.
-            cycle.attached.begin()
-            with cycle.link.unhurried():
-                powered = cycle.ids
-                if not cycle.active:
-                    # A goal would enable the torque of some servos.
-                    torque = {n: await cycle.link.value(n, table.TORQUE) for n in cycle.ids}
-                    powered = [n for n, value in torque.items() if value == POWERED]
-                await patiently(partial(cycle.hold, powered, self.standstill.instead))
+    async def _check_servo(self, number: int) -> None:
+        """Check that a servo has its torque and its settings; raises `DeviceFault`, `BusError`."""
+        # Twice, so that a damaged answer is not taken for a servo without torque.
+        torque, lost = POWERED, False
+        for _ in range(2):
+            torque, lost = await self._condition(number)
+            if torque == POWERED and not lost:
+                return
+        if not torque:
+            await self._refuse(await self._readings())
+            raise self._lost([number])
+        if lost:
+            hint = (
+                "its supply was cut, or a damaged frame has changed its settings; `rtee recover` "
+                "sets it up again where it stands"
+            )
+            raise self._lost([number], "restarted", RESTARTED, hint=hint)
+        # Any other value comes from a frame that was damaged on its way.
+        await self.connection.link.set_all(table.TORQUE, {number: POWERED})
 
-    async def disable(self) -> None:
-        """Disable the torque; the fingers go limp."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+    def _believe(self, readings: Readings, stamp: float) -> None:
+        """Refuse positions that servos cannot have reached, unless they are reported twice.
+
+        Raises `FrameError`: an answer must have been damaged in spite of its checksum.
+        """
+        reported, doubted = [int(p) for p in readings.columns[0]], self._doubted
+        self._doubted = []
+        if self._seen is not None:
+            when, last = self._seen
+            reach = (_JUMP + _QUICK * (stamp - when)) / self.family.rad_per_count
+            pairs = zip(self.ids, reported, last, strict=True)
+            jumped = [n for n, p, q in pairs if abs(p - q) > reach]
+            again = bool(doubted) and all(
+                abs(p - q) <= reach for p, q in zip(reported, doubted, strict=True)
+            )
+            if jumped and not again:
+                self._doubted = reported
+                numbers = ", ".join(str(n) for n in jumped)
+                raise FrameError(
+                    self.options.port,
+                    f"servo {numbers} cannot have reached the position it reports",
+                )
+        # A jump that was reported twice is real.
+        self._seen = stamp, reported
+
+    def _most(self, i: int) -> int:
+        share, most = self.options.torque or 1.0, self.found[self.ids[i]].most
+        if self.family.limits_torque == "current":
+            return round(share * most)
+        return min(most, round(share * FULL))
+
+    async def _write(self, goals: Goals) -> None:
+        family, data, limited = self.family, {}, not self._refuses_effort()
+        for i, (position, rate, effort) in goals.items():
+            scale, torque = self.scales[i], self._most(i)
+            if limited and math.isfinite(effort):
+                torque = min(scale.to_limit(effort), torque)
+            values = family.pack(table.GOAL_POSITION, position)
+            # HLS servos have the goal torque in this register; in others it is a running time,
+            # which only counts without a speed.
+            values += family.pack(table.GOAL_TIME, torque if family.name == "hls" else 0)
+            rate = rate if math.isfinite(rate) else self._fastest[i]
+            values += family.pack(table.GOAL_SPEED, scale.to_speed(rate))
+            if family.limits_torque == "share":
+                values += family.pack(table.TORQUE_LIMIT, torque)
+            data[self.ids[i]] = values
+        await self.connection.link.write_all(table.GOAL_POSITION.address, data)
+
+    # --- faults ------------------------------------------------------------------------------
 
     async def recover(self) -> None:
         """Disable the torque of servos with a fault, which ends an overload.
@@ -196,22 +344,13 @@ class FeetechDriver(CalibratesServos):
         The same goes for servos that have restarted, since only servos without torque are set up.
         `activate` powers them again.
         """
-        cycle = self.connection.link
         # From here on, missing torque is no fault.
-        cycle.active = False
-        with cycle.link.unhurried():
-            states = await cycle.states()
-            hurt = {n for n, state in zip(cycle.ids, states, strict=True) if state.status}
-            hurt.update(await cycle.restarted())
-            if hurt:
-                await cycle.link.set_all(table.TORQUE, dict.fromkeys(hurt, 0))
-            cycle.refuse(await cycle.states())
-
-    # --- calibration -------------------------------------------------------------------------
-
-    async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
-        """Set the zeros so that the present positions are a posture [rad]; raises `BusError`."""
-        cycle = self.connection.link
-        with cycle.link.unhurried():
-            cycle.set_zeros(await patiently(cycle.states), rest)
-        return cycle.calibrated()
+        self.active = False
+        link = self.connection.link
+        with link.unhurried():
+            hurt = {n for n, error in (await self._readings()).errors.items() if error}
+            for number in self.ids:
+                if (await self._condition(number))[1]:
+                    hurt.add(number)
+            await link.set_all(table.TORQUE, dict.fromkeys(hurt, 0))
+            await self._refuse(await self._readings())

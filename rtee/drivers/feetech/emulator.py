@@ -20,11 +20,11 @@ from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestPar
 from rtee.drivers.feetech.joints import Differential
 from rtee.drivers.feetech.options import DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
-from rtee.drivers.feetech.table import DELAY_UNIT, FAMILIES, FULL, FamilyName
-from rtee.drivers.feetech.units import Scale
+from rtee.drivers.feetech.table import FAMILIES, FULL, FamilyName
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, read_properties
 from rtee.drivers.servo_emulator import ServoLine
+from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, Scale
 
 _ERRORS = {
     "voltage": Status.VOLTAGE,
@@ -55,7 +55,7 @@ class LineProperties:
     ids: tuple[Byte, ...] = (1,)
     servo: ServoProperties = field(default_factory=ServoProperties)
     special: dict[int, ServoProperties] = field(default_factory=dict)
-    latency: Duration = table.LATENCY
+    latency: Duration = LATENCY
     sync_read: bool | None = None
     echo: bool = False
 
@@ -248,7 +248,7 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
         given = dict(servo)
         zero = given.get("zero")
         scale = Scale(
-            family,
+            family.rad_per_count,
             float(family.center if zero is None else zero),
             given.get("direction", 1),
             given.get("gear", 1.0),

@@ -35,17 +35,28 @@ class FeetechLink(Unhurried):
         family: The servos' family.
         deadline: Longest time for one exchange beside its time on the line, retries included [s].
         retries: How often a request is sent again within that time.
+        turnaround: Further time per request, beside that on the line [s].
+        together: Whether several servos are read by one request.
 
     Attributes:
         delay: Time that a servo waits before its answer [s].
-        turnaround: Further time per request, beside that on the line [s].
     """
 
     # Beside its time on the line.
     PATIENCE: ClassVar[float] = 0.2
 
-    def __init__(self, bus: SerialBus, family: Family, deadline: float, retries: int) -> None:
-        self.delay = self.turnaround = 0.0
+    def __init__(
+        self,
+        bus: SerialBus,
+        family: Family,
+        deadline: float,
+        retries: int,
+        turnaround: float = 0.0,
+        together: bool = False,
+    ) -> None:
+        self.delay = 0.0
+        self.turnaround = turnaround
+        self.together = together
         self._bus = bus
         self._family = family
         self.deadline = deadline
@@ -87,14 +98,16 @@ class FeetechLink(Unhurried):
         )
         return found
 
-    async def read_all(
-        self, address: int, size: int, ids: Collection[int], *, together: bool
-    ) -> Mapping[int, Frame]:
-        """Return the answers of servos with ``size`` bytes of their registers, by id.
+    async def data(self, number: int, address: int, size: int) -> bytes:
+        """Return ``size`` bytes of a servo's registers; raises `BusError`."""
+        return (await self.read(number, address, size)).params
 
-        ``together`` sends one request for all, which not every family answers; raises `BusError`.
+    async def read_all(self, address: int, size: int, ids: Collection[int]) -> Mapping[int, Frame]:
+        """Return the answers of servos with ``size`` bytes of registers, by id; raises `BusError`.
+
+        One request for all, which not every family answers, only where servos are read `together`.
         """
-        if not together or len(ids) == 1:
+        if not self.together or len(ids) <= 1:
             return {number: await self.read(number, address, size) for number in ids}
         key = frozenset(ids), size
         parser = self._groups.setdefault(key, GroupParser(ids, size))
@@ -107,15 +120,18 @@ class FeetechLink(Unhurried):
         )
         return found
 
-    async def value(self, number: int, register: Register) -> int:
-        """Return the value of a register of one servo; raises `BusError`."""
-        answer = await self.read(number, register.address, register.size)
-        return self._family.unpack(register, answer.params, register.address)
+    async def values(self, register: Register, numbers: Collection[int]) -> dict[int, int]:
+        """Return the value of a register of several servos, by id; raises `BusError`."""
+        answers = await self.read_all(register.address, register.size, numbers)
+        return {
+            number: self._family.unpack(register, answer.params, register.address)
+            for number, answer in answers.items()
+        }
 
     async def model(self, number: int) -> int | None:
         """Return a servo's model number, or ``None`` if it does not answer."""
         try:
-            return await self.value(number, MODEL)
+            return (await self.values(MODEL, [number]))[number]
         # A broken line is passed on: it says nothing about this servo.
         except (BusTimeout, FrameError):
             return None
@@ -125,19 +141,23 @@ class FeetechLink(Unhurried):
         for request in sync_write(address, data):
             await self._bus.send(request)
 
-    async def set_all(self, register: Register, values: Mapping[int, int]) -> dict[int, int]:
+    async def set_all(
+        self, register: Register, values: Mapping[int, int], within: int = 0
+    ) -> dict[int, int]:
         """Set a register of several servos and read it back; repeat for those without the value.
 
         Servos may be configured to answer only reads, and the answer to a write only confirms that
-        it was received; so the value read back decides. Returns the other values that servos have
-        kept, by id; raises `BusError`.
+        it was received; so the value read back decides, which may differ by ``within``. Returns the
+        other values that servos have kept, by id; raises `BusError`.
         """
-        left, kept = dict(values), dict[int, int]()
-        for _ in range(_ATTEMPTS):
+        kept = dict[int, int]()
+        left = dict(values)
+        for _ in range(_ATTEMPTS if left else 0):
             data = {number: self._family.pack(register, value) for number, value in left.items()}
             await self.write_all(register.address, data)
-            kept = {number: await self.value(number, register) for number in left}
-            left = {number: value for number, value in left.items() if kept[number] != value}
+            there = await self.values(register, left)
+            kept = {n: has for n, has in there.items() if abs(has - left[n]) > within}
+            left = {number: left[number] for number in kept}
             if not left:
-                return {}
-        return {number: kept[number] for number in left}
+                break
+        return kept

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rtee.drivers import servo_lines
-from rtee.drivers.feetech.codec import LARGEST_ID
-from rtee.drivers.feetech.table import BAUD_RATES, FAMILIES, LATENCY, FamilyName
-from rtee.drivers.options import DeviceOptions, Positive
-from rtee.drivers.servo_lines import check_line
+from rtee.drivers.feetech.table import BAUD_RATES, FAMILIES, MOST_GAIN, FamilyName
+from rtee.drivers.options import Positive
+from rtee.drivers.servo_lines import LineOptions, check_line
 
-Gain = Annotated[int, Field(ge=0, le=254)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 Points = Annotated[list[tuple[float, float]], Field(min_length=2)]
 
@@ -24,19 +21,9 @@ class ServoOptions(servo_lines.ServoOptions):
     """Options of one servo.
 
     Attributes:
-        id: Its id on the line.
-        zero: Its position at 0 rad; by default the middle of its range.
-        p: Proportional gain; by default that of the line.
-        i: Integral gain.
-        d: Derivative gain.
         stall_torque: Largest torque at this supply [N·m]; by default that of the line or the model.
     """
 
-    id: Annotated[int, Field(ge=0, le=LARGEST_ID)]
-    zero: Annotated[float, Field(ge=0.0)] | None = None
-    p: Gain | None = None
-    i: Gain | None = None
-    d: Gain | None = None
     stall_torque: Positive | None = None
 
 
@@ -97,20 +84,15 @@ class DifferentialOptions(BaseModel):
         return self
 
 
-class FeetechOptions(DeviceOptions):
+class FeetechOptions(LineOptions):
     """Options of a line of Feetech servos."""
 
-    port: str = Field("/dev/ttyUSB0", description="tty, socket:// or rfc2217://")
-    baudrate: int = 1_000_000
     family: FamilyName = Field(description="of all servos: their registers and byte order")
     servos: dict[str, ServoOptions] = Field(
         description="the servo of each actuator, by the actuator's name; those of pairs by any"
     )
     differential: DifferentialOptions | None = Field(
         None, description="pairs of servos that drive two actuators together"
-    )
-    calibration: Path | None = Field(
-        None, description="file of a calibration (`rtee calibrate`); its zeros replace those above"
     )
     torque: Share | None = Field(
         None, description="largest share of the stall torque; unless given, as the servos have it"
@@ -121,34 +103,20 @@ class FeetechOptions(DeviceOptions):
     torque_per_ampere: Positive | None = Field(
         None, description="torque per current of each servo [N·m/A]"
     )
-    p: Gain | None = Field(None, description="proportional gain; else as the servos have it")
-    i: Gain | None = Field(None, description="integral gain")
-    d: Gain | None = Field(None, description="derivative gain")
     acceleration: Annotated[int, Field(ge=0, le=254)] | None = Field(
         None, description="of STS, SMS and HLS [100 counts/s²], 0: the largest"
     )
     read: Literal["auto", "sync", "single"] = Field(
         "auto", description="one request for all servos, or one for each; `auto`: by the family"
     )
-    return_delay: Annotated[int, Field(ge=0, le=254)] | None = Field(
-        0, description="written, not stored, to servos that have another one [2 µs]; null: leave"
-    )
     check_every: Annotated[int, Field(ge=1)] = Field(
         10,
         description="after so many exchanges one servo is asked whether it has torque and settings",
     )
-    outside: Positive = Field(
-        0.35, description="how far a joint may be outside its limits before its zero is doubted"
-    )
-    deadline: Positive = Field(0.1, description="for an exchange, beside its time on the line [s]")
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = Field(
-        LATENCY, description="time per answer that the bytes do not explain [s]"
-    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        check_line(self.baudrate, BAUD_RATES, [servo.id for servo in self.servos.values()])
+        check_line(self, self.servos, BAUD_RATES, MOST_GAIN)
         counts = FAMILIES[self.family].counts
         for name, servo in self.servos.items():
             if servo.zero is not None and servo.zero >= counts:

@@ -21,6 +21,7 @@ _FASTEST = {"scs": 1500.0, "sts": 3400.0, "sms": 3400.0, "hls": 3400.0}
 _FRICTION = 40.0  # load of a free servo that moves [0.1 %]; no source gives it
 _STIFFNESS = 2000.0  # load per position error [0.1 % per rad]; no source gives it
 _SPEED_MODE = 1
+_VOLTAGE_UNIT = 0.1  # V per count
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +254,7 @@ class Servo(EmulatedServo):
         self.set(table.PRESENT_POSITION, self.position)
         self.set(table.PRESENT_SPEED, round(axis.velocity / unit))
         self.set(table.PRESENT_LOAD, round(axis.effort))
-        self.set(table.PRESENT_VOLTAGE, round(self.properties.voltage / table.VOLTAGE_UNIT))
+        self.set(table.PRESENT_VOLTAGE, round(self.properties.voltage / _VOLTAGE_UNIT))
         self.set(table.PRESENT_TEMPERATURE, min(round(axis.temperature), 255))
         self.set(table.STATUS, self.status)
         self.set(table.MOVING, int(axis.moving))

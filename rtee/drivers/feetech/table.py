@@ -15,14 +15,10 @@ FamilyName = Literal["scs", "sts", "sms", "hls"]
 
 BAUD_RATES: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 """Rate of the line by the value of its register [baud], in the vendor's order."""
-LATENCY = 1e-3
-"""Latency of a USB adapter per read [s]: the shortest setting of an FTDI chip's timer."""
-DELAY_UNIT = 2e-6
-"""Time per count of the return delay [s]."""
+MOST_GAIN = 254
+"""Largest gain [counts]."""
 CURRENT_UNIT = 6.5e-3
 """Current per count [A]."""
-VOLTAGE_UNIT = 0.1
-"""Voltage per count [V]."""
 FULL = 1000
 """Counts of full torque, of full load and of the torque limit: 0.1 % each."""
 RAM = 40

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from rtee.drivers.dynamixel.codec import BROADCAST, STATUS, Hardware, Instructio
 from rtee.drivers.dynamixel.driver import DynamixelDriver
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.table import Mode
-from rtee.drivers.dynamixel.units import Scale
+from rtee.drivers.servo_lines import Scale, Scales
 from rtee.errors import (
     BusError,
     CalibrationError,
@@ -436,18 +435,29 @@ def test_mistakes_in_options_are_told(options: dict[str, Any], sentence: str) ->
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("gear", [1.0, 2.5])
 def test_units_have_inverses(direction: int, gear: float) -> None:
-    scale = Scale(1000.0, direction, gear, 0.001, 0.35)
+    effort = 0.001 * 0.35 * gear
+    scale = Scale(
+        table.RAD_PER_PULSE,
+        1000.0,
+        direction,
+        gear,
+        table.VELOCITY_UNIT,
+        effort_unit=effort,
+        limit_unit=effort,
+    )
     for angle in np.linspace(-0.6, 0.6, 25):
-        pulses = scale.to_pulses(float(angle))
+        pulses = scale.to_counts(float(angle))
         assert scale.to_rad(pulses) == pytest.approx(angle, abs=table.RAD_PER_PULSE / gear * 0.51)
         for lost in (-2, -1, 0, 1, 3):
-            other = Scale(1000.0, direction, gear)
-            assert other.unwrap(pulses + lost * table.PULSES, -0.6, 0.6) < 0.01
+            other = Scale(table.RAD_PER_PULSE, 1000.0, direction, gear)
+            other.unwrap(pulses + lost * table.PULSES, -0.6, 0.6)
             assert other.to_rad(pulses + lost * table.PULSES) == pytest.approx(scale.to_rad(pulses))
-    counts = scale.to_speed_counts(1.0)
+    counts = scale.to_speed(1.0)
     assert counts * table.VELOCITY_UNIT / gear == pytest.approx(1.0, rel=0.02)
-    assert scale.to_effort(scale.to_current_counts(0.2)) * direction == pytest.approx(0.2, rel=0.01)
-    assert math.isnan(Scale(0.0).to_effort(1.0))
+    assert scale.to_limit(0.2) * scale.effort_unit == pytest.approx(0.2, rel=0.01)
+    column = np.array([[1000.0], [0.0], [400.0], [400.0], [25.0], [50.0]])
+    assert Scales([scale]).measured(column).torque == pytest.approx([400 * effort * direction])
+    assert np.isnan(Scales([Scale(1.0, 0.0)]).measured(column).torque).all()
 
 
 def _group_write(address: int) -> Callable[[bytes], bool]:
@@ -489,7 +499,7 @@ async def test_a_stop_reaches_the_servos_though_a_frame_is_lost() -> None:
         assert lost
         state = await made.sense()
         goals = [
-            made.connection.link.scales[i].to_rad(each.get(table.GOAL_POSITION))
+            made.scales[i].to_rad(each.get(table.GOAL_POSITION))
             for i, each in enumerate(line(pool).servos.values())
         ]
         assert goals == pytest.approx(list(state.position), abs=0.02)
@@ -516,7 +526,7 @@ async def test_a_servo_outside_its_own_limits_is_powered_at_the_nearest() -> Non
     async with BusPool() as pool, connected(pool, device(mode="position")) as made:
         for each in line(pool).servos.values():
             each.set(table.MAX_POSITION, each.position - 10)
-        await made.connection.link.link.run(made.connection.link.find, 5.0)
+        await made.find()
         await made.activate()
         await made.stop()
         for each in line(pool).servos.values():

@@ -526,7 +526,7 @@ async def test_velocities_and_efforts_go_through_the_differential() -> None:
         )
         await session.driver.move(asked)
         [params] = wire.written(42)
-        family = session.driver.connection.link.family  # type: ignore[union-attr]
+        family = session.driver.family
         speeds = [family.unpack(table.GOAL_SPEED, params[i + 1 : i + 9], 42) for i in (2, 11)]
         torques = [family.unpack(table.TORQUE_LIMIT, params[i + 1 : i + 9], 42) for i in (2, 11)]
         # 1.5 rad/s each; both servos together give the flexion twice their torque of 0.5 N·m.

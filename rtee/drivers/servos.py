@@ -1,0 +1,699 @@
+"""The engine of drivers of servos on a shared line: find, set up, power, read, aim, stop.
+
+A family of servos gives its link (`ServoLink`), its registers, how its measurements are read and
+its goals written, and what is special of its set-up and its faults.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from enum import IntFlag
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from rtee import monotonic
+from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
+from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.json_files import write_json
+from rtee.drivers.servo_lines import (
+    Calibrated,
+    LineOptions,
+    Measured,
+    Scale,
+    Scales,
+    ServoOptions,
+    check_present,
+    fault_of,
+    zeros_of,
+)
+from rtee.errors import CalibrationError, DeviceFault, DriverError, FrameError, RteeError
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
+
+TORQUE_LOST = 0x100
+"""Code of a fault of the driver's own, above the bits of the servos' errors."""
+
+POWERED = 1
+"""Value of the torque register that lets a servo drive."""
+
+_ATTEMPTS = 4
+"""Attempts to write goals that servos do not have afterwards."""
+
+
+class ServoLink(Protocol):
+    """The line of a device's servos. All methods raise `BusError`.
+
+    Attributes:
+        delay: Time that servos wait before they answer [s].
+    """
+
+    delay: float
+
+    def unhurried(self) -> AbstractContextManager[None]:
+        """Let exchanges take longer, outside the cycle."""
+        ...
+
+    async def model(self, number: int) -> int | None:
+        """Return a servo's model number, ``None`` if it does not answer."""
+        ...
+
+    async def data(self, number: int, address: int, size: int) -> bytes:
+        """Return bytes of a servo's registers."""
+        ...
+
+    async def values(self, register: Any, numbers: Sequence[int]) -> dict[int, int]:
+        """Return a register of several servos, by id."""
+        ...
+
+    async def set_all(
+        self, register: Any, values: Mapping[int, int], within: int = 0
+    ) -> dict[int, int]:
+        """Set a register of several servos, read it back, and repeat for those without the value.
+
+        Servos do not answer a write to several of them, so the value read back decides; it may
+        differ by ``within``. Returns the other values that servos have kept, by id.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The registers of a servo as found.
+
+    Attributes:
+        model: Its model number.
+        firmware: Its firmware's version.
+        drive_mode: Its drive mode, or phase; 0 if that has another meaning.
+        offset: Its position offset [counts].
+        mode: Its operating mode.
+        return_delay: Its return delay [2 µs].
+        limits: Its smallest and largest position [counts]; both the same: it goes anywhere.
+        most: Its largest torque or current [counts].
+        powered: Whether it has torque.
+        gains: Its P, I and D; empty if they were not read.
+        marked: Whether it has the mark, which a power cycle removes.
+    """
+
+    id: int
+    model: int
+    firmware: str
+    drive_mode: int
+    offset: int
+    mode: int
+    return_delay: int
+    limits: tuple[int, int]
+    most: int
+    powered: bool
+    gains: tuple[int, ...] = ()
+    marked: bool = False
+
+
+class Coupling(Protocol):
+    """Servos that drive several actuators together."""
+
+    @property
+    def pairs(self) -> Sequence[tuple[int, int]]:
+        """The indices of the servos, and of the actuators, of each pair."""
+        ...
+
+    def servos(self, positions: FloatArray) -> FloatArray:
+        """Return the servos' angles [rad] for the actuators' positions [rad]."""
+        ...
+
+    def positions(self, angles: FloatArray) -> FloatArray:
+        """Return the actuators' positions [rad] at the servos' angles [rad]."""
+        ...
+
+    def jacobian(self, angles: FloatArray) -> FloatArray:
+        """Return the derivative of the servos' angles by the actuators' positions ``(n, n)``."""
+        ...
+
+    def gave_way(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:
+        """Return a warning for each actuator whose reference the servos cannot follow."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the servos report in a cycle.
+
+    Attributes:
+        columns: Position, speed, effort, current, temperature and voltage ``(6, n)`` [counts].
+        errors: Error byte of each servo, by id.
+    """
+
+    columns: FloatArray
+    errors: Mapping[int, int]
+
+
+Goals = Mapping[int, tuple[int, float, float]]
+"""Position [counts], rate [rad/s] and torque [N·m] of servos, by their index; rate and torque may
+be infinite."""
+
+L = TypeVar("L", bound=ServoLink)
+
+
+class ServoDriver(Driver, Generic[L]):
+    """Servos on one line; ``L`` is their link.
+
+    Servos with torque keep it, and their goals, when the line is opened and when it is closed.
+
+    Attributes:
+        TORQUE: The register that switches the torque.
+        GOAL: The register of the goal position.
+        GAINS: The registers of the gains that can be tuned, by name.
+        MOST_GAIN: Largest gain [counts].
+        STORED: Bytes of the table from its beginning that tell how a servo is set up.
+        NEAR: Difference of the goal read back from a servo without torque that is tolerated.
+        HINT: What to do about the errors that servos report.
+        LOST: What to do about servos that have lost their torque.
+        line: The options of the line.
+        ids: The servos' ids, in the order of the actuators.
+        names: Their names by id.
+        scales: Their units.
+        found: Their registers as found, by id.
+    """
+
+    TORQUE: ClassVar[Any]
+    GOAL: ClassVar[Any]
+    GAINS: ClassVar[Mapping[str, Any]]
+    MOST_GAIN: ClassVar[int]
+    STORED: ClassVar[int]
+    NEAR: ClassVar[int] = 0
+    HINT: ClassVar[str]
+    LOST: ClassVar[str] = "`rtee recover` powers it again"
+
+    def __init__(
+        self,
+        spec: DeviceSpec,
+        buses: BusPool,
+        line: LineOptions,
+        servos: Mapping[str, ServoOptions],
+        scales: Sequence[Scale],
+        coupling: Coupling | None = None,
+    ) -> None:
+        super().__init__(spec, buses)
+        self.line = line
+        self.connection: Connection[L] = Connection(spec)
+        self.ids = [servo.id for servo in servos.values()]
+        self.names = dict(zip(self.ids, servos, strict=True))
+        self.scales = list(scales)
+        self.found: dict[int, Found] = {}
+        self._servos = dict(servos)
+        self._coupling = coupling
+        self._pairs = [] if coupling is None else list(coupling.pairs)
+        self._attached = Attached(spec.actuators)
+        self._count = 0
+        self._angles: FloatArray = np.full(len(self.ids), math.nan)
+        self._goal: FloatArray = np.full(len(self.ids), math.nan)
+        self._warnings: tuple[str, ...] = ()
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "temperature"}),
+            accepts=frozenset({"position", "max_velocity"}),
+            recoverable=True,
+            gains=tuple(self.GAINS),
+        )
+
+    # --- defined by each family ----------------------------------------------------------------
+
+    @abstractmethod
+    async def _connect(self) -> L:
+        """Open the line."""
+
+    @abstractmethod
+    def _model(self, number: int | None) -> str:
+        """Return the name of a model number."""
+
+    @abstractmethod
+    def _check_model(self, name: str, servo: ServoOptions, model: int) -> None:
+        """Raise `HandshakeError` if a servo's model cannot be driven."""
+
+    @abstractmethod
+    def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
+        """Return the registers of a servo from the first bytes of its table."""
+
+    @abstractmethod
+    def _check_found(self, name: str, found: Found) -> None:
+        """Raise `HandshakeError` if a servo is set up in a way that excludes driving it."""
+
+    @abstractmethod
+    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+        """Set the units of a servo according to what was found."""
+
+    @abstractmethod
+    def _described(self) -> tuple[float, str]:
+        """Return the best rate of cycles [Hz], and how the servos are read."""
+
+    @abstractmethod
+    def _refuses_effort(self) -> str:
+        """Return why effort limits are not accepted; empty if they are."""
+
+    async def _place(self) -> None:
+        """Determine what follows from the positions, before they are used for anything."""
+
+    @abstractmethod
+    def _check_range(self, number: int, ends: Sequence[float]) -> None:
+        """Raise `ConfigError` if a servo cannot go to the ends of its range [rad]."""
+
+    @abstractmethod
+    async def _prepare(self, off: Sequence[int]) -> None:
+        """Set up servos without torque; their goals and torque follow."""
+
+    async def _arm(self) -> Collection[int]:
+        """Set what guards powered servos; return those that it has stopped meanwhile."""
+        return ()
+
+    async def _watch(self) -> None:
+        """Check in every cycle what measurements do not show; raises `DeviceFault`."""
+
+    @abstractmethod
+    async def _readings(self) -> Readings:
+        """Read the servos; raises `BusError`."""
+
+    @abstractmethod
+    async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
+        """Return the errors behind the error bytes of servos, by id."""
+
+    @abstractmethod
+    def _most(self, i: int) -> int:
+        """Return the largest torque of a servo [counts of the limit]."""
+
+    @abstractmethod
+    async def _write(self, goals: Goals) -> None:
+        """Set goals, which lie within the servos' limits."""
+
+    def _believe(self, readings: Readings, stamp: float) -> None:
+        """Raise `FrameError` for readings that cannot be."""
+
+    # --- set-up ----------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the line and find every servo; writes nothing."""
+        link = await self._connect()
+        with link.unhurried():
+            await self.find()
+            # After finding the servos, since a calibration of other servos is refused.
+            if self.line.calibration is not None:
+                zeros = zeros_of(self.line.calibration, self.spec.name, self._calibrated())
+                for scale, zero in zip(self.scales, zeros, strict=True):
+                    scale.zero = zero
+                self._use_scales()
+            await self._place()
+        self._describe()
+
+    async def find(self) -> None:
+        """Find all servos and adopt the units of their models; writes nothing.
+
+        Raises:
+            NotConnected: if none answers.
+            HandshakeError: if some are missing or differ from what is expected.
+            BusError: if the line fails.
+        """
+        link = self.connection.link
+        # All are asked first, so that one message names all missing servos.
+        models = {number: await link.model(number) for number in self.ids}
+        expected = {name: (servo.id, servo.model) for name, servo in self._servos.items()}
+        check_present(self.spec.name, self.line.port, expected, models, self._model)
+        for name, servo in self._servos.items():
+            self._check_model(name, servo, models[servo.id] or 0)
+        for number in models:
+            stored = await link.data(number, 0, self.STORED)
+            torque = await link.values(self.TORQUE, [number])
+            self.found[number] = self._as_found(number, stored, torque[number] == POWERED)
+        for number, name in self.names.items():
+            self._check_found(name, self.found[number])
+        for servo, scale in zip(self._servos.values(), self.scales, strict=True):
+            self._adopt(servo, self.found[servo.id], scale)
+        self._use_scales()
+
+    def _use_scales(self) -> None:
+        """Apply changes of the servos' units."""
+        self._units = Scales(self.scales)
+
+    def _describe(self) -> None:
+        """Refine the capabilities according to the servos found."""
+        models = Counter(self._model(servo.model) for servo in self.found.values())
+        known = {
+            "current": all(math.isfinite(scale.current_unit) for scale in self.scales),
+            "effort": all(math.isfinite(scale.effort_unit) for scale in self.scales),
+        }
+        refusal = self._refuses_effort()
+        accepts = {"position", "max_velocity"} | (set() if refusal else {"max_effort"})
+        rate, reading = self._described()
+        self.capabilities = replace(
+            self.capabilities,
+            measures=frozenset(
+                {"position", "velocity", "temperature", *(name for name in known if known[name])}
+            ),
+            accepts=frozenset(accepts),
+            refuses={"max_effort": refusal} if refusal else {},
+            best_rate=rate,
+            identity={
+                "model": ", ".join(f"{count} x {name}" for name, count in models.items()),
+                "firmware": ", ".join(sorted({s.firmware for s in self.found.values()})),
+                "read": reading,
+            },
+        )
+
+    def _check_places(self, readings: Readings) -> None:
+        """Check that the servos can go all the way, and that the actuators are within limits.
+
+        Raises:
+            CalibrationError: if an actuator is far outside its limits.
+            ConfigError: if a servo cannot go where its actuator can.
+        """
+        ends = self._ends()
+        for i, number in enumerate(self.ids):
+            self._check_range(number, [self.scales[i].to_counts(angle) for angle in ends[i]])
+        positions = self._to_actuators(self._units.measured(readings.columns).angle)
+        for actuator, position in zip(self.spec.actuators, positions.tolist(), strict=True):
+            outside = max(actuator.lower - position, position - actuator.upper)
+            if outside > self.line.outside:
+                raise CalibrationError(
+                    self.spec.name,
+                    f"'{actuator.name}' is at {position:.2f} rad, {outside:.2f} rad outside its "
+                    "limits; a zero or direction is wrong, or two ids are swapped; `rtee "
+                    "calibrate` finds the zeros",
+                )
+
+    def _ends(self) -> list[tuple[float, float]]:
+        """Return the smallest and the largest angle of each servo [rad]."""
+        return [(actuator.lower, actuator.upper) for actuator in self.spec.actuators]
+
+    async def activate(self) -> None:
+        """Set up the servos without torque and power them at their positions.
+
+        Raises:
+            DeviceFault: if one reports an error, or does not take the torque.
+            DriverError: if one does not accept a setting.
+        """
+        link = self.connection.link
+        with link.unhurried():
+            # Again, since a power cycle in the meantime has reset the settings.
+            await self.find()
+            await self._refuse(await self._readings())
+            await self._place()
+            self._check_places(await self._readings())
+            off = [number for number in self.ids if not self.found[number].powered]
+            if off:
+                await self._prepare(off)
+                # The settings have changed the registers, which limit the goals.
+                await self.find()
+                # Before the torque, since the servo would jump to an old goal.
+                await self._hold(off, within=self.NEAR)
+                kept = await link.set_all(self.TORQUE, dict.fromkeys(off, POWERED))
+                if kept:
+                    # Only if no other fault explains it.
+                    await self._refuse(await self._readings())
+                    raise self._lost(kept)
+            stopped = await self._arm()
+            if stopped:
+                await self._hold(list(stopped), within=self.NEAR)
+            self._goal = self._to_actuators(self._take(await self._readings()).angle)
+        held = {i for i, n in enumerate(self.ids) if n not in off and n not in stopped}
+        for i, j in self._pairs:
+            # Both servos drive both actuators, so a pair holds only if both servos do.
+            if not {i, j} <= held:
+                held -= {i, j}
+        self._attached.begin(held)
+        # At the end: until here, missing torque is no fault.
+        self.active = True
+
+    async def _set(self, register: Any, values: Mapping[int, int]) -> None:
+        """Set a register of several servos; raises `DriverError` if one does not accept it."""
+        for number, kept in (await self.connection.link.set_all(register, values)).items():
+            raise DriverError(
+                self.spec.name,
+                f"servo {number} does not take {values[number]} at address {register.address}; "
+                f"it has {kept}",
+            )
+
+    async def _set_gains(self, off: Sequence[int]) -> None:
+        """Set the gains of servos that have other ones than the options give."""
+        for i, (name, register) in enumerate(self.GAINS.items()):
+            common, wanted = getattr(self.line, name), dict[int, int]()
+            for servo in self._servos.values():
+                gain = getattr(servo, name)
+                gain = common if gain is None else gain
+                has = self.found[servo.id].gains
+                # Only differences, since values are read back.
+                if servo.id in off and gain is not None and (not has or has[i] != gain):
+                    wanted[servo.id] = gain
+            await self._set(register, wanted)
+
+    async def examine(self) -> str:
+        """Raise the fault that the servos report, or an error of their positions."""
+        with self.connection.link.unhurried():
+            readings = await self._readings()
+            await self._refuse(readings)
+            self._check_places(readings)
+        return ""
+
+    async def deactivate(self) -> None:
+        """Disable the torque."""
+        # From here on, missing torque is no fault.
+        self.active = False
+        if self.connection.is_open:
+            link = self.connection.link
+            with link.unhurried():
+                kept = await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0))
+            for number in kept:
+                raise FrameError(self.line.port, f"servo {number} keeps its torque")
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    def _to_actuators(self, angles: FloatArray) -> FloatArray:
+        return angles if self._coupling is None else self._coupling.positions(angles)
+
+    def _to_servos(self, positions: FloatArray) -> FloatArray:
+        return positions if self._coupling is None else self._coupling.servos(positions)
+
+    async def _refuse(self, readings: Readings) -> None:
+        """Raise a `DeviceFault` if readings report errors."""
+        reported = {number: error for number, error in readings.errors.items() if error}
+        errors = await self._errors(reported) if reported else {}
+        if errors:
+            raise fault_of(self.spec.name, self.names, errors, self.HINT)
+
+    def _lost(
+        self,
+        numbers: Iterable[int],
+        what: str = "torque lost",
+        code: int = TORQUE_LOST,
+        hint: str = "",
+    ) -> DeviceFault:
+        """Return a fault of servos that the driver has found."""
+        named = ", ".join(f"{n} ({self.names[n]})" for n in numbers)
+        return DeviceFault(self.spec.name, code, f"{what}: servo {named}", hint=hint or self.LOST)
+
+    def _take(self, readings: Readings) -> Measured:
+        measured = self._units.measured(readings.columns)
+        self._angles = measured.angle
+        return measured
+
+    async def sense(self) -> ActuatorState:
+        """Return the servos' measurements.
+
+        Raises:
+            DeviceFault: if one that must have torque has none, or one reports an error.
+            FrameError: if one reports an impossible position.
+            BusError: if the line fails.
+        """
+        await self._watch()
+        self._count += 1
+        readings = await self._readings()
+        stamp = monotonic.now()
+        self._believe(readings, stamp)
+        if self.active:
+            await self._refuse(readings)
+        found = self._take(readings)
+        velocity, effort = found.rate, found.torque
+        current, temperature = found.current, found.temperature
+        if self._coupling is not None:
+            jacobian = self._coupling.jacobian(found.angle)
+            # Power is the same on both sides, so efforts follow by the transpose.
+            velocity = np.linalg.inv(jacobian) @ velocity
+            effort = jacobian.T @ effort
+            for i, j in self._pairs:
+                # Both servos drive both actuators, so the worse of the two counts for both.
+                temperature[[i, j]] = max(temperature[i], temperature[j])
+                current[[i, j]] = np.abs(current[[i, j]]).max()
+        return ActuatorState.measured(
+            self._to_actuators(found.angle),
+            stamp,
+            velocity=velocity,
+            effort=effort,
+            current=current,
+            temperature=temperature,
+            extras={"voltage": found.voltage},
+            warnings=self._warnings,
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Set the goals, with speed and torque limits, of the servos that a reference commands."""
+        # A copy, since the reference belongs to the caller.
+        mask = reference.mask.copy()
+        if self._attached:
+            here = self._to_actuators(self._angles)
+            mask[list(self._attached.left(reference, here))] = False
+        # Before the pairs are joined: an actuator without a reference keeps its goal.
+        self._goal = np.where(mask, reference.position, self._goal)
+        rates, efforts, angles = reference.max_velocity, reference.max_effort, self._goal
+        for i, j in self._pairs:
+            mask[[i, j]] = mask[i] or mask[j]
+        if not mask.any():
+            return
+        if self._coupling is not None:
+            angles = self._coupling.servos(self._goal)
+            self._warnings = self._coupling.gave_way(self._goal, angles)
+            rates, efforts = self._limits(rates, efforts)
+        counts = self._units.counts(angles)
+        goals = zip(counts, rates.tolist(), efforts.tolist(), strict=True)
+        chosen = mask.tolist()
+        await self._write(self._within({i: g for i, g in enumerate(goals) if chosen[i]}))
+
+    def _limits(self, rates: FloatArray, efforts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the limits of the servos for those of the actuators."""
+        if self._coupling is None:
+            return rates, efforts
+        fastest = np.array([1.5 * a.velocity for a in self.spec.actuators])
+        # Absolute values, since in the worst case both actuators' motions add up in one servo.
+        jacobian = np.abs(self._coupling.jacobian(self._angles))
+        # Two servos with equal torques exert on an actuator that torque times the sum of its
+        # column; if both efforts of a pair are limited, the smaller torque counts.
+        efforts = efforts / jacobian.sum(axis=0)
+        for i, j in self._pairs:
+            efforts[[i, j]] = min(efforts[i], efforts[j])
+        return jacobian @ np.where(np.isfinite(rates), rates, fastest), efforts
+
+    def _within(self, goals: Goals) -> Goals:
+        """Return goals with positions that the servos accept."""
+        found = {}
+        for i, (position, rate, effort) in goals.items():
+            low, high = self.found[self.ids[i]].limits
+            # Both limits are the same in a servo that goes anywhere.
+            if low < high:
+                position = min(max(position, low), high)
+            found[i] = position, rate, effort
+        return found
+
+    async def _hold(
+        self,
+        numbers: Collection[int],
+        instead: Callable[[Sequence[float]], Mapping[int, float]] = lambda _: {},
+        within: int = 0,
+    ) -> None:
+        """Make the present positions of servos their goals, and read the goals back.
+
+        ``instead`` returns the actuators that hold another position, see `Standstill.instead`; the
+        goals read back may differ by ``within`` [counts]. Raises `BusError`.
+        """
+        if not numbers:
+            return
+        n = len(self.ids)
+        for _ in range(_ATTEMPTS):
+            readings = await self._readings()
+            angles = self._take(readings).angle
+            # In the servos' counts: by the actuators' positions, a pair beyond its limit would
+            # move.
+            counts = [int(position) for position in readings.columns[0]]
+            goal = self._to_actuators(angles)
+            if others := instead(goal.tolist()):
+                goal = np.array(goal)
+                goal[list(others)] = list(others.values())
+                wanted = self._units.counts(self._to_servos(goal))
+                paired = {i for pair in self._pairs if set(pair) & set(others) for i in pair}
+                for i in {*others, *paired}:
+                    counts[i] = wanted[i]
+            rates, _ = self._limits(np.full(n, math.inf), np.full(n, math.inf))
+            goals = self._within(
+                {
+                    i: (counts[i], float(rates[i]), math.inf)
+                    for i, number in enumerate(self.ids)
+                    if number in numbers
+                }
+            )
+            await self._write(goals)
+            self._goal = goal
+            there = await self.connection.link.values(self.GOAL, [self.ids[i] for i in goals])
+            if all(abs(there[self.ids[i]] - goals[i][0]) <= within for i in goals):
+                return
+        raise FrameError(self.line.port, "servos do not take where they are as their goals")
+
+    async def set_gains(self, gains: Mapping[str, float]) -> None:
+        """Write gains of the position controllers of all servos."""
+        link = self.connection.link
+        for name, value in gains.items():
+            count = min(max(round(value), 0), self.MOST_GAIN)
+            await link.set_all(self.GAINS[name], dict.fromkeys(self.ids, count))
+
+    # --- stop --------------------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """Hold the measured posture; servos without torque stay without."""
+        # It must not raise, not even before the line is open.
+        with contextlib.suppress(RteeError, OSError):
+            link = self.connection.link
+            # The new goals end every grip, so no actuator is left alone any more.
+            self._attached.begin()
+            with link.unhurried():
+                powered = self.ids
+                if not self.active:
+                    # A goal would enable the torque of some servos.
+                    torque = await link.values(self.TORQUE, self.ids)
+                    powered = [n for n, value in torque.items() if value == POWERED]
+                await patiently(partial(self._hold, powered, self.standstill.instead))
+
+    async def disable(self) -> None:
+        """Disable the torque; the fingers go limp."""
+        with contextlib.suppress(RteeError, OSError):
+            await patiently(self.deactivate)
+
+    # --- calibration -------------------------------------------------------------------------
+
+    def _calibrated(self) -> list[Calibrated]:
+        """Return the servos with their present zeros."""
+        servos = [self.found[number] for number in self.ids]
+        return [
+            Calibrated(self.names[s.id], s.id, s.model, s.drive_mode, s.offset, scale.zero)
+            for s, scale in zip(servos, self.scales, strict=True)
+        ]
+
+    async def calibrate(
+        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
+    ) -> list[Calibrated]:
+        """Let the user put the hand into its rest posture; set and store the zeros.
+
+        Arguments and errors as for `Calibrates.calibrate`.
+        """
+        # Servos with torque would resist the hand that bends the joints.
+        await self.deactivate()
+        await ready("Put every joint into the rest posture; the servos are without torque.")
+        with self.connection.link.unhurried():
+            readings = await patiently(self._readings)
+        angles = self._to_servos(rest).tolist()
+        for scale, position, angle in zip(
+            self.scales, readings.columns[0].tolist(), angles, strict=True
+        ):
+            scale.zero, scale.turns = self._zero(position - angle / scale.rad), 0
+        self._use_scales()
+        servos = self._calibrated()
+        write_json(path, {"servos": [asdict(servo) for servo in servos]})
+        return servos
+
+    def _zero(self, position: float) -> float:
+        """Return the zero for a position at 0 rad [counts]."""
+        return position
