@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -15,12 +15,12 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rtee.errors import LogError
 from rtee.log.chunks import INDEX_ENTRY
-from rtee.log.damage import Damage
 from rtee.log.mcapfile import MAGIC
 from rtee.log.record_scanner import definitions_of, messages_of, parsed, scan
 from rtee.log.resync import DAMAGE, HEAD, LATEST, DamagedRecordError, Record
 from rtee.log.rotation import METADATA
 from rtee.log.sink import reason
+from rtee.messages.codec import SECOND
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
@@ -315,3 +315,49 @@ class _Surveyor:
         self._damage.gaps.append((record, len(self._chunks)))
         if self._chunks:
             self._chunks[-1].indexes.clear()  # some of its indexes may be among the damage
+
+
+_SHORTEST_CHUNK = 49
+"""Least length of a chunk [bytes]: its head, and the fields of one without records."""
+
+_TOLD = 5
+"""Most damaged places told one by one, so that the notes stay readable."""
+
+
+@dataclass(slots=True)
+class Damage:
+    """Damage that leaves the rest of a file readable.
+
+    Attributes:
+        gaps: Damaged bytes, each with the number of chunks before them.
+        summary: Whether the summary at the end of the file is damaged.
+    """
+
+    gaps: list[tuple[Record, int]] = field(default_factory=list)
+    summary: bool = False
+
+    def sentences(self, times: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+        """Return the damage in sentences; times are those of each chunk's ends [ns]."""
+        told = [_gap(record, chunks, times) for record, chunks in self.gaps[:_TOLD]]
+        others = self.gaps[_TOLD:]
+        if others:
+            size = sum(record.length for record, _ in others)
+            told.append(f"{size} bytes in {len(others)} further places are damaged and lost")
+        if self.summary:
+            told.append("the summary at the end of the file is damaged; nothing recorded is lost")
+        return tuple(told)
+
+
+def _gap(record: Record, chunks: int, times: Sequence[tuple[int, int]]) -> str:
+    """Return what damaged bytes behind so many chunks have cost."""
+    damaged = f"{record.length} bytes from byte {record.offset} on are damaged"
+    if record.length < _SHORTEST_CHUNK:
+        return damaged
+    if not chunks:
+        return f"{damaged}; what they held is lost"
+    start = min(begin for begin, _ in times)
+    before = (times[chunks - 1][1] - start) / SECOND
+    if chunks == len(times):
+        return f"{damaged}; anything recorded after {before:.2f} s of the file is lost"
+    after = (times[chunks][0] - start) / SECOND
+    return f"{damaged}; anything recorded from {before:.2f} s to {after:.2f} s of the file is lost"

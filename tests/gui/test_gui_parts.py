@@ -18,7 +18,7 @@ from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, History, nice_range
 from rtee.gui.panels.actions import grouped
-from rtee.gui.panels.choice import options_at
+from rtee.gui.panels.cards import options_at
 from rtee.gui.panels.header import device_line
 from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table

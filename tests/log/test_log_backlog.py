@@ -13,8 +13,8 @@ from log.samples import RATE, recorded, settings, tick
 from log.test_log_recorder import feed, wait_for
 from rtee.hand.model import Hand
 from rtee.log import Recorder, read
-from rtee.log.backlog import PackedTicks
 from rtee.log.chunks import ChunkBuilder
+from rtee.log.recorder import PackedTicks
 from rtee.sample import COLUMNS
 
 LATE = 500
@@ -118,7 +118,7 @@ sys.path.insert(0, {tests!r})
 from pathlib import Path
 from dataclasses import replace
 from log.samples import tick
-from rtee.log.backlog import PackedTicks
+from rtee.log.recorder import PackedTicks
 
 def own():
     lines = Path("/proc/self/smaps_rollup").read_text().splitlines()

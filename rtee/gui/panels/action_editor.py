@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from html import escape
 
-from rtee.actions.types import Action, CustomAction, Primitive
+import anyio
+import viser
+
+from rtee.actions.build import StepPlan
+from rtee.actions.types import Action, ActionReference, CustomAction, Primitive, Timed
+from rtee.errors import RemoteError, RequestRejected
 from rtee.gui.bridge import Bridge
-from rtee.gui.panels.jog import JogPanel
-from rtee.gui.panels.parts import PartsPanel
-from rtee.gui.panels.tuning import TuningPanel
-from rtee.gui.wording import NOTHING, offer
+from rtee.gui.wording import NOTHING, described, offer, short_names, small
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.messages.state import State
@@ -125,3 +132,328 @@ class MakingPanel:
     def show_status(self, status: HandStatus) -> None:
         """Show the status of the hand."""
         self._tuning.show(status)
+
+
+class TuningPanel:
+    """The grip effort and the devices' gains."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
+        """Add the panel to the current container."""
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._remote = remote
+        self._gains: dict[str, tuple[str, str]] = {}
+        # Values by label: those that devices report, and those set here, for silent devices.
+        self._reported: dict[str, float] = {}
+        self._set_before: dict[str, float] = {}
+        # Whether the field holds a value of its gain; the first click must not set it to 0.
+        self._typed = False
+        self._quiet = False
+        self._holding = gui.add_slider(
+            "Holding effort [%]",
+            0,
+            100,
+            1,
+            40,
+            hint="Effort kept on what is held, as a share of the effort limit [%]",
+        )
+        self._which = gui.add_dropdown("Gain", (NOTHING,), hint="Gain of a device", visible=False)
+        self._value = gui.add_number(
+            "Value",
+            0.0,
+            step=0.001,
+            hint="In the device's own unit; some devices do not tell their present value",
+            visible=False,
+        )
+        self._set = gui.add_button("Set gain", hint="Change it now; needs the lease", visible=False)
+        bridge.need(Role.MAINTAINER, self._holding, self._value, self._set)
+        self._holding.on_update(lambda _: self._hold())
+        self._which.on_update(lambda _: self._recall())
+        self._value.on_update(lambda _: self._type())
+        self._set.on_click(lambda _: bridge.call(self._change))
+
+    def _hold(self) -> None:
+        if not self._quiet:
+            share = self._holding.value / 100.0
+            self._bridge.call(lambda: self._remote.set_gains({"grip_effort": share}))
+
+    def _type(self) -> None:
+        self._typed = True
+
+    def _recall(self) -> None:
+        label = str(self._which.value)
+        self._value.value = self._reported.get(label, self._set_before.get(label, 0.0))
+        self._typed = label in self._reported
+
+    async def _change(self) -> None:
+        label, value = str(self._which.value), float(self._value.value)
+        if not self._typed:
+            raise RequestRejected("the device does not report its gain; type a value first")
+        if label in self._gains:
+            device, gain = self._gains[label]
+            await self._remote.set_gains({gain: value}, device)
+            self._set_before[label] = value
+            self._bridge.notify("Gain set", f"{label} is {value:g}", "green")
+
+    def show(self, status: HandStatus) -> None:
+        """Show the grip effort and offer the gains of the devices."""
+        share = round(100.0 * status.grip_effort)
+        if share != self._holding.value:
+            self._quiet = True  # or the callback would send the change back to the hand
+            self._holding.value = share
+            self._quiet = False
+        gains = {
+            f"{device.name}: {gain}": (device.name, gain)
+            for device in status.devices
+            for gain in device.gains
+        }
+        # A device that does not report its gains lists their names, but no values.
+        self._reported = {
+            f"{device.name}: {gain}": value
+            for device in status.devices
+            for gain, value in zip(device.gains, device.gain_values, strict=False)
+            if not math.isnan(value)
+        }
+        if gains == self._gains:  # keep what the user has chosen and typed
+            return
+        self._gains = gains
+        self._which.options = tuple(gains) or (NOTHING,)
+        self._which.value = self._which.options[0]
+        self._recall()
+        for control in (self._which, self._value, self._set):
+            control.visible = bool(gains)
+
+
+_FOLD = 12
+"""Most actuators whose folder of sliders is open at first: more would fill the panel."""
+
+_RATE = 30.0
+"""Samples per second while the hand follows the sliders [Hz]: browsers report hardly more."""
+
+_LEAVE_WITHIN = 0.5
+"""Longest time to wait for the release of the lease [s]: the hand may already be gone."""
+
+_STEPS = {"rad": 0.001, "m": 0.0001}
+"""Step of a slider by unit [rad | m]: finer than the repeatability of a hand."""
+
+
+class JogPanel:
+    """A slider per actuator; moves the hand while this GUI holds the lease."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
+        """Add the panel to the current container."""
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._remote = remote
+        self._hand = hand
+        self._quiet = False
+        self._hold = gui.add_checkbox(
+            "Jog (holds the hand)", False, hint="While ticked, nobody else can move the hand"
+        )
+        self._speed = gui.add_slider(
+            "Jog speed [%]", 5, 100, 5, 25, hint="Share of the actuators' velocity limits [%]"
+        )
+        self._follow = gui.add_checkbox(
+            "Follow the sliders",
+            False,
+            hint="Stream the sliders' positions: the hand follows them at once, as fast as its "
+            "limits allow",
+        )
+        self._wanted: dict[str, float] = {}
+        self._sliders: list[viser.GuiSliderHandle[float]] = []
+        with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
+            names = short_names(hand.actuator_names)
+            for index, actuator in enumerate(hand.actuators):
+                # A continuous joint has no limits, or wide ones; one turn is enough for its slider.
+                lower = actuator.lower if actuator.lower > -7.0 else -3.1416
+                upper = actuator.upper if actuator.upper < 7.0 else 3.1416
+                unit = "m" if actuator.kind == "prismatic" else "rad"
+                slider = gui.add_slider(
+                    f"{names[index]} [{unit}]",
+                    lower,
+                    upper,
+                    _STEPS[unit],
+                    min(max(actuator.rest, lower), upper),
+                    disabled=True,
+                    hint=f"Position of {actuator.name} [{unit}]; moves it while Jog is ticked",
+                )
+                slider.on_update(lambda _, at=index: self._moved(at))
+                self._sliders.append(slider)
+        bridge.need(Role.OPERATOR, self._hold, self._speed, self._follow)
+        self._hold.on_update(lambda _: bridge.call(self._acquire_or_release))
+        self._follow.on_update(lambda _: bridge.call(self._stream))
+
+    async def _acquire_or_release(self) -> None:
+        try:
+            await (self._remote.acquire() if self._hold.value else self._remote.release())
+        except RemoteError:
+            self._hold.value = False
+            raise
+        finally:
+            # A slider that works without the lease would only cause refusals.
+            for slider in self._sliders:
+                slider.disabled = not self._hold.value
+        await self._stream()
+
+    async def _stream(self) -> None:
+        """Stream the positions of moved sliders while both boxes are ticked."""
+        if not (self._hold.value and self._follow.value):
+            return
+        self._wanted.clear()  # sliders moved earlier must not move the hand now
+        try:
+            async with self._remote.stream(_RATE) as stream:
+                while self._hold.value and self._follow.value:
+                    if self._wanted:
+                        await stream.send(dict(self._wanted))
+                    await anyio.sleep(1.0 / _RATE)
+        except RemoteError:
+            self._follow.value = False
+            raise
+
+    def _moved(self, index: int) -> None:
+        if self._quiet or not self._hold.value:
+            return
+        actuator = self._hand.actuators[index]
+        value = float(self._sliders[index].value)
+        if self._follow.value:
+            self._wanted[actuator.name] = value
+            return
+        speed = actuator.velocity * self._speed.value / 100.0
+        self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
+
+    @property
+    def holding(self) -> bool:
+        """Whether this GUI holds the hand for jogging."""
+        return bool(self._hold.value)
+
+    def give_back(self) -> None:
+        """Untick the box, which releases the lease and ends the stream of the sliders."""
+        self._hold.value = False
+
+    async def leave(self) -> None:
+        """Release the lease if it is held; do not wait long for a hand that has gone."""
+        if self._hold.value:
+            with contextlib.suppress(RemoteError), anyio.move_on_after(_LEAVE_WITHIN):
+                await self._remote.release()
+
+    def follow(self, state: State) -> None:
+        """Move the sliders with the hand while nobody jogs."""
+        if self._hold.value:
+            return
+        self._quiet = True  # or the callbacks would take these moves for the user's
+        try:
+            for slider, position in zip(self._sliders, state.position, strict=True):
+                value = min(max(float(position), slider.min), slider.max)
+                # Skip NaN, and changes within the noise of a measurement.
+                if value == value and abs(value - slider.value) > 2.0 * slider.step:
+                    slider.value = value
+        finally:
+            self._quiet = False
+
+
+class PartsPanel:
+    """A list of parts, and a name for the composed or timed action made of them."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
+        """Add the panel to the current container."""
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._remote = remote
+        self._uses: dict[str, ActionReference] = {}
+        self._parts: list[StepPlan] = []
+        self._action = gui.add_dropdown("Action", (NOTHING,), hint="What to add")
+        self._scale = gui.add_slider(
+            "Scale [%]",
+            0,
+            100,
+            1,
+            100,
+            hint="Share of the way from rest to the action's posture [%]",
+        )
+        self._before = gui.add_number(
+            "Before [s]",
+            0.0,
+            min=0.0,
+            max=60.0,
+            step=0.1,
+            hint="Margin before it, in a sequence [s]",
+        )
+        self._after = gui.add_number(
+            "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after it, in a sequence [s]"
+        )
+        self._add = gui.add_button("Add part", hint="Add it at the end of the list below")
+        self._list = gui.add_html("")
+        self._part = gui.add_dropdown("Part", (NOTHING,), hint="The part to move or remove")
+        self._edit = gui.add_button_group(
+            "", ("Up", "Down", "Remove"), hint="Move the chosen part in the list, or remove it"
+        )
+        self._name = gui.add_text("Name", "", hint="Letters, digits, _ - .")
+        self._store = gui.add_checkbox("Store in the hand's folder", True, hint="As a YAML file")
+        self._make = gui.add_button_group(
+            "", ("Compose", "Sequence"), hint="Compose: all at once. Sequence: one after the other"
+        )
+        bridge.need(Role.MAINTAINER, self._name, self._store, self._make)
+        self._add.on_click(lambda _: self._append())
+        self._edit.on_click(lambda event: self._edited(str(event.target.value)))
+        self._make.on_click(
+            lambda event: bridge.call(partial(self._make_action, str(event.target.value)))
+        )
+        self._draw()
+
+    def offer(self, actions: Sequence[Action]) -> None:
+        """Offer these actions as parts."""
+        # A timed action cannot be a part of another action.
+        uses = [ActionReference(a.name, a.elements) for a in actions if not isinstance(a, Timed)]
+        self._uses = {described(use): use for use in uses}
+        offer(self._action, self._uses)
+
+    def _append(self) -> None:
+        if self._action.value in self._uses:
+            use = replace(self._uses[str(self._action.value)], scale=self._scale.value / 100.0)
+            alias = self._alias(use.action)
+            self._parts.append(
+                StepPlan(use, alias, float(self._before.value), float(self._after.value))
+            )
+            self._draw(len(self._parts) - 1)
+
+    def _edited(self, button: str) -> None:
+        names = tuple(self._part.options)
+        if not self._parts or self._part.value not in names:
+            return
+        at = names.index(self._part.value)
+        to = at + {"Up": -1, "Down": 1, "Remove": 0}[button]
+        if button == "Remove":
+            del self._parts[at]
+        elif 0 <= to < len(self._parts):
+            self._parts[at], self._parts[to] = self._parts[to], self._parts[at]
+        self._draw(to)
+
+    def _alias(self, action: str) -> str:
+        # The steps of a sequence are known by their aliases, which must differ.
+        taken = {part.alias for part in self._parts}
+        if action not in taken:
+            return action
+        return next(name for n in range(2, 1000) if (name := f"{action}_{n}") not in taken)
+
+    def _draw(self, chosen: int = 0) -> None:
+        lines = [
+            f"{index}. {escape(described(part.use))}"
+            + (f" · {part.before:g} s before" if part.before else "")
+            + (f" · {part.after:g} s after" if part.after else "")
+            for index, part in enumerate(self._parts, 1)
+        ]
+        text = "<br>".join(lines) or "no parts yet"
+        self._list.content = small(text)
+        names = [f"{index}. {part.alias}" for index, part in enumerate(self._parts, 1)] or [NOTHING]
+        self._part.options = names
+        self._part.value = names[min(max(chosen, 0), len(names) - 1)]
+
+    async def _make_action(self, button: str) -> None:
+        name, store = str(self._name.value).strip(), bool(self._store.value)
+        if button == "Compose":
+            await self._remote.add_composed(name, [part.use for part in self._parts], store=store)
+        else:
+            await self._remote.add_timed(name, list(self._parts), store=store)
+        self._parts.clear()  # only now: after a refusal, the user goes on with the same parts
+        self._draw()
+        self._bridge.notify("Saved", f"action '{name}'", "green")

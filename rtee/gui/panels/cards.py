@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
+from typing import Final
 
 import viser
 
 from rtee.actions.types import Action, Evidence, Posture, Primitive, Timed
 from rtee.gui.bridge import Bridge
-from rtee.gui.panels.choice import ElementChoice
-from rtee.gui.panels.contacts import ContactChoice
 from rtee.gui.panels.execution import Execution
 from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
-from rtee.gui.wording import described, small
+from rtee.gui.wording import described, offer, small
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal import GoalOptions
 from rtee.remote.openings import OpeningRange
-from rtee.types import Stage
+from rtee.types import OnContact, Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]
 """Shows a posture at an intensity as a ghost, with the contact; ``None`` hides the ghost."""
@@ -390,3 +389,157 @@ def _contact_mark(intensity: int) -> tuple[int, str]:
     # A label is centred on its mark; the spaces, as wide as the word, put the word before it.
     spaces = "\N{NO-BREAK SPACE}" * 12 if intensity > _CROWDED else ""
     return intensity, f"contact{spaces}"
+
+
+Combination = tuple[str, ...]
+
+
+def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tuple[str, ...]:
+    """Return the elements that can follow the chosen ones, in the order of the combinations."""
+    taken = set(chosen)
+    fitting = (combination for combination in combinations if taken.issubset(combination))
+    # A dictionary drops duplicates and, unlike a set, keeps the order.
+    return tuple({e: None for combination in fitting for e in combination if e not in taken})
+
+
+class ElementChoice:
+    """One dropdown per element; each offers only elements that fit those before it."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        combinations: Sequence[Combination],
+        changed: Callable[[], None],
+        noun: str,
+    ) -> None:
+        """Add the dropdowns to the current container.
+
+        There is at least one combination, and all have the same length. ``changed`` is called when
+        the choice has changed; the noun of an element is ``Finger`` or ``Actuator``.
+        """
+        self.combinations = tuple(combinations)
+        self._changed = changed
+        self._boxes: list[viser.GuiDropdownHandle[str]] = []
+        count = len(self.combinations[0])
+        chosen: list[str] = []
+        for index in range(count):
+            offered = options_at(self.combinations, chosen)
+            label = noun if count == 1 else f"{noun} {index + 1}"
+            box = gui.add_dropdown(
+                label,
+                offered,
+                initial_value=offered[0],
+                hint=f"{noun} the action is done with; only what exists together is offered",
+                disabled=len(offered) == 1 and count == 1,
+                order=index / 100.0,
+            )
+            box.on_update(lambda _, at=index: self._restrict(at))
+            self._boxes.append(box)
+            chosen.append(offered[0])
+
+    @property
+    def chosen(self) -> Combination:
+        """The chosen combination, in the order of the action's file."""
+        # As sets, since the dropdowns offer the elements of a combination in any order.
+        values = {str(box.value) for box in self._boxes}
+        for combination in self.combinations:
+            if set(combination) == values:
+                return combination
+        return self.combinations[0]
+
+    def _restrict(self, index: int) -> None:
+        chosen = [str(box.value) for box in self._boxes[: index + 1]]
+        for box in self._boxes[index + 1 :]:
+            offered = options_at(self.combinations, chosen)
+            wanted = str(box.value) if box.value in offered else offered[0]
+            # Each assignment calls back, so assign only changes.
+            if tuple(box.options) != offered:
+                box.options = offered
+            if box.value != wanted:
+                box.value = wanted
+            chosen.append(wanted)
+        self._changed()
+
+
+_AS_CONFIGURED: Final = "as configured"
+"""Choice that leaves the setting out of the goal, so that hand.yaml decides."""
+
+_ALL: Final = "all fingers"
+"""Choice of all fingers that have no setting of their own."""
+
+_SLIP_HINT: Final = (
+    "Force up to which a slip raises the force [N]; 0: it is not raised. It goes with a force"
+)
+
+
+class ContactChoice:
+    """A setting for all fingers, settings of single ones, and the force after a slip."""
+
+    def __init__(self, gui: viser.GuiApi, fingers: Sequence[str]) -> None:
+        """Add the controls to the current container, for the action's fingers if they are known."""
+        # By finger; the empty name stands for all fingers.
+        self._words: dict[str, OnContact] = {}
+        self._finger = gui.add_dropdown(
+            "Contact of", (_ALL,), hint="Which fingers the next field is about"
+        )
+        self._word = gui.add_dropdown(
+            "On contact",
+            (_AS_CONFIGURED, *OnContact),
+            hint="stop: the finger stays where it touches. hold: it stays, and yields to more than "
+            "a light force. squeeze: it waits until enough fingers touch, then all press together",
+        )
+        self._list = gui.add_html("", visible=False)
+        self._slip = gui.add_slider(
+            "If it slips, up to [N]", 0.0, 1.0, 0.1, 0.0, hint=_SLIP_HINT, visible=False
+        )
+        self._finger.on_update(self._on_finger)
+        self._word.on_update(self._on_word)
+        self.offer(fingers)
+
+    def offer(self, fingers: Sequence[str]) -> None:
+        """Offer the fingers of another action; drop the settings of other fingers."""
+        self._words = {f: word for f, word in self._words.items() if f in ("", *fingers)}
+        offer(self._finger, (_ALL, *fingers))
+        self._finger.visible = len(fingers) > 1
+        self._show()
+
+    def limit(self, most: float) -> None:
+        """Limit the force after a slip to the largest that a goal may ask for [N]; 0 hides it."""
+        # Round down to the step of the slider, so that the hand does not refuse the end.
+        top = math.floor(most * 10.0) / 10.0
+        self._slip.visible = top > 0.0
+        if top > 0.0:
+            self._slip.max = top
+        self._slip.value = min(float(self._slip.value), max(top, 0.0))
+
+    def add_to(self, options: GoalOptions) -> None:
+        """Add the settings to the options of a goal."""
+        if self._words:
+            options["on_contact"] = dict(self._words)
+        if "force" in options and self._slip.value > 0.0:
+            options["max_force"] = float(self._slip.value)
+
+    @property
+    def _chosen(self) -> str:
+        """The finger that is being set, or the empty name for all."""
+        return "" if self._finger.value == _ALL else str(self._finger.value)
+
+    async def _on_finger(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._show()
+
+    async def _on_word(self, event: viser.GuiEvent) -> None:
+        if event.client is None:  # set by `_show`, not by a person
+            return
+        if self._word.value == _AS_CONFIGURED:
+            self._words.pop(self._chosen, None)
+        else:
+            self._words[self._chosen] = OnContact(self._word.value)
+        self._show()
+
+    def _show(self) -> None:
+        self._word.value = str(self._words.get(self._chosen, _AS_CONFIGURED))
+        others = "others" if any(self._words) else _ALL
+        items = [f"{escape(finger or others)}: {word}" for finger, word in self._words.items()]
+        self._list.content = small(" · ".join(items))
+        self._list.visible = any(self._words)
