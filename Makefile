@@ -45,12 +45,17 @@ times: .ros2-peers/.ready .device-peers/.ready
 
 # What is too long for every commit: whole experiments in dynamics, and every hand where a test of
 # each commit takes one of each kind.
-heavy: .venv/.ready .device-peers/.ready
+heavy: .venv/.ready .device-peers/.ready .rosidl/.ready
 	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -m heavy -n 2
 
 # Other implementations of ROS 2 over Zenoh, which tests run against in processes of their own.
 .ros2-peers/.ready: tests/ros2/peers/requirements.txt .venv/.ready
 	$(BIN)/python -m pip install --quiet --upgrade --no-deps --target .ros2-peers -r $<
+	@touch $@
+
+# What makes the messages of ROS 2, as a judge of our hashes: into a prefix, since it has files beside its modules.
+.rosidl/.ready: tests/ros2/peers/rosidl.txt .venv/.ready
+	$(BIN)/python -m pip install --quiet --no-deps --ignore-installed --prefix .rosidl -r $<
 	@touch $@
 
 # Software by device makers and others, which tests let drive the emulators, each in a folder of its own.

@@ -429,6 +429,13 @@ class Distro(Word):
     HUMBLE = "humble"
 
 
+class GripperUnit(StrEnum):
+    """What the positions of ``gripper_cmd`` are."""
+
+    METRES = "metres"
+    MOVEIT = "moveit"
+
+
 @dataclass(frozen=True, slots=True)
 class Ros2Settings(Section):
     """The hand as a node of ROS 2, for nodes with the middleware ``rmw_zenoh_cpp``."""
@@ -448,8 +455,12 @@ class Ros2Settings(Section):
     """Rate of ``joint_states`` and of the other topics with what is measured [Hz]."""
     tf: bool = False
     """Publish ``/tf`` and ``/tf_static``, where no ``robot_state_publisher`` does."""
+    gripper: GripperUnit = GripperUnit.METRES
+    """What positions of ``gripper_cmd`` are: the gap between the fingertips in metres, or the value
+    of a joint, as MoveIt sends it."""
     gripper_joint: str = ""
-    """The actuator whose position goals of ``gripper_cmd`` give; empty: the gap in metres."""
+    """The actuator whose position goals of ``gripper_cmd`` give, in a hand with several; empty with
+    ``gripper: moveit``: the only one."""
 
     def __post_init__(self) -> None:
         """Check that ROS 2 takes the namespace."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
 from rtee.errors import MissingExtra, NoRouter, install_line
-from rtee.hand.config_schema import Ros2Settings
+from rtee.hand.config_schema import GripperUnit, Ros2Settings
 from rtee.ros2 import Context
-from rtee.ros2.listing import Sort, listed, unheard
+from rtee.ros2.listing import Listed, Sort, listed, unheard
+from rtee.ros2.topics import ros_name
 
 _ROUTER_REMEDY = "start it: ros2 run rmw_zenoh_cpp rmw_zenohd, or without ROS: rtee ros2 router"
+
+
+_MOVEIT = ("moveit", "move_group")
+"""Parts of the names of MoveIt's nodes: it alone sends joint values to grippers by itself."""
 
 
 async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[Check]:
@@ -35,7 +40,30 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
             warning("hand", f"there is no node '{hand}'", f"start it: rtee run {hand} --ros2")
         )
     checks += [
+        check for row in rows if row.sort is Sort.ACTION for check in _gripper(row, settings, hand)
+    ]
+    checks += [
         wrong("types", sentence, "use the same distribution: 'ros2: distro' in hand.yaml")
         for sentence in unheard(rows)
     ]
     return checks
+
+
+def _gripper(row: Listed, settings: Ros2Settings, hand: str | None) -> list[Check]:
+    """Return whether those who command a gripper and the hand mean the same by a position."""
+    if hand is None or not row.used or not row.name.endswith(f"/{ros_name(hand)}/gripper_cmd"):
+        return []
+    users = ", ".join(row.used)
+    if settings.gripper_joint or settings.gripper is GripperUnit.MOVEIT:
+        return [ok("gripper", f"{users}: positions are the value of a joint, as MoveIt's")]
+    moveit = [name for name in row.used if any(word in name for word in _MOVEIT)]
+    if moveit:
+        return [
+            warning(
+                "gripper",
+                f"{', '.join(moveit)} seems to be MoveIt, which sends the value of a joint;"
+                " positions are taken as metres between the fingertips",
+                "write 'ros2: {gripper: moveit}' in hand.yaml",
+            )
+        ]
+    return [ok("gripper", f"{users}: positions are metres between the fingertips")]

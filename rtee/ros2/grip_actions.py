@@ -16,6 +16,7 @@ import numpy as np
 from rtee.actions.naming import normalise
 from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError, GoalRejected, suggestion
+from rtee.hand.config_schema import GripperUnit, Ros2Settings
 from rtee.messages.state import State
 from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
@@ -30,6 +31,10 @@ GRIPPER = "~/gripper_cmd"
 
 JOINT, ACTION = "gripper.joint", "gripper.action"
 """Names of the parameters: the joint of the positions, and the action to close with."""
+
+ALLOW_STALLING = "gripper.allow_stalling"
+"""Name of the parameter whether a goal that stalls on an object has succeeded: ``allow_stalling``
+of ros2_control's gripper controllers, where it is off."""
 
 GAP = "opening"
 """Name of the gap in ParallelGripperCommand, which gives each position a name."""
@@ -79,12 +84,7 @@ class Gripper(ActionPart):
 
     def __init__(self, face: Face) -> None:
         self._face = face
-        self._joint = face.settings.gripper_joint
-        if self._joint and self._joint not in face.actuators:
-            raise ConfigError(
-                f"'gripper_joint' under 'ros2' in hand.yaml: there is no actuator '{self._joint}';"
-                f" {suggestion(self._joint, face.actuators)}"
-            )
+        self._joint = joint_of(face.settings, face.actuators)
         known, package = face.node.context.interfaces, "control_msgs/action"
         self._simple = known.action(f"{package}/GripperCommand")
         self._parallel = known.action(f"{package}/ParallelGripperCommand")
@@ -97,7 +97,7 @@ class Gripper(ActionPart):
         )
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return the parameters `JOINT` and `ACTION`."""
+        """Return the parameters `JOINT`, `ACTION` and `ALLOW_STALLING`."""
         yield Parameter(
             JOINT,
             self._joint,
@@ -110,6 +110,12 @@ class Gripper(ActionPart):
             "",
             f"The action that {GRIPPER} opens and closes with, and its elements, such as"
             " 'PinchTight index thumb'; empty: the hand's best one for the gap.",
+        )
+        yield Parameter(
+            ALLOW_STALLING,
+            True,
+            f"Whether a goal of {GRIPPER} that stalls on an object has succeeded; else it is"
+            " aborted, as by default in ros2_control.",
         )
 
     def _check_joint(self, name: str) -> None:
@@ -185,13 +191,30 @@ class Gripper(ActionPart):
             actuator = self._actuator(command.joint)
             goal = joint_goal(command, actuator, await hand.actions())
         else:
+            self._check_unit(command.position)
             goal = self._gap_goal(command)
         running = await hand.start_goal(goal)
         return HandJob(
             running,
             lambda ended: result(self._ended(command.joint, ended)),
             lambda now: feedback(self._now(command.joint, now)),
+            self._stalled,
         )
+
+    def _stalled(self, result: Result) -> str:
+        allowed = self._face.parameters.values[ALLOW_STALLING]
+        return "" if allowed or not result.stalled else f"it stalled, and {ALLOW_STALLING} is off"
+
+    def _check_unit(self, gap: float) -> None:
+        """Refuse what must be a joint's value; raises `GoalRejected`."""
+        widest = max((known.widest for known in self._face.openings), default=math.inf)
+        for actuator in self._face.model.actuators:
+            if widest * (1.0 + _BEYOND) < gap <= actuator.upper:
+                raise GoalRejected(
+                    f"{gap:g} m is too wide, and the nearest is {1e3 * widest:.0f} mm; if it is"
+                    f" the value of '{actuator.name}', as MoveIt sends it, write"
+                    " 'ros2: {gripper: moveit}' in hand.yaml"
+                )
 
     def _gap_goal(self, command: Command) -> Goal:
         """Return the goal for a gap between the fingertips."""
@@ -254,6 +277,27 @@ class Gripper(ActionPart):
             return state.opening, state.force
         row = state.names.index(joint)
         return float(state.position[row]), float(state.effort[row])
+
+
+def joint_of(settings: Ros2Settings, actuators: Sequence[str]) -> str:
+    """Return the actuator whose position goals give; ``""``: they give the gap.
+
+    Raises `ConfigError` if there is none of this name, or several where none is named.
+    """
+    joint = settings.gripper_joint
+    if joint and joint not in actuators:
+        raise ConfigError(
+            f"'gripper_joint' under 'ros2' in hand.yaml: there is no actuator '{joint}';"
+            f" {suggestion(joint, actuators)}"
+        )
+    if joint or settings.gripper is GripperUnit.METRES:
+        return joint
+    if len(actuators) > 1:
+        raise ConfigError(
+            f"'gripper: moveit' under 'ros2' in hand.yaml: the hand has {len(actuators)} actuators;"
+            " name the gripper's with 'gripper_joint', or have MoveIt use FollowJointTrajectory"
+        )
+    return actuators[0]
 
 
 def is_stalled(state: State, limits: Sequence[float]) -> bool:

@@ -59,7 +59,8 @@ class HandJob:
     """Job of an action that follows a goal of the hand.
 
     The hand has one goal at a time; a new goal of any client ends this one. Two functions convert
-    its result to that of the action, and its feedback to the fields of that of the action.
+    its result to that of the action, and its feedback to the fields of that of the action. A third
+    returns why a result is an abortion though the hand holds something; ``""``: it is none.
     """
 
     def __init__(
@@ -67,8 +68,10 @@ class HandJob:
         running: RunningGoal,
         result: Callable[[Result], Message],
         feedback: Callable[[Feedback], dict[str, Any]],
+        failed: Callable[[Result], str] = lambda _: "",
     ) -> None:
         self._running, self._result, self._feedback = running, result, feedback
+        self._failed = failed
 
     async def run(self, goal: ServerGoal) -> Outcome:
         """Wait for the end of the goal; raise `NoHand` if the hand ends first."""
@@ -79,6 +82,8 @@ class HandJob:
 
         result = await self._running.result(publish)
         touch = self._running.goal.touch
+        if state_of(result, touch) is GoalState.SUCCEEDED and (why := self._failed(result)):
+            return Outcome(GoalState.ABORTED, self._result(result), why)
         return Outcome(state_of(result, touch), self._result(result), reason_of(result, touch))
 
     async def cancel(self) -> None:

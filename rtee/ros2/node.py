@@ -23,7 +23,14 @@ from rtee.ros2.keys import Entity, Kind, NodeName, key_expression, node_name
 from rtee.ros2.participant import Participant
 from rtee.ros2.qos import DEFAULT, Qos
 from rtee.ros2.services import Client, Handler, Service
-from rtee.ros2.session import close_session, configuration, domain_of, open_session, router_attempts
+from rtee.ros2.session import (
+    close_session,
+    configuration,
+    domain_of,
+    open_session,
+    router_attempts,
+    router_of,
+)
 from rtee.ros2.types import ServiceType, TopicType
 
 log = logging.getLogger(__name__)
@@ -231,7 +238,7 @@ class Context:
         domain, attempts = domain_of(settings, environment), router_attempts(environment)
         config = configuration(settings, environment, insecure=insecure)
         missing = (
-            f"no router of ROS 2 at {settings.router}: nobody is found until it runs"
+            f"no router of ROS 2 at {router_of(config)}: nobody is found until it runs"
             " (ros2 run rmw_zenoh_cpp rmw_zenohd, or rtee ros2 router)"
         )
         # A client's session cannot open without its router, so that 0 attempts wait for ever.

@@ -131,10 +131,13 @@ class RosEndEffector:
         positions = wanted.action_motor_position
         if len(positions.name) != len(positions.position):
             return {"error_msg": "action_motor_position has more names than positions, or fewer"}
+        mask = wanted.action_motor_count
+        if len(mask.name) != len(mask.count):
+            return {"error_msg": "action_motor_count has more names than counts, or fewer"}
         where = dict(zip(positions.name, positions.position.tolist(), strict=True))
-        counts = dict(
-            zip(wanted.action_motor_count.name, wanted.action_motor_count.count, strict=False)
-        )
+        counts = dict(zip(mask.name, mask.count, strict=True))
+        if unknown := set(counts) - set(where):
+            return {"error_msg": f"action_motor_count counts '{min(unknown)}' without a position"}
         # Without a mask, motors at 0 are those that are not meant.
         where = {
             name: value

@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 from rtee.actions.types import ActionKind
-from rtee.errors import GoalRejected
-from rtee.ros2.action_server import ActionServer, Offer
+from rtee.errors import ActionError, GoalRejected, LeaseHeld, RequestRejected
+from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
+from rtee.ros2.actions import GoalState, Outcome
 from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
@@ -34,9 +35,13 @@ class ActionCommand(ActionPart):
         self._type = face.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
         self._server = ActionServer(face.node, COMMAND, Offer(self._type, self._accept))
 
-    async def _accept(self, message: Any) -> HandJob:
+    async def _accept(self, message: Any) -> Job:
         command = message.goal_action
-        running = await self._face.hand.start_goal(goal_of(command))
+        try:
+            running = await self._face.hand.start_goal(goal_of(command))
+        except (ActionError, RequestRejected, LeaseHeld) as error:
+            # ROS End-Effector accepts every goal, and aborts what it cannot do.
+            return _Aborted(self._type.result(completed_action=command), str(error))
 
         def ended(_: Result) -> Message:
             return self._type.result(completed_action=command)
@@ -50,17 +55,34 @@ class ActionCommand(ActionPart):
         return HandJob(running, ended, now)
 
 
+class _Aborted:
+    """Job of a goal that is aborted at once."""
+
+    def __init__(self, result: Message, reason: str) -> None:
+        self._outcome = Outcome(GoalState.ABORTED, result, reason)
+
+    async def run(self, goal: ServerGoal) -> Outcome:
+        return self._outcome
+
+    async def cancel(self) -> None:
+        return
+
+
 def goal_of(command: Any) -> Goal:
     """Return the goal in a ``rosee_msg/msg/ROSEEActionControl``.
 
     Its percentage is a fraction, 0 to 1, and is ignored for a timed action, as in ROS End-Effector.
-    Raises `GoalRejected` if its type is unknown, or it has commands for single motors.
+    Commands for single motors are efforts [N·m | N], which 0 leaves as configured: ROS End-Effector
+    passes them on as those of its references. Raises `GoalRejected` if its type is unknown, or the
+    commands are not one for each of their names.
     """
-    if any(command.optional_motors_commands):
+    motors, commands = list(command.optional_motors_names), list(command.optional_motors_commands)
+    if len(motors) != len(commands):
         raise GoalRejected(
-            "'optional_motors_commands' are not taken: they have no unit; rtee_msgs/action/Grasp"
-            " takes efforts by actuator"
+            f"'optional_motors_commands' needs {len(motors)} numbers, one for each of"
+            f" 'optional_motors_names', not {len(commands)}"
         )
+    effort = {name: float(value) for name, value in zip(motors, commands, strict=True) if value}
     tolerance = command.error_norm or _TOLERANCE
     if command.action_type == command.PRIMITIVE:
         return Goal(
@@ -69,10 +91,13 @@ def goal_of(command: Any) -> Goal:
             kind=ActionKind.PRIMITIVE,
             intensity=command.percentage,
             tolerance=tolerance,
+            effort=effort,
         )
     # In ROS End-Effector, these two are the same.
     if command.action_type in (command.GENERIC, command.COMPOSED):
-        return Goal(command.action_name, intensity=command.percentage, tolerance=tolerance)
+        return Goal(
+            command.action_name, intensity=command.percentage, tolerance=tolerance, effort=effort
+        )
     if command.action_type == command.TIMED:
-        return Goal(command.action_name, kind=ActionKind.TIMED, tolerance=tolerance)
+        return Goal(command.action_name, kind=ActionKind.TIMED, tolerance=tolerance, effort=effort)
     raise GoalRejected(f"action_type {command.action_type} is none: there are 0 to 3")

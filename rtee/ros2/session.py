@@ -68,9 +68,10 @@ _SETTINGS: dict[str, Any] = _COMMON | {
 _PEER: dict[str, Any] = {
     "mode": "peer",
     "listen/endpoints": ["tcp/localhost:0"],
-    # Without a router, a hand goes on and Zenoh keeps trying to connect.
-    "connect/timeout_ms": -1,
-    "connect/exit_on_failure": False,
+    # Without a router, a hand goes on and Zenoh keeps trying to connect; where a variable of the
+    # environment makes the session a client, it opens only with one, and must not block until then.
+    "connect/timeout_ms": {"peer": -1, "client": _CONNECT_WITHIN},
+    "connect/exit_on_failure": {"peer": False, "client": True},
 }
 """Settings of sessions on the router's own computer, where nodes exchange messages directly."""
 
@@ -180,6 +181,12 @@ def configuration(
     return config
 
 
+def router_of(config: zenoh.Config) -> str:
+    """Return where a session looks for its router, for messages."""
+    endpoints = json.loads(config.get_json("connect/endpoints"))
+    return " or ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
+
+
 def _from_file(file: str) -> zenoh.Config:
     path = Path(file.removeprefix("file://"))
     try:
@@ -196,7 +203,7 @@ def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
         config.insert_json5(key, value)
     except zenoh.ZError as error:
         words = _words(error)
-        why = "the value is not JSON5" if words.startswith("Json5Err") else words
+        why = "not JSON5, or no value of this setting" if words.startswith("Json5Err") else words
         raise ConfigError(f"{source}: {key}={value} is not a setting of Zenoh: {why}") from None
 
 

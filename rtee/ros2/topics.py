@@ -94,6 +94,7 @@ class Topics(Part):
         self._again = anyio.CancelScope()
         self._joint_states = JointStates(model)
         self._joints = node.publisher("joint_states", "sensor_msgs/msg/JointState")
+        self._ros_end_effector = RosEndEffectorTopics(face)
         urdf = description(model, face.info.urdf)
         node.publisher("robot_description", "std_msgs/msg/String", LATCHED).publish(
             encode_string(urdf)
@@ -166,6 +167,7 @@ class Topics(Part):
         """Publish a state on the topics that have subscribers."""
         if self._joints.heard:
             self._joints.publish(self._joint_states.encode(state))
+        self._ros_end_effector.publish(state, self._joint_states)
         if self._tf is not None and self._transforms is not None and self._tf.heard:
             where = self._transforms.at(state.joint_position)
             self._tf.publish(self._moving.encode(state.wall_ns, *where))
@@ -185,6 +187,35 @@ class Topics(Part):
             if not math.isnan(force):
                 message.header.frame_id, message.wrench.force.z = frame, force
                 publisher.publish(message)
+
+
+class RosEndEffectorTopics:
+    """Publishes joints and references where programs of ROS End-Effector listen.
+
+    Its hardware nodes publish ``/ros_end_effector/joint_states``, and its executor
+    ``motor_reference_pos``, whose efforts are those that goals ask for, or 0.
+    """
+
+    def __init__(self, face: Face) -> None:
+        kind = "sensor_msgs/msg/JointState"
+        self._face, self._kind = face, face.message(kind)
+        self._joints = face.node.publisher("ros_end_effector/joint_states", kind)
+        self._references = face.node.publisher("motor_reference_pos", kind)
+
+    def publish(self, state: State, joints: JointStates) -> None:
+        """Publish a state on the topics that have subscribers."""
+        if self._joints.heard:
+            self._joints.publish(joints.encode(state))
+        if self._references.heard:
+            effort = state.reference_effort
+            message = self._kind(
+                header=self._face.header(state.wall_ns),
+                name=list(state.names),
+                position=state.reference_position,
+                velocity=state.reference_velocity,
+                effort=np.where(np.isfinite(effort), effort, 0.0),
+            )
+            self._references.publish(message)
 
 
 class TouchTopics:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from rtee.errors import MessageError, suggestion
 from rtee.hand.model import Hand
 
@@ -24,6 +26,9 @@ _LONGEST = 600.0
 
 _MOST_POINTS = 10_000
 """Most points of a trajectory: far more than a planner sends."""
+
+_QUICKEST = 0.05
+"""Least time of a jog's displacement [s]: a step would be braked, not followed."""
 
 _STILL = 1e-6
 """Velocity at the end of a trajectory that counts as 0 [rad/s | m/s], since planners round."""
@@ -55,10 +60,11 @@ class Motion(Protocol):
 
 
 class Range(NamedTuple):
-    """Lower and upper limit of a joint [rad | m], infinite for none."""
+    """Lower and upper limit of a joint [rad | m], infinite for none, and its greatest speed."""
 
     lower: float
     upper: float
+    speed: float
 
     def clamped(self, value: float) -> float:
         """Return a position clamped to the limits."""
@@ -67,10 +73,13 @@ class Range(NamedTuple):
 
 def movable_joints(model: Hand) -> dict[str, Range]:
     """Return the joints that set-points may name: actuators, and joints that follow one."""
-    ranges = {actuator.name: Range(actuator.lower, actuator.upper) for actuator in model.actuators}
+    ranges = {each.name: Range(each.lower, each.upper, each.velocity) for each in model.actuators}
+    # Joints that follow move faster or slower than their actuator, all at once.
+    speeds = np.array([each.velocity for each in model.actuators])
+    follow = model.transmission.velocities(model.rest, speeds)
     for row, joint in enumerate(model.joints):
         if joint.name not in ranges and model.transmission.moves(row) is not None:
-            ranges[joint.name] = Range(joint.lower, joint.upper)
+            ranges[joint.name] = Range(joint.lower, joint.upper, abs(float(follow[row])))
     return ranges
 
 
@@ -293,11 +302,11 @@ def jog_of(
     where: Where,
     now: float,
     unsaid: float,
-) -> Motion:
+) -> Jog:
     """Return the motion in a ``control_msgs/msg/JointJog``.
 
-    The message has velocities for its duration, or displacements, at once unless it has a duration.
-    Raises `MessageError` if the hand cannot follow it, with the reason.
+    The message has velocities for its duration, or displacements, in the shortest time unless it
+    has a duration. Raises `MessageError` if the hand cannot follow it, with the reason.
 
     Args:
         message: The message.
@@ -318,8 +327,10 @@ def jog_of(
         raise MessageError(f"it needs {len(names)} finite numbers, one for each of its joints")
     start = {name: joints[name].clamped(where(name)) for name in names}
     if moves and not duration:
-        pairs = zip(names, values, strict=True)
-        return Posture({name: joints[name].clamped(start[name] + v) for name, v in pairs}, now)
+        # A joint that cannot move at its rest posture has no speed there.
+        limits = [joints[name].speed or math.inf for name in names]
+        duration = max(abs(value) / limit for value, limit in zip(values, limits, strict=True))
+        duration = min(max(duration, _QUICKEST), _LONGEST)
     duration = duration or unsaid
     scale = duration if moves else 1.0
     velocity = {name: value / scale for name, value in zip(names, values, strict=True)}

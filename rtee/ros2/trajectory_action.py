@@ -41,6 +41,9 @@ ACTION = "~/follow_joint_trajectory"
 GOAL_TIME = "constraints.goal_time"
 """Name of the parameter for the time that a hand may be late, as in ros2_control."""
 
+STOPPED = "constraints.stopped_velocity_tolerance"
+"""Name of the parameter for the speed below which a joint has stopped, as in ros2_control."""
+
 _RATE = 50.0
 """Rate of the checks of tolerances [Hz]: more often than the 20 Hz of ros2_control's feedback."""
 
@@ -49,6 +52,10 @@ _EVERY = 2
 
 _LAG = "stream/lag"
 """Channel of the state with the lag of the stream [s]."""
+
+_NOISE = 0.02
+"""Share of its velocity limit below which an actuator counts as still, too: the default of the
+hand's own `rtee.hand.config_schema.StallSettings.speed`."""
 
 _ERASED = -1.0
 """Value of a tolerance that disables it, whatever the default."""
@@ -104,7 +111,7 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
                     f"a tolerance of '{name}' is {value:g}; it should be positive, 0 for the"
                     " default, or -1 for none",
                 )
-        # 0 stands for the default, which is no tolerance, as in ros2_control.
+        # 0 stands for the default: no tolerance of positions, as in ros2_control.
         if max(values) > 0.0:
             tolerances[name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
     return tolerances
@@ -124,7 +131,15 @@ class TrajectoryAction:
         self._following: set[_Following] = set()
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return the parameter `GOAL_TIME`."""
+        """Return the parameters `GOAL_TIME` and `STOPPED`."""
+        yield Parameter(
+            STOPPED,
+            0.01,
+            f"Speed below which a joint has stopped, so that a goal of {ACTION} may end [rad/s |"
+            " m/s]; 2 % of its velocity limit if that is more.",
+            lower=1e-4,
+            upper=10.0,
+        )
         yield Parameter(
             GOAL_TIME,
             2.0,
@@ -166,6 +181,7 @@ class TrajectoryAction:
         if any(map(len, parts)) or multi.points:
             raise _refusal(Code.INVALID_GOAL, "a hand has no joints of several degrees of freedom")
         goal_time = seconds(message.goal_time_tolerance)
+        moving_time = goal_time if goal_time > 0.0 else math.inf
         if goal_time == 0.0:
             goal_time = self.face.number(GOAL_TIME)
         elif goal_time < 0.0:
@@ -183,7 +199,9 @@ class TrajectoryAction:
         limits = _Limits(
             tolerances_of(message.path_tolerance, names),
             tolerances_of(message.goal_tolerance, names),
+            self._stopped(names, message.goal_tolerance),
             goal_time,
+            moving_time,
         )
         times = [seconds(point.time_from_start) for point in message.trajectory.points]
         if not times:
@@ -198,6 +216,12 @@ class TrajectoryAction:
         except MessageError as error:
             raise _refusal(Code.INVALID_GOAL, str(error)) from None
         return _Following(self, motion, names, limits, times)
+
+    def _stopped(self, names: Sequence[str], given: Iterable[Any]) -> dict[str, float]:
+        """Return the speeds below which joints have stopped, unless their goal gives some."""
+        own = {tolerance.name for tolerance in given if tolerance.velocity != 0.0}
+        least, joints = self.face.number(STOPPED), self.player.joints
+        return {name: max(least, _NOISE * joints[name].speed) for name in names if name not in own}
 
     def _check_joints(self, names: Sequence[str]) -> None:
         try:
@@ -229,11 +253,21 @@ class TrajectoryAction:
 
 
 class _Limits(NamedTuple):
-    """Tolerances of a goal by joint, and the longest time after its end to reach it [s]."""
+    """When a goal is reached, and when it is violated.
+
+    Attributes:
+        path: Tolerances on the way, by joint.
+        goal: Tolerances at the end, by joint.
+        stopped: Speeds below which joints have stopped, by joint [rad/s | m/s].
+        time: Longest time after its end to be inside ``goal`` [s].
+        moving_time: Longest time after its end to stop [s].
+    """
 
     path: Mapping[str, Tolerance]
     goal: Mapping[str, Tolerance]
+    stopped: Mapping[str, float]
     time: float
+    moving_time: float
 
 
 class _Following:
@@ -335,13 +369,15 @@ class _Following:
             if outside:
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
             return
-        outside = _outside(limits.goal, desired, actual)
-        # Without goal tolerances, the goal is reached after the time to settle.
-        if not outside and (limits.goal or now >= end + SETTLED):
-            self._play.until = end + SETTLED
+        outside, moving = _outside(limits.goal, desired, actual), _moving(limits.stopped, actual)
+        # Without goal tolerances, the goal is reached after the time to settle: what is measured
+        # may be older than the end.
+        if not (outside or moving) and (limits.goal or now >= end + SETTLED):
+            # A hand that is slower than the trajectory has been led to the end until now.
+            self._play.until = max(now, end + SETTLED)
             self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))
-        elif outside and now > end + limits.time:
-            late = f"{now - end:.3g} s after its end {outside}"
+        elif (outside and now > end + limits.time) or (moving and now > end + limits.moving_time):
+            late = f"{now - end:.3g} s after its end {outside or moving}"
             self._violated(Code.GOAL_TOLERANCE_VIOLATED, late)
 
     def _publish(self, goal: ServerGoal, at: float, desired: SetPoint, actual: _Joints) -> None:
@@ -387,6 +423,15 @@ def _outside(
             return (
                 f"the velocity of '{name}' was off by {error:.3g}, more than {tolerance.velocity:g}"
             )
+    return ""
+
+
+def _moving(stopped: Mapping[str, float], actual: _Joints) -> str:
+    """Return a sentence about a joint that moves; a speed that is not measured is none."""
+    for name, limit in stopped.items():
+        speed = abs(actual[name][1])
+        if speed > limit:
+            return f"'{name}' moved at {speed:.3g}, more than {limit:g}"
     return ""
 
 

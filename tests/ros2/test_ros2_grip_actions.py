@@ -18,15 +18,16 @@ from remote.serving import Served, serving, until
 
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, GoalRejected
-from rtee.hand.config_schema import Ros2Settings
+from rtee.hand.config_schema import GripperUnit, Ros2Settings
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.remote.client import connect
 from rtee.ros2 import interfaces
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import GoalState, Outcome, Refusal
+from rtee.ros2.diagnosis import check_graph
 from rtee.ros2.grasp_action import goal_of
-from rtee.ros2.grip_actions import Command, is_stalled, joint_goal
+from rtee.ros2.grip_actions import Command, is_stalled, joint_goal, joint_of
 from rtee.ros2.hand_goals import reason_of, state_of
 from rtee.ros2.serving import Shown
 from rtee.types import Result, Stage
@@ -68,6 +69,16 @@ def parallel_goal(client: ActionClient, **fields: Any) -> Any:
     for name, value in fields.items():
         setattr(goal.command, name, value)
     return goal
+
+
+async def set_parameter(robot: Robot, name: str, **value: Any) -> str:
+    """Set a parameter of the gripper's node; return why it refuses."""
+    asked = robot.context.interfaces.message("rcl_interfaces/msg/Parameter")(name=name)
+    for field, content in value.items():
+        setattr(asked.value, field, content)
+    kind = "rcl_interfaces/srv/SetParametersAtomically"
+    answer = await robot.call(f"/{NAME}/set_parameters_atomically", kind, parameters=[asked])
+    return str(answer.result.reason)
 
 
 async def test_the_gap_in_metres(settings: Ros2Settings) -> None:
@@ -166,6 +177,47 @@ async def test_a_joint_value(settings: Ros2Settings) -> None:
         assert outcome.result.state.position[0] == pytest.approx(0.05, abs=2e-3)
         goal = served.watcher.goals[-1]
         assert (goal.opening, goal.force) == (0.05, 60.0)
+
+
+async def test_a_gripper_as_moveit_and_ros2_control_have_it(
+    settings: Ros2Settings, caplog: pytest.LogCaptureFixture
+) -> None:
+    moveit = replace(settings, gripper=GripperUnit.MOVEIT)
+    async with a_gripper(moveit) as (served, robot):
+        client = await client_of(robot, f"/{NAME}/gripper_cmd", SIMPLE)
+        closed = await (await client.send_goal(simple_goal(client, 0.7))).result(30)
+        assert closed.result.position == pytest.approx(0.7, abs=0.02)
+        opened = await (await client.send_goal(simple_goal(client, 0.0))).result(30)
+        assert opened.result.position == pytest.approx(0.0, abs=0.02)
+        [check] = [c for c in await check_graph(moveit, NAME) if c.subject == "gripper"]
+        assert "the value of a joint, as MoveIt's" in check.text
+        # An object stops it: succeeded, unless it is to be as by default in ros2_control.
+        served.driver.place_object("finger_joint", 0.5)
+        for allowed, state in ((True, GoalState.SUCCEEDED), (False, GoalState.ABORTED)):
+            name = "gripper.allow_stalling"
+            assert not await set_parameter(robot, name, type=1, bool_value=allowed)
+            outcome = await (await client.send_goal(simple_goal(client, 0.8, 5.0))).result(30)
+            assert (outcome.state, outcome.result.stalled) == (state, True)
+            await (await client.send_goal(simple_goal(client, 0.0))).result(30)
+
+
+async def test_a_joint_value_is_no_gap(
+    settings: Ros2Settings, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with a_gripper(settings) as (_, robot):
+        robot.node = robot.context.node("move_group")
+        client = await client_of(robot, f"/{NAME}/gripper_cmd", SIMPLE)
+        with pytest.raises(GoalRejected):
+            await client.send_goal(simple_goal(client, 0.8))
+        assert "if it is the value of 'finger_joint', as MoveIt sends it" in caplog.text
+        [check] = [c for c in await check_graph(settings, NAME) if c.subject == "gripper"]
+        assert "/move_group seems to be MoveIt" in check.text
+
+
+def test_moveit_needs_to_know_the_joint_of_several(settings: Ros2Settings) -> None:
+    moveit = replace(settings, gripper=GripperUnit.MOVEIT)
+    with pytest.raises(ConfigError, match="3 actuators; name the gripper's"):
+        joint_of(moveit, ("near", "thumb", "push"))
 
 
 async def test_a_joint_that_the_hand_does_not_have(
@@ -301,15 +353,9 @@ def test_a_grasp_that_is_none(fields: dict[str, Any], reason: str) -> None:
 
 async def test_the_parameters_of_a_gripper(settings: Ros2Settings) -> None:
     async with a_gripper(settings) as (served, robot):
-        parameter = robot.context.interfaces.message("rcl_interfaces/msg/Parameter")
 
         async def put(name: str, value: str) -> str:
-            asked = parameter(name=name)
-            asked.value.type, asked.value.string_value = 4, value
-            kind = "rcl_interfaces/srv/SetParametersAtomically"
-            service = f"/{NAME}/set_parameters_atomically"
-            answer = await robot.call(service, kind, parameters=[asked])
-            return str(answer.result.reason)
+            return await set_parameter(robot, name, type=4, string_value=value)
 
         assert "no actuator 'finger_join'" in await put("gripper.joint", "finger_join")
         assert not await put("gripper.action", "PinchTight finger_1 finger_2")
@@ -356,16 +402,24 @@ async def test_a_command_of_ros_end_effector(
             assert (got.action, got.elements, got.intensity, got.tolerance) == (*done, 0.01)
         assert {one.action_name_current for one in heard} >= {"side"}
         assert max(one.completation_percentage for one in heard) > 50.0
+        fist = {"action_name": "fist", "action_type": 2}
+        efforts = {"optional_motors_names": ["near", "thumb"]}
+        asked = control(**fist, **efforts, optional_motors_commands=[1.5, 0.0], percentage=0.3)
+        goal = await client.send_goal(client.type.goal(goal_action=asked))
+        assert (await goal.result(30)).state is GoalState.SUCCEEDED
+        assert served.watcher.goals[-1].effort == {"near": 1.5}
+        # Like there, every goal is accepted, and what cannot be done is aborted.
+        caplog.set_level(logging.INFO)
         for fields, reason in (
             ({"action_name": "fist", "action_type": 4}, "action_type 4 is none"),
-            ({"action_name": "fist", "action_type": 2, "percentage": 40.0}, "must be 0 to 1"),
-            (
-                {"action_name": "fist", "action_type": 2, "optional_motors_commands": [1.0]},
-                "'optional_motors_commands' are not taken",
-            ),
+            ({"action_name": "hook", "action_type": 2}, "unknown action 'hook'"),
+            (fist | {"percentage": 40.0}, "must be 0 to 1"),
+            (fist | efforts | {"optional_motors_commands": [1.0]}, "needs 2 numbers"),
         ):
-            with pytest.raises(GoalRejected):
-                await client.send_goal(client.type.goal(goal_action=control(**fields)))
+            asked = control(**fields)
+            goal = await client.send_goal(client.type.goal(goal_action=asked))
+            outcome = await goal.result(30)
+            assert (outcome.state, outcome.result.completed_action) == (GoalState.ABORTED, asked)
             assert reason in caplog.text
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -51,3 +55,29 @@ def test_what_exists_is_not_overwritten(tmp_path: Path) -> None:
     write_package(tmp_path)
     with pytest.raises(ConfigError, match="is already there"):
         write_package(tmp_path)
+
+
+JUDGE = Path(__file__).parents[2] / ".rosidl"
+
+
+@pytest.mark.heavy
+@pytest.mark.skipif(not (JUDGE / ".ready").exists(), reason="rosidl is not installed: make heavy")
+def test_rosidl_itself_judges_every_interface(tmp_path: Path) -> None:
+    known, own = interfaces("jazzy"), write_package(tmp_path / "definitions")
+    for name, text in known.texts.items():
+        package, kind, last = name.split("/")
+        if package != NAME:  # that one as it is written for users
+            path = own.parent / package / kind / f"{last}.{kind}"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+    for extra in ("CMakeLists.txt", "package.xml"):
+        (own / extra).unlink()
+    (folder,) = JUDGE.glob("lib/python*/site-packages")
+    script = Path(__file__).parent / "peers" / "rosidl_judge.py"
+    words = [sys.executable, str(script), str(own.parent), str(tmp_path / "judged")]
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    judged: dict[str, str] = json.loads(done.stdout.splitlines()[-1])  # it says what it writes
+    assert {name: known.hash(name) for name in judged} == judged
+    assert set(known.texts) <= set(judged)

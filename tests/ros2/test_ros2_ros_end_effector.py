@@ -127,6 +127,12 @@ async def test_programs_add_a_generic_action(settings: Ros2Settings, tmp_path: P
         where = {"near": 0.5, "thumb": 0.0}
         assert (await add("half", where, {})).accepted
         assert (await add("both", where, {"near": 1, "thumb": 1})).accepted
+        for mask in ({"nose": 1}, {"near": 1, "thumb": 1, "push": 0}):
+            assert "without a position" in (await add("wrong", where, mask)).error_msg
+        uneven = new("uneven", where, {"near": 1})
+        uneven.action_motor_count.name = ["near", "thumb"]
+        name, kind = "new_generic_grasping_action", "NewGenericGraspingActionSrv"
+        assert "fewer" in (await ask(name, kind, new_action=uneven)).error_msg
         answer = await add("wrong", {"nose": 1.0}, {})
         assert not answer.accepted
         assert "nose" in answer.error_msg

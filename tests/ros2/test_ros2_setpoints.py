@@ -105,6 +105,9 @@ async def test_jog(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -
         reached = where(served)[1]
         publisher.publish(jog(joint_names=["thumb"], displacements=[-0.1], duration=0.1))
         await until(lambda: abs(where(served)[1] - reached + 0.1) < 0.01)
+        reached = where(served)[1]
+        publisher.publish(jog(joint_names=["thumb"], displacements=[-0.1]))
+        await until(lambda: abs(where(served)[1] - reached + 0.1) < 0.005)
         # Never beyond the limits.
         await repeat(
             publisher,
@@ -219,6 +222,12 @@ def test_the_way_of_a_jog(hand: Hand) -> None:
     assert isinstance(jog, Jog)
     assert jog.at(10.1) == ({"near": pytest.approx(1.2)}, {"near": 2.0})
     assert jog.at(10.4) == ({"near": 1.5}, {"near": 0.0})  # its limit
+    # A displacement without a duration takes as long as the joint needs: 3 rad/s.
+    quick = message(joint_names=["near"], displacements=[0.9])
+    jog = jog_of(quick, joints, lambda _: 0.1, 10.0, 0.5)
+    assert (jog.end, jog.at(jog.end).position) == (10.3, {"near": pytest.approx(1.0)})
+    follower = message(joint_names=["far"], displacements=[0.3])  # half as fast as its actuator
+    assert jog_of(follower, joints, lambda _: 0.1, 10.0, 0.5).end == pytest.approx(10.2)
     wrong = [
         SimpleNamespace(joint_names=["near"], displacements=d, velocities=v, duration=t)
         for d, v, t in (

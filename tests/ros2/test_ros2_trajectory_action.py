@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import re
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -136,6 +137,28 @@ async def test_violated(hand: Hand, library: ActionLibrary, settings: Ros2Settin
         # The same is reached if it may be late, by default too.
         late = goal(["push"], (0.05, [0.04]), goal_tolerance=within(push=0.001))
         assert told(await done(client, late))[0] is GoalState.SUCCEEDED
+
+
+async def test_it_ends_when_the_hand_has_stopped(
+    hand: Hand, library: ActionLibrary, settings: Ros2Settings
+) -> None:
+    """Without tolerances it ended while the hand, slower than it, was far from its end."""
+    async with acting(hand, library, settings) as (served, _, client):
+        state, code, text = told(await done(client, goal(["push"], (0.05, [0.04]))))
+        assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text
+        assert "the goal is reached" in text
+        assert near(served, [0.0, 0.0, 0.04])
+        hurried = goal(["push"], (0.05, [0.0]), goal_time_tolerance=DURATION(nanosec=10_000_000))
+        state, code, text = told(await done(client, hurried))
+        assert (state, code) == (GoalState.ABORTED, Code.GOAL_TOLERANCE_VIOLATED)
+        assert "'push' moved at" in text
+
+
+def test_the_codes_are_those_of_the_definition() -> None:
+    constants = {code.name: code.value for code in Code}
+    text = KNOWN.texts["control_msgs/action/FollowJointTrajectory"]
+    found = re.findall(r"^int32 (\w+) *= *(-?\d+)", text, re.M)
+    assert {name: int(number) for name, number in found} == constants
 
 
 async def stands(served: Served) -> list[float]:
