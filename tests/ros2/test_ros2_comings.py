@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -20,6 +21,7 @@ from rtee.hand.config_schema import Ros2Settings
 from rtee.hand.model import Hand
 from rtee.loop import shutdown_signals
 from rtee.loop.shutdown_signals import companion
+from rtee.remote.directory import running
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import GoalState
 from rtee.ros2.face import Face
@@ -29,6 +31,7 @@ from rtee.ros2.serving import Shown
 
 from .conftest import free_endpoint, open_router
 from .facing import a_hand_in_ros, facing, robot
+from .test_ros2_setpoints import KNOWN, trajectory
 
 pytestmark = pytest.mark.anyio
 
@@ -153,15 +156,47 @@ async def test_a_goal_goes_on_without_the_router(hand: Hand, library: ActionLibr
             assert (await goal.result(30)).state is GoalState.SUCCEEDED
 
 
-async def test_a_run_that_is_killed_leaves_nothing(settings: Ros2Settings, tmp_path: Path) -> None:
-    folder = tmp_path / "config" / "small"
+def configured(folder: Path, router: str) -> Path:
+    """Write a small hand that is a node of ROS 2; return its folder."""
     folder.mkdir(parents=True)
     hand = make_hand(folder)
     make_library(hand, folder / "actions")
     (folder / "hand.yaml").write_text(
         "name: small\nurdf: small.urdf\nsrdf: small.srdf\n"
-        f"ros2: {{enabled: true, router: {settings.router}, namespace: left}}\n"
+        f"ros2: {{enabled: true, router: {router}, namespace: left}}\n"
     )
+    return folder
+
+
+@pytest.mark.heavy
+async def test_a_trajectory_survives_a_stall_of_the_hand(
+    settings: Ros2Settings, tmp_path: Path
+) -> None:
+    """The set-points of half a second came at once, and were refused as too many."""
+    folder = configured(tmp_path / "config" / "small", settings.router)
+    run = await anyio.open_process([*RTEE, "run", str(folder), "--no-log"])
+    async with run, robot(settings) as others:
+        client = ActionClient(
+            others.node,
+            "/left/small/follow_joint_trajectory",
+            KNOWN.action("control_msgs/action/FollowJointTrajectory"),
+        )
+        await client.wait_for_server(300)
+        message = client.type.goal(trajectory=trajectory(["thumb"], (1.5, [0.8])))
+        goal = await client.send_goal(message)
+        await anyio.sleep(0.5)
+        hand = running()["small"].pid
+        os.kill(hand, signal.SIGSTOP)
+        await anyio.sleep(0.4)
+        os.kill(hand, signal.SIGCONT)
+        outcome = await goal.result(30)
+        os.kill(hand, signal.SIGTERM)
+    result: Any = outcome.result
+    assert outcome.state is GoalState.SUCCEEDED, result.error_string
+
+
+async def test_a_run_that_is_killed_leaves_nothing(settings: Ros2Settings, tmp_path: Path) -> None:
+    folder = configured(tmp_path / "config" / "small", settings.router)
     command = [*RTEE, "run", str(folder), "--no-log"]
     run = await anyio.open_process(command, stderr=subprocess.PIPE)
     async with run, robot(settings) as others:

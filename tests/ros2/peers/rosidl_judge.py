@@ -1,4 +1,4 @@
-"""Hashes of interfaces by rosidl itself: ``rosidl_judge.py DEFINITIONS OUTPUT`` prints them as JSON.
+"""Hashes by rosidl itself: ``rosidl_judge.py DEFINITIONS OUTPUT`` prints them as JSON.
 
 DEFINITIONS has a folder for each package, with its files as ROS installs them.
 """
@@ -27,7 +27,9 @@ def needed(package: Path) -> set[str]:
     found: set[str] = set()
     for path in package.glob("*/*"):
         code = re.sub(r"#.*", "", path.read_text())
-        found |= set(re.findall(r"^\s*(\w+)/\w+", code, re.M)) | IMPLIED.get(path.parent.name, set())
+        found |= set(re.findall(r"^\s*(\w+)/\w+", code, re.M)) | IMPLIED.get(
+            path.parent.name, set()
+        )
     return found - {package.name}
 
 
