@@ -10,7 +10,8 @@ from typing import Any
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind
 
 CYCLES = "RTEE_CONTRACT_CYCLES"
-"""Environment variable with the number of cycles for which every fault of the wire lasts."""
+"""Environment variable with the number of cycles for which every fault of the wire lasts; a device is
+unplugged once in a hundred of them."""
 
 
 def cycles(default: int = 10_000) -> int:
@@ -85,7 +86,8 @@ class DeviceCase:
         checksums: Whether frames have checksums, so that corrupted ones are detected.
         wire_faults: Faults that its wire can have; by default all. Whole frames (CAN) or messages
             cannot be split, and no noise comes between them.
-        cycles: Number of cycles for which every fault of the wire lasts.
+        cycles: Number of cycles for which every fault of the wire lasts; the device is unplugged a
+            hundredth as often, and five times at least.
         share: Fraction of the cycles that must succeed at 5 % faults.
     """
 
