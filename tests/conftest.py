@@ -8,6 +8,7 @@ import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,8 +81,32 @@ def _name(path: Path) -> str:
     return path.relative_to(REPOSITORY).as_posix()
 
 
+def _mark_as_heavy(items: list[pytest.Item], *, one: bool) -> None:
+    """Mark as heavy the cases of a test that its ``samples`` do not name.
+
+    Args:
+        items: The tests.
+        one: Whether single cases were asked for by their names.
+
+    Raises:
+        pytest.UsageError: if samples name no case, or all.
+    """
+    seen: dict[str, set[bool]] = {}
+    for item in items:
+        for marker in item.iter_markers("samples"):
+            assert isinstance(item, pytest.Function)
+            sample = any(fnmatchcase(item.callspec.id, pattern) for pattern in marker.args)
+            seen.setdefault(item.nodeid.partition("[")[0], set()).add(sample)
+            if not sample:
+                item.add_marker(pytest.mark.heavy)
+    useless = [test for test, both in seen.items() if len(both) == 1]
+    if useless and not one:
+        raise pytest.UsageError(f"samples name all cases or none: {', '.join(useless)}")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Put files that take long first, and those in a browser before them; leave out some."""
+    _mark_as_heavy(items, one=any("::" in word for word in config.args))
     cost = {item: LONG.get(_name(item.path), 0.0) for item in items}
     items.sort(key=lambda item: (item.get_closest_marker("browser") is None, -cost[item]))
     for item in items:

@@ -83,6 +83,7 @@ def allowed(hand: Hand) -> dict[str, float]:
     return found
 
 
+@pytest.mark.samples("dagana", "qb_softhand", "robotiq_*", "schunk_svh", "wsg50")
 @pytest.mark.parametrize("name", HANDS)
 def test_mjcf_moves_in_mujoco_as_the_hand_does(out: Path, name: str) -> None:
     hand, model = hand_of(name), mujoco.MjModel.from_xml_path(str(out / f"{name}.xml"))

@@ -528,7 +528,8 @@ CORDS = """
   <site site="on_coupler"/></spatial>"""
 
 
-@pytest.mark.parametrize("rest", ["0", pytest.param("0.004", marks=pytest.mark.heavy), "0 0.003"])
+@pytest.mark.samples("0 0.003")
+@pytest.mark.parametrize("rest", ["0", "0.004", "0 0.003"])
 def test_the_springs_of_spatial_tendons_decide_what_a_linkage_leaves_open(
     tmp_path: Path, rest: str
 ) -> None:
@@ -704,10 +705,12 @@ SAME = (
     "onrobot_3fg15",
     "robotiq_2f_85",
     "robotiq_3f",
-    *(pytest.param(name, marks=pytest.mark.heavy) for name in ("inspire_rh56", "schunk_svh")),
+    "inspire_rh56",
+    "schunk_svh",
 )
 
 
+@pytest.mark.samples("dagana", "robotiq_2f_85")
 @pytest.mark.parametrize("name", SAME)
 def test_a_hand_read_back_from_its_own_mjcf_has_the_same_primitives(
     tmp_path: Path, name: str

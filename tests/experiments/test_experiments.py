@@ -118,17 +118,8 @@ def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -
     assert found == variants.EXPECTED[variant]
 
 
-@pytest.mark.parametrize(
-    "gripper",
-    [
-        pytest.param(
-            gripper,
-            id=gripper.name,
-            marks=[] if gripper.name == "robotiq_2f_85" else [pytest.mark.heavy],
-        )
-        for gripper in same_object.GRIPPERS
-    ],
-)
+@pytest.mark.samples("robotiq_2f_85")
+@pytest.mark.parametrize("gripper", same_object.GRIPPERS, ids=lambda gripper: gripper.name)
 def test_the_same_object_is_picked_and_placed(gripper: same_object.Gripper, tmp_path: Path) -> None:
     outcome = Outcome("placed")
     same_object.in_dynamics(gripper, tmp_path, outcome, pictures=False, variations=0)
@@ -145,13 +136,8 @@ def test_the_same_object_is_grasped_on_all_wires(tmp_path: Path) -> None:
     assert len(outcome.files) == 6
 
 
-@pytest.mark.parametrize(
-    ("name", "trial"),
-    [
-        pytest.param(*case, marks=[pytest.mark.heavy] if case[0] == "robotiq_3f" else [])
-        for case in wide_grasp.TRIALS
-    ],
-)
+@pytest.mark.samples("robotiq_2f_140-*")
+@pytest.mark.parametrize(("name", "trial"), wide_grasp.TRIALS)
 def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
     outcome = Outcome("held")
     hold(name, trial, tmp_path, outcome, slip=wide_grasp.SLIP, pictures=False)

@@ -28,6 +28,7 @@ def stored(hand: Hand) -> list[Primitive]:
     return [a for a in actions if isinstance(a, Primitive) and a.evidence]
 
 
+@pytest.mark.samples("dagana", "linkerhand_o6", "robotiq_3f")
 @pytest.mark.parametrize("name", HANDS)
 def test_clear_poses_of_shipped_hands_keep_what_their_evidence_says(name: str) -> None:
     hand = load_hand(CONFIG / name)

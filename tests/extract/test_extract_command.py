@@ -148,7 +148,7 @@ def test_report_says_that_trials_are_of_other_files(
     hand, _ = load_configured(folder)
     present = Fingerprints.of(folder, ActionLibrary.load(hand, folder / "actions"))
     write_results(folder / "trials.yaml", present, [held])
-    command = ["extract", folder, "--report", report]
+    command = ["extract", folder, "--report", report, "--jobs", "1"]
     assert rtee(capsys, monkeypatch, *command)[0] == 0
     assert "are outdated, made with" not in report.read_text()
     with (folder / "hand.yaml").open("a") as file:

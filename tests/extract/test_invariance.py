@@ -39,10 +39,8 @@ def benchmark() -> Mapping[str, Any]:
         sys.path.remove(str(ROOT / "benchmarks"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param("robotiq_3f", marks=pytest.mark.heavy), "heri_ii", "wsg50", "linkerhand_o6"],
-)
+@pytest.mark.samples("wsg50", "linkerhand_o6")
+@pytest.mark.parametrize("name", ["robotiq_3f", "heri_ii", "wsg50", "linkerhand_o6"])
 def test_however_it_is_written_the_pinches_are_the_same(
     name: str, benchmark: Mapping[str, Any], tmp_path: Path
 ) -> None:

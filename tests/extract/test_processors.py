@@ -19,8 +19,6 @@ from rtee.extract.extraction import extract
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 
-heavy = pytest.mark.heavy
-
 ROOT = Path(__file__).resolve().parents[2]
 
 KERNELS = {
@@ -69,15 +67,14 @@ def depths(primitives: list[Primitive]) -> dict[str, list[float]]:
 
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the settings are those of x86-64")
+@pytest.mark.samples("dagana")
 @pytest.mark.parametrize(
     ("name", "kernels"),
     [
         ("dagana", {k: v for k, v in KERNELS.items() if k not in RELATED}),
-        pytest.param(
-            "robotiq_3f", {k: v for k, v in KERNELS.items() if k not in RELATED}, marks=heavy
-        ),
-        pytest.param("robotiq_3f", {k: v for k, v in KERNELS.items() if k in RELATED}, marks=heavy),
-        pytest.param("leap_hand", KERNELS, marks=heavy),
+        ("robotiq_3f", {k: v for k, v in KERNELS.items() if k not in RELATED}),
+        ("robotiq_3f", {k: v for k, v in KERNELS.items() if k in RELATED}),
+        ("leap_hand", KERNELS),
     ],
     ids=["dagana", "robotiq_3f", "robotiq_3f-related", "leap_hand"],
 )
@@ -113,9 +110,8 @@ def moved(hand: Hand, random: np.random.Generator) -> Hand:
     return replace(hand, urdf=replace(hand.urdf, joints=joints))
 
 
-@pytest.mark.parametrize(
-    "name", [*(pytest.param(n, marks=heavy) for n in ("robotiq_3f", "qb_softhand")), "dagana"]
-)
+@pytest.mark.samples("dagana")
+@pytest.mark.parametrize("name", ["robotiq_3f", "qb_softhand", "dagana"])
 def test_a_nanometre_does_not_decide_what_is_found(name: str) -> None:
     hand = load_hand(ROOT / "config" / name)
     before = {(p.name, p.elements): p for p in extract(hand).primitives if p.evidence}

@@ -47,6 +47,8 @@ PINCHES = {
 }
 """The deepest penetration known of each pair that can touch [mm], measured by others."""
 
+SAMPLES = ("robotiq_*", "test_ee", "two_finger*")
+
 LOOSE = {
     "heri_II": set(),
     "qbhand": {("index", "middle"), ("middle", "ring"), ("ring", "little")},
@@ -84,14 +86,13 @@ def of_kind(shared: Path, name: str, kind: str) -> dict[tuple[str, ...], Primiti
     return {p.elements: p for p in extracted(shared, name).primitives if p.name == kind}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.heavy] if name == "schunk" else []) for name in PINCHES],
-)
+@pytest.mark.samples(*SAMPLES)
+@pytest.mark.parametrize("name", PINCHES)
 def test_exactly_the_pairs_that_can_touch_pinch(name: str, shared: Path) -> None:
     assert set(of_kind(shared, name, "PinchTight")) == set(PINCHES[name])
 
 
+@pytest.mark.samples(*SAMPLES)
 @pytest.mark.parametrize("name", PINCHES)
 def test_pinches_reach_98_percent_of_the_deepest_known(name: str, shared: Path) -> None:
     for elements, pinch in of_kind(shared, name, "PinchTight").items():

@@ -130,16 +130,11 @@ MODELS: Mapping[str, Callable[[], Robot | str]] = {
     "strange_names": strange_names,
 }
 
-QUICK = ("moveit", "claw")
-"""Models that are tried each time; the others are heavy."""
-
 PINCH = ("PinchTight", "PinchLoose")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [name if name in QUICK else pytest.param(name, marks=pytest.mark.heavy) for name in MODELS],
-)
+@pytest.mark.samples("moveit", "claw")
+@pytest.mark.parametrize("name", MODELS)
 def test_it_goes_all_the_way(
     name: str,
     tmp_path: Path,

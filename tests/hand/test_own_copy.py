@@ -120,14 +120,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        # They store an action as "compose" does.
-        pytest.param(name, marks=[pytest.mark.heavy] if name in ("time", "generic", "try") else [])
-        for name in COMMANDS
-    ],
-)
+@pytest.mark.samples("compose", "calibrate")
+@pytest.mark.parametrize("command", COMMANDS)
 def test_an_installed_hand_is_copied_to_be_changed(site: Path, work: Path, command: str) -> None:
     if command == "try":
         pytest.importorskip("mujoco")

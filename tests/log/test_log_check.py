@@ -99,6 +99,7 @@ async def story(rig: Rig) -> None:
     await rig.run(0.1)
 
 
+@pytest.mark.samples("100.0-*")
 @pytest.mark.parametrize("profile", list(ProfileKind))
 @pytest.mark.parametrize("rate", [100.0, 1000.0])
 async def test_references_come_out_again(

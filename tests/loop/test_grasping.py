@@ -269,10 +269,9 @@ class FreezingWord(FreezingLink):
         await super().move(reference)
 
 
+@pytest.mark.samples("0.04-*", "0.2-*")
 @pytest.mark.parametrize("effort", [False, True])
-@pytest.mark.parametrize(
-    "duration", [0.04, *(pytest.param(t, marks=pytest.mark.heavy) for t in (0.08, 0.12)), 0.2]
-)
+@pytest.mark.parametrize("duration", [0.04, 0.08, 0.12, 0.2])
 async def test_opening_over_a_link_that_freezes_is_no_grasp(
     hand: Hand, duration: float, effort: bool
 ) -> None:

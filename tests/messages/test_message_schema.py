@@ -86,7 +86,7 @@ def rosbags_message(kind: MessageType, values: dict[str, Any]) -> Any:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(data=st.data())
 def test_bytes_are_those_of_rosbags(name: str, data: st.DataObject) -> None:
     kind = message_type(name)

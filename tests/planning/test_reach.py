@@ -128,9 +128,8 @@ def gripper() -> Made:
     return Made("robotiq_2f_85")
 
 
-@pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(n, marks=pytest.mark.heavy) for n in (2, 3))]
-)
+@pytest.mark.samples("*-0")
+@pytest.mark.parametrize("seed", range(4))
 def test_contacts_of_a_reachable_posture_are_reached(made: Made, seed: int) -> None:
     wanted, _ = made.contacts(seed)
     found = reach_contacts(made.hand, made.library, wanted, tips=made.tips)

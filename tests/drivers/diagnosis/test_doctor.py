@@ -24,9 +24,16 @@ from rtee.drivers.diagnosis.machine import check_machine
 from rtee.drivers.diagnosis.port import check_address, port_users
 from rtee.drivers.emulators import make_emulator
 from rtee.testing import actuator
+from rtee.testing.session import simulated_time
 from rtee.types import DeviceSpec
 
 pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """Sockets and CAN buses of this computer know real time only."""
+    return "asyncio"
 
 
 def gripper(**changes: Any) -> DeviceSpec:
@@ -154,6 +161,7 @@ async def test_a_wrong_number_is_found_out(
     assert remedy in check.remedy
 
 
+@pytest.mark.parametrize("anyio_backend", [simulated_time()], ids=["simulated time"])
 async def test_a_wrong_rate_is_found_out() -> None:
     emulator = make_emulator("robotiq_2f", {})
     with SimulatedLine([emulator], line=Line(115200), strict=True) as line:

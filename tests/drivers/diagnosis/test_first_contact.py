@@ -21,7 +21,7 @@ from rtee.drivers.diagnosis.contact_report import Question, Report, Verdict
 from rtee.drivers.diagnosis.first_contact import FirstContact
 from rtee.drivers.registry import find_driver
 from rtee.log.first_contact import text_of, write
-from rtee.testing import DeviceCase, simulated_time
+from rtee.testing import DeviceCase
 from rtee.types import DeviceSpec, JointKind
 from tests.drivers.test_worn_contract import FAMILIES, suite_of
 
@@ -29,11 +29,6 @@ pytestmark = pytest.mark.anyio
 
 QUICK = ("robotiq_2f", "schunk_egu", "wsg50", "onrobot_rg", "qb_softhand", "orca_touch")
 """Families whose first contact is played with every commit; of the others the motors are many."""
-
-
-@pytest.fixture
-def anyio_backend() -> tuple[str, dict[str, Any]]:
-    return simulated_time()
 
 
 def spec_of(family: str, *, worn: bool) -> DeviceSpec:
@@ -102,14 +97,9 @@ def refuted(report: Report) -> set[Topic]:
     return {one.topic for one in report.findings if one.verdict is Verdict.REFUTED}
 
 
+@pytest.mark.samples(*(f"{family}-*" for family in QUICK))
 @pytest.mark.parametrize("worn", [False, True], ids=["ideal", "worn"])
-@pytest.mark.parametrize(
-    "family",
-    [
-        pytest.param(name, marks=[] if name in QUICK else [pytest.mark.heavy])
-        for name in sorted(FAMILIES)
-    ],
-)
+@pytest.mark.parametrize("family", sorted(FAMILIES))
 async def test_nothing_is_refuted_of_a_device_as_it_is_assumed(family: str, worn: bool) -> None:
     report, person = await played(family, worn=worn)
     assert report.ended == ""
@@ -122,6 +112,7 @@ async def test_nothing_is_refuted_of_a_device_as_it_is_assumed(family: str, worn
     assert len(person.asked) == len(report.answers)
 
 
+@pytest.mark.samples("*-schunk_egu-ideal", "*-robotiq_2f-worn", "offset-wsg50-worn")
 @pytest.mark.parametrize("worn", [False, True], ids=["ideal", "worn"])
 @pytest.mark.parametrize("family", ["schunk_egu", "robotiq_2f", "wsg50"])
 @pytest.mark.parametrize(

@@ -17,16 +17,9 @@ from rtee.drivers.diagnosis.can_probe import can as can_probe
 from rtee.drivers.diagnosis.scan import Address, Plan, network_probes, scan, serial_probes
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.orca_touch import codec
-from rtee.testing import simulated_time
 from tests.buses.devices import in_real_time
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture(scope="module")
-def anyio_backend() -> tuple[str, dict[str, Any]]:
-    """Have no answer come too late, after which a scan goes on to another rate of the line."""
-    return simulated_time()
 
 
 async def scanned(line: SimulatedLine, *, units: Sequence[int] | None = None) -> Address:

@@ -122,19 +122,20 @@ def depths(simulation: Simulation) -> list[tuple[float, float]]:
     return found
 
 
-KINDS = ("robotiq_2f_85", "robotiq_3f", "dagana", "qb_softhand", "allegro")
+KINDS = (
+    "robotiq_2f_85-*",
+    "robotiq_3f-cylinder*",
+    "dagana-box*",
+    "qb_softhand-box*",
+    "allegro-sphere*",
+)
 """Hands whose contacts differ in kind: parallel jaws on a linkage, three fingers that adapt, a claw
 and a jaw of the body, tendons, motors at all joints."""
 
 
+@pytest.mark.samples(*KINDS)
 @pytest.mark.parametrize("shape", ["sphere:0.03", "cylinder:0.02x0.12", "box:0.04x0.04x0.1"])
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[] if name in KINDS else [pytest.mark.heavy])
-        for name in hand_names()
-    ],
-)
+@pytest.mark.parametrize("name", hand_names())
 def test_nothing_gets_deeper_than_a_millimetre_into_an_object(name: str, shape: str) -> None:
     ready = bench(name)
     hand = ready.hand
