@@ -10,8 +10,8 @@ from typing import Any
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind
 
 CYCLES = "RTEE_CONTRACT_CYCLES"
-"""Environment variable with the number of cycles for which every fault of the wire lasts; a device is
-unplugged once in a hundred of them."""
+"""Environment variable with the number of cycles for which every fault of the wire lasts; a device
+is unplugged once in a hundred of them."""
 
 
 def cycles(default: int = 10_000) -> int:
