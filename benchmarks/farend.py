@@ -28,7 +28,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from rtee.buses.emulated_endpoints import PlayedEnds
+from rtee.buses.emulated_endpoints import EmulatedEndpoints
 from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
@@ -161,7 +161,7 @@ class FarEnd:
                     last = time.monotonic() - when
 
 
-class ApartEnds(PlayedEnds):
+class ApartEnds(EmulatedEndpoints):
     """Far ends of which those of serial lines are processes of their own."""
 
     def __init__(self) -> None:

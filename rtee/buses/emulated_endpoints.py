@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound="Simulation")
 
 
-class PlayedEnds:
+class EmulatedEndpoints:
     """The simulations of a pool; an emulator is made once and outlives its connections.
 
     Attributes:

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 from rtee.buses.bus import Bus, TraceHook
-from rtee.buses.emulated_endpoints import PlayedEnds
+from rtee.buses.emulated_endpoints import EmulatedEndpoints
 from rtee.buses.emulator import Emulator, EmulatorFactory
 from rtee.errors import BusBusy
 
@@ -44,7 +44,7 @@ class BusPool:
         self.trace = trace
         self.wire_time = wire_time
         self._buses: dict[str, tuple[Bus, object, object]] = {}
-        self._ends = PlayedEnds(wire_time=wire_time)
+        self._ends = EmulatedEndpoints(wire_time=wire_time)
         self._first: dict[str, str] = {}
 
     @property

@@ -46,14 +46,14 @@ def _show(hand: HandModel, library: list[Action]) -> None:
 
 
 def _row(hand: HandModel, action: Action, prefix: str) -> Row:
-    from rtee.actions.sideways import sideways_words
+    from rtee.actions.abduction import abduction_sentence
     from rtee.actions.types import Primitive, Timed
 
     match action:
         case Primitive():
             elements = ", ".join(element.removeprefix(prefix) for element in action.elements)
             involved: Iterable[str] = action.posture.involved
-            remark = sideways_words(hand, action, prefix)
+            remark = abduction_sentence(hand, action, prefix)
             if action.evidence:
                 remark = primitive_remarks(action, prefix)
         case Timed():

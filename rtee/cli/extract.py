@@ -319,7 +319,7 @@ def _show(hand: HandModel, extraction: Extraction) -> None:
 
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
-    from rtee.actions.sideways import sideways_words
+    from rtee.actions.abduction import abduction_sentence
     from rtee.cli.actions import primitive_remarks
 
     posture = primitive.posture
@@ -331,7 +331,7 @@ def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tu
         ]
     else:
         lines = [f"{name}={posture.position[name]:.6g}" for name in posture.involved]
-    evidence = sideways_words(hand, primitive, prefix)
+    evidence = abduction_sentence(hand, primitive, prefix)
     if primitive.evidence:
         evidence = primitive_remarks(primitive, prefix)
     return elements, "\n".join(lines), evidence

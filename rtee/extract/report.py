@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rtee.actions.abduction import abduction_sentence
 from rtee.actions.describe import clearance_text, deeper_text
-from rtee.actions.sideways import sideways_words
 from rtee.actions.types import (
     Action,
     ActionKind,
@@ -233,7 +233,7 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
         tips = tuple(link for f in fingers for link in hand.finger(f).tip_links)
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
-    sideways = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
+    sideways = abduction_sentence(hand, primitive, common_prefix(hand.actuator_names))
     summary = sideways or deeper_text(primitive)
     return Card(title, fingers, (), primitive.posture, evidence, summary), (view,)
 

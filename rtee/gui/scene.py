@@ -19,8 +19,8 @@ from rtee.gui.colours import (
     link_colours,
     ramp,
 )
-from rtee.gui.seen import ObjectView
 from rtee.gui.shapes import link_triangles
+from rtee.gui.simulated_object import ObjectView
 from rtee.gui.taxels import TaxelView
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand

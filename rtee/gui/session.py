@@ -15,8 +15,8 @@ import numpy as np
 import viser
 
 from rtee import monotonic
+from rtee.actions.abduction import abduction_sentence
 from rtee.actions.describe import deeper_text
-from rtee.actions.sideways import sideways_words
 from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive
 from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
@@ -356,4 +356,4 @@ def _remark(hand: Hand, action: Action) -> str:
     """Return what people should know of an action before they start it, or ``""``."""
     if isinstance(action, Primitive) and (deeper := deeper_text(action)):
         return deeper
-    return sideways_words(hand, action)
+    return abduction_sentence(hand, action)

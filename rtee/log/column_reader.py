@@ -122,7 +122,7 @@ def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
     return np.argsort(times, kind="stable")
 
 
-class Rows:
+class MessageColumns:
     """Collects messages of one type and layout into arrays, one row per message.
 
     The first message fixes the layout: the names and the lengths of its arrays. Messages with

@@ -58,7 +58,7 @@ class ChunkPlace:
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class FileIndex:
     """The content of a file.
 
     Attributes:
@@ -123,7 +123,7 @@ class Survey:
         return max((chunk.end for chunk in self.chunks), default=0)
 
 
-def survey(path: Path | str) -> Survey:
+def index_file(path: Path | str) -> FileIndex:
     """Index the content of a file.
 
     Raises `LogError` if it cannot be opened or is not an MCAP file.
@@ -132,7 +132,7 @@ def survey(path: Path | str) -> Survey:
     try:
         if path.exists() and not path.is_file():
             raise LogError("is not a file", path=path)
-        return _Surveyor(path).look()
+        return _Indexer(path).look()
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
 
@@ -157,7 +157,7 @@ def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
     return found == int(checksum)
 
 
-class _Surveyor:
+class _Indexer:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._library = ""
@@ -174,7 +174,7 @@ class _Surveyor:
         self._repeats = False  # whether the summary is read, which repeats the definitions
         self._defined: tuple[dict[tuple[int, int], bytes], ...] = ({}, {})
 
-    def look(self) -> Survey:
+    def look(self) -> FileIndex:
         with self._path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise LogError("is not an MCAP file", path=self._path)
@@ -225,7 +225,7 @@ class _Surveyor:
             self._unreadable.append("the definitions of its messages are altered")
         repairable = self._damage.sentences([(chunk.start, chunk.end) for chunk in self._chunks])
         damage = (*self._unreadable, *repairable)
-        return Survey(
+        return FileIndex(
             path=self._path,
             size=size,
             library=self._library,

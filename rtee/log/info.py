@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.errors import MessageError
 from rtee.log import column_reader
-from rtee.log.file_index import Survey, survey
+from rtee.log.file_index import FileIndex, index_file
 from rtee.log.reader import read
 from rtee.log.record_scanner import messages_of
 from rtee.log.recording import Recording
@@ -109,23 +109,23 @@ def iso(wall_ns: int) -> str:
 
 def info(paths: Sequence[Path]) -> Info:
     """Return the summary of a recording's files; raises `LogError` as `rtee.log.read` does."""
-    surveys = [survey(path) for path in paths]
+    file_indexes = [index_file(path) for path in paths]
     recording = read(paths, only=_FEW)
     return Info(
-        files=tuple((each.path, each.size) for each in surveys),
-        library=surveys[0].library,
-        topics=tuple(_topics(surveys, recording.duration)),
+        files=tuple((each.path, each.size) for each in file_indexes),
+        library=file_indexes[0].library,
+        topics=tuple(_topics(file_indexes, recording.duration)),
         attachments=tuple(
-            (name, len(attachment.data)) for name, attachment in surveys[0].attachments.items()
+            (name, len(attachment.data)) for name, attachment in file_indexes[0].attachments.items()
         ),
-        statistics=_statistics(surveys[-1]),
+        statistics=_statistics(file_indexes[-1]),
         recording=recording,
     )
 
 
-def _topics(surveys: Sequence[Survey], duration: float) -> list[TopicInfo]:
+def _topics(file_indexes: Sequence[FileIndex], duration: float) -> list[TopicInfo]:
     counts: dict[tuple[str, str], int] = {}
-    for each in surveys:
+    for each in file_indexes:
         for number, channel in each.channels.items():
             schema = each.schemas.get(channel.schema_id)
             key = (channel.topic, schema.name if schema else "")
@@ -137,7 +137,7 @@ def _topics(surveys: Sequence[Survey], duration: float) -> list[TopicInfo]:
     ]
 
 
-def _statistics(file: Survey) -> LoopStatistics | None:
+def _statistics(file: FileIndex) -> LoopStatistics | None:
     """Return the last loop statistics of a file."""
     topic = topics.log_topic(file.hand, topics.LOOP_STATISTICS)
     number = next((k for k, channel in file.channels.items() if channel.topic == topic), None)

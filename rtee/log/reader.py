@@ -13,7 +13,7 @@ import numpy as np
 
 from rtee.errors import LogError, MessageError
 from rtee.log import column_reader
-from rtee.log.file_index import ChunkPlace, Survey, survey
+from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
 from rtee.log.record_scanner import messages_of
@@ -73,12 +73,12 @@ def read(
         LogError: if a file cannot be opened, is not an MCAP file or holds no recording of a hand.
     """
     paths = paths_of(path, series=series)
-    surveys = [survey(each) for each in paths]
+    file_indexes = [index_file(each) for each in paths]
     wanted = set(topics.TYPES) - topics.FOR_VIEWERS if only is None else set(only)
     unknown = wanted - set(topics.TYPES)
     if unknown:
         raise LogError(f"there are no topics {sorted(unknown)}; there are {sorted(topics.TYPES)}")
-    return _Collector(surveys, wanted).read()
+    return _Collector(file_indexes, wanted).read()
 
 
 def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
@@ -107,35 +107,37 @@ class _Channel(NamedTuple):
 class _Collector:
     """Collects the messages of all files."""
 
-    def __init__(self, surveys: Sequence[Survey], wanted: set[str]) -> None:
-        self._surveys = surveys
+    def __init__(self, file_indexes: Sequence[FileIndex], wanted: set[str]) -> None:
+        self._file_indexes = file_indexes
         self._wanted = wanted
-        self._hand = surveys[0].hand
-        for other in surveys[1:]:
+        self._hand = file_indexes[0].hand
+        for other in file_indexes[1:]:
             if other.hand != self._hand:
                 raise LogError(
                     f"is a recording of '{other.hand}', not of '{self._hand}'", path=other.path
                 )
-        self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
+        self._notes = [f"{each.path.name}: {note}" for each in file_indexes for note in each.notes]
         self._notes += [
             f"{each.path.name}: {each.loose} messages outside chunks are not read"
-            for each in surveys
+            for each in file_indexes
             if each.loose
         ]
         self._names = {topics.log_topic(self._hand, name): name for name in topics.TYPES}
-        self._files = [(each, self._channels(each)) for each in surveys]
+        self._files = [(each, self._channels(each)) for each in file_indexes]
         # The indexes give the number of messages, and so the final size of the arrays.
         counts = dict.fromkeys(_TABLES, 0)
         for file, channels in self._files:
             for number, channel in channels.items():
                 if channel.name in counts:
                     counts[channel.name] += file.count(number)
-        self._rows = {name: column_reader.Rows(count) for name, count in counts.items()}
+        self._rows = {name: column_reader.MessageColumns(count) for name, count in counts.items()}
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
-        self._damage = [f"{each.path.name}: {note}" for each in surveys for note in each.damage]
+        self._damage = [
+            f"{each.path.name}: {note}" for each in file_indexes for note in each.damage
+        ]
         self._damaged = 0
 
-    def _channels(self, file: Survey) -> dict[int, _Channel]:
+    def _channels(self, file: FileIndex) -> dict[int, _Channel]:
         """Return the wanted channels of a file that have the types of rtee."""
         channels = {}
         for number, channel in file.channels.items():
@@ -161,7 +163,7 @@ class _Collector:
                 raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
         return self._recording()
 
-    def _file(self, file: Survey, channels: Mapping[int, _Channel]) -> None:
+    def _file(self, file: FileIndex, channels: Mapping[int, _Channel]) -> None:
         wanted = [
             place
             for place in file.chunks
@@ -221,14 +223,14 @@ class _Collector:
     # --- from messages to a recording --------------------------------------------------------
 
     def _recording(self) -> Recording:
-        start = min((each.start for each in self._surveys if each.chunks), default=0)
-        end = max((each.end for each in self._surveys if each.chunks), default=0)
+        start = min((each.start for each in self._file_indexes if each.chunks), default=0)
+        end = max((each.end for each in self._file_indexes if each.chunks), default=0)
         joint_states = self._series(topics.JOINT_STATES, start)
         reference = self._series(topics.REFERENCE, start)
         actuator_states = self._actuators(start)
         goals = self._entries(topics.GOALS, convert.GOAL.of, start)
         by_id = {entry.value.goal_id: entry.value for entry in goals}
-        written = self._surveys[0].values.get("actuators", "").split()
+        written = self._file_indexes[0].values.get("actuators", "").split()
         names = actuator_states.names or tuple(written)
 
         def plan(fields: Fields) -> Plan:
@@ -241,12 +243,12 @@ class _Collector:
         objects = entries(topics.OBJECT, convert.OBJECT.of)
         attachments = self._attachments()
         recording = Recording(
-            paths=tuple(each.path for each in self._surveys),
+            paths=tuple(each.path for each in self._file_indexes),
             hand=self._hand,
             start=start,
             end=end,
-            finished=all(each.finished for each in self._surveys),
-            metadata=self._surveys[0].values,
+            finished=all(each.finished for each in self._file_indexes),
+            metadata=self._file_indexes[0].values,
             attachments=attachments,
             joint_states=joint_states,
             actuator_states=actuator_states,
@@ -265,7 +267,7 @@ class _Collector:
             touch=self._touch(start),
             object_description=objects[-1].value if objects else None,
             urdf=self._urdf(attachments),
-            meshes=self._surveys[0].metadata.get(MESHES, {}),
+            meshes=self._file_indexes[0].metadata.get(MESHES, {}),
         )
         skipped = sum(table.skipped for table in self._rows.values())
         if self._damaged:
@@ -281,8 +283,8 @@ class _Collector:
         return {
             name: bytes(attachment.data)
             # The attachments of the first file take precedence, being those of the start.
-            for survey in reversed(self._surveys)
-            for name, attachment in survey.attachments.items()
+            for index in reversed(self._file_indexes)
+            for name, attachment in index.attachments.items()
         }
 
     def _note_damage(self, text: str) -> None:

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from rtee.errors import LogError
 from rtee.log import column_reader
 from rtee.log.chunks import PackedChunk, index_records
-from rtee.log.file_index import ChunkPlace, Survey, survey
+from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.mcapfile import McapFile, Preamble, being_written
 from rtee.log.record_scanner import messages_of
 from rtee.log.resync import HEAD, DamagedRecordError
@@ -71,7 +71,7 @@ def recover(
     path = Path(path)
     if being_written(path):
         raise LogError("is being written; stop the recording first", path=path)
-    content = survey(path)
+    content = index_file(path)
     beside = path if in_place else path.with_name(f"{path.stem}_recovered{path.suffix}")
     target = beside if output is None else Path(output)
     temporary: Path | None = None
@@ -106,14 +106,14 @@ def recover(
             with contextlib.suppress(OSError):
                 shutil.rmtree(temporary.parent)
     done = _report(
-        survey(target), target, damaged, untouched=False, lost=content.size - content.good
+        index_file(target), target, damaged, untouched=False, lost=content.size - content.good
     )
     lasting = tuple(note for note in content.damage if note not in content.repairable)
     return replace(done, damage=lasting, left_out=content.repairable)
 
 
 def _report(
-    content: Survey, path: Path, damaged: int, *, untouched: bool, lost: int = 0
+    content: FileIndex, path: Path, damaged: int, *, untouched: bool, lost: int = 0
 ) -> Recovery:
     return Recovery(
         path=path,
@@ -127,7 +127,7 @@ def _report(
     )
 
 
-def _preamble(content: Survey) -> Preamble:
+def _preamble(content: FileIndex) -> Preamble:
     return Preamble(
         library=content.library,
         metadata=content.metadata,
@@ -145,7 +145,7 @@ def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
     return True
 
 
-def _chunks(file: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
+def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
     """Yield the intact chunks, each with an index made from its messages."""
     for place in file.chunks:
         content = place.record.read(stream)

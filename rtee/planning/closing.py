@@ -17,7 +17,7 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
-from rtee.planning.nearness import Nearness
+from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.postures import HandPose, HandPoses, Slots
 from rtee.planning.result import Contact
 from rtee.planning.scene import TOUCH, GraspScene, Touch
@@ -169,10 +169,10 @@ def close_all(asked: Sequence[tuple[Closing, FloatArray]]) -> list[Closure | Non
     Returns:
         The closed hands; ``None`` where one never holds the object from two sides.
     """
-    return _Together(asked).closed() if asked else []
+    return _HandBatch(asked).closed() if asked else []
 
 
-class _Together:
+class _HandBatch:
     """Hands that close on an object at the same time, one in each row."""
 
     def __init__(self, asked: Sequence[tuple[Closing, FloatArray]]) -> None:
@@ -183,7 +183,7 @@ class _Together:
         poses = np.array([pose for _, pose in asked])
         self._poses = poses
         # All begin at rest.
-        self._near = Nearness(self._scene, first.table[0], poses)
+        self._near = DistanceBounds(self._scene, first.table[0], poses)
         frames = np.array([closing.frames[0] for closing in self._closings])
         self._at = HandPoses(self._scene.postures, frames)
         self._ticks = np.zeros(len(asked), dtype=np.intp)

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
-from rtee.planning.nearness import Nearness
+from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import Collision
 from rtee.planning.scene import GraspScene
@@ -102,7 +102,7 @@ class Collisions:
             return []
         at = scene.posed(u)
         depths: dict[str, float] = {}
-        for touch in Nearness(scene, at, self._pose[None]).touching(at)[0]:
+        for touch in DistanceBounds(scene, at, self._pose[None]).touching(at)[0]:
             link, depth = self._geometry.shapes[touch.shape].link, -touch.distance
             if depth > (_PRESSED if self._tips.get(link) in fingers else _DEPTH):
                 depths[link] = max(depth, depths.get(link, 0.0))

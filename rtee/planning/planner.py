@@ -13,9 +13,9 @@ from rtee.actions.naming import label
 from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
+from rtee.planning.approaches import GAP, Candidate
 from rtee.planning.closing import ActionWay, Closing, Closure
-from rtee.planning.entrances import GAP, Candidate
-from rtee.planning.nearness import Nearness
+from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.objects import GraspObject
 from rtee.planning.poses import Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
@@ -352,7 +352,7 @@ class Planner:
             if step and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
             at, least = closing.table[step], math.inf
-            near = Nearness(self.scene, at, candidate.pose[None])
+            near = DistanceBounds(self.scene, at, candidate.pose[None])
             for place in ways:
                 near.pushed((place - near.places[0])[None])
                 least = float(near.least(at, min(least, _FAR))[0])

@@ -12,18 +12,18 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.linalg import cross
-from rtee.planning.closing import Closing
-from rtee.planning.entrances import (
+from rtee.planning.approaches import (
     GAP,
     WAY,
+    Approach,
     Candidate,
-    Entrance,
     Found,
     at_most,
     bring_in,
-    by_turns,
+    interleaved,
     near_side,
 )
+from rtee.planning.closing import Closing
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
@@ -307,16 +307,16 @@ class Poses:
     def candidates(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
         """Yield poses of the object, at most so many; see `search`."""
         for found in self.search(turns, most):
-            if isinstance(found, Entrance):
+            if isinstance(found, Approach):
                 bring_in(self._scene, self._closing.table[0], [found])
             else:
                 yield found
 
     def search(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
-        """Yield poses of the object, at most so many, and the entrances on which they depend.
+        """Yield poses of the object, at most so many, and the approaches on which they depend.
 
         First those between the fingertips, narrow sides of the object first; then those in the
-        palm's front, long sides across it, which several fingers may wrap. After an entrance, the
+        palm's front, long sides across it, which several fingers may wrap. After an approach, the
         search goes on when `bring_in` has found its depth.
         """
         between = at_most(self._between_tips(turns, most), most)
@@ -324,7 +324,7 @@ class Poses:
             yield from between
             return
         wrapped = self._in_palm(turns, most)
-        yield from at_most(by_turns(between, wrapped), most)
+        yield from at_most(interleaved(between, wrapped), most)
 
     def _between_tips(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
         opening, open_at = float(self.gaps.max()), int(np.argmax(self.gaps))
@@ -345,7 +345,7 @@ class Poses:
                 # Only where one jaw is fixed: where both move, the two places are the same one, and
                 # rounding would decide between equal candidates.
                 if self._aside(wide, step) > _STILL:
-                    placed = by_turns(self._placed(wide, turns[number], self._ways()), placed)
+                    placed = interleaved(self._placed(wide, turns[number], self._ways()), placed)
             yield from at_most(placed, _share(most, len(fitting)))
 
     def _aside(self, wide: int, step: int) -> float:
@@ -395,9 +395,9 @@ class Poses:
         for way, shift in ways:
             begin = pose.copy()
             begin[:3, 3] += shift
-            entrance = Entrance(begin, way)
-            yield entrance
-            deepest = entrance.depth
+            approach = Approach(begin, way)
+            yield approach
+            deepest = approach.depth
             if deepest is None:
                 continue
             thing = self._scene.object

@@ -11,9 +11,9 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
+from rtee.planning.approaches import GAP, Candidate
 from rtee.planning.closing import ActionWay, Closing, Closure, close_all
-from rtee.planning.entrances import GAP, Candidate
-from rtee.planning.nearness import Nearness
+from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Poses
 from rtee.sample import FloatArray
@@ -162,7 +162,7 @@ def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray |
     pose, length = pose.copy(), float(np.linalg.norm(way))
     at = closing.table[0]
     for _ in range(round(_PUSHED / _PUSH)):
-        if Nearness(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
+        if DistanceBounds(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
             return pose
         # Without a way in, there is no direction to push it.
         if not length:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtee.actions.types import Action
+from rtee.planning.approaches import Approach, Candidate, Found, bring_in
 from rtee.planning.closing import Closing, Closure, close_all
-from rtee.planning.entrances import Candidate, Entrance, Found, bring_in
 from rtee.planning.poses import Poses
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
@@ -28,7 +28,7 @@ class Search:
         action: The action.
         closing: What closes the hand by it.
         poses: Finds poses of the object; ``None`` if the action moves nothing.
-        candidates: The poses that are left to try, and the entrances on which they depend.
+        candidates: The poses that are left to try, and the approaches on which they depend.
         enough: Grasps after which no other poses are tried.
         grasps: What was found.
         ready: Poses to try next.
@@ -44,15 +44,15 @@ class Search:
     ready: list[Candidate] = field(default_factory=list)
     tried: int = 0
 
-    def next(self) -> Entrance | list[Candidate]:
-        """Return the poses to try next, or the entrance on which these depend.
+    def next(self) -> Approach | list[Candidate]:
+        """Return the poses to try next, or the approach on which these depend.
 
         They are no more than are needed if the action holds the object at all of them.
         """
         # At least one grasp more is looked for as long as there is a pose to try.
         while len(self.ready) < self.enough - len(self.grasps):
             found = next(self.candidates, None)
-            if isinstance(found, Entrance):
+            if isinstance(found, Approach):
                 return found
             if found is None:
                 break
@@ -108,18 +108,18 @@ def search_together(
 def _next(
     scene: GraspScene, open_hand: HandPose, searches: Sequence[Search]
 ) -> list[tuple[Search, Candidate]]:
-    """Return the poses to try next; the entrances on which they depend are found together."""
+    """Return the poses to try next; the approaches on which they depend are found together."""
     found: list[tuple[Search, Candidate]] = []
     while searches:
         asking: list[Search] = []
-        entrances: list[Entrance] = []
+        approaches: list[Approach] = []
         for search in searches:
             after = search.next()
-            if isinstance(after, Entrance):
+            if isinstance(after, Approach):
                 asking.append(search)
-                entrances.append(after)
+                approaches.append(after)
             else:
                 found += [(search, candidate) for candidate in after]
-        bring_in(scene, open_hand, entrances)
+        bring_in(scene, open_hand, approaches)
         searches = asking
     return found

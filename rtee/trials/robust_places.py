@@ -10,7 +10,7 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action, Primitive
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.planning.entrances import Candidate
+from rtee.planning.approaches import Candidate
 from rtee.planning.objects import GraspObject
 from rtee.planning.planner import Planner
 from rtee.planning.robust import robust_poses, too_wide

@@ -8,8 +8,8 @@ from hand.conftest import MODELS
 from hand.models import anthropomorphic
 
 from extract.models import Model, box
+from rtee.actions.abduction import abduction_sentence
 from rtee.actions.action_files import read_actions
-from rtee.actions.sideways import sideways_words
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.hand.abduction import abduction
@@ -148,9 +148,9 @@ def test_abduction_is_no_fing_flex(tmp_path: Path, *, coupled: bool) -> None:
     assert by_kind(found, PrimitiveKind.TIP_FLEX)["index"] == [f"rh_FF{last}"]
     trig = next(p for p in found if p.kind is PrimitiveKind.TRIG and p.elements == ("index",))
     assert "rh_FFJ4" in trig.posture.involved
-    words = sideways_words(hand, trig, "rh_")
+    words = abduction_sentence(hand, trig, "rh_")
     assert words == "also swings sideways (abduction): FFJ4"
-    assert all(not sideways_words(hand, p) for p in found if p.kind is not PrimitiveKind.TRIG)
+    assert all(not abduction_sentence(hand, p) for p in found if p.kind is not PrimitiveKind.TRIG)
 
 
 def test_what_rests_at_an_end_of_its_range_is_no_abduction(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.jobs import Jobs
 from rtee.gui.panels.trying import folder_of, number, shape_text
-from rtee.gui.seen import arrows_of, strongest
+from rtee.gui.simulated_object import arrows_of, strongest
 from rtee.gui.trial_results import Tried, object_name, rate, verdict
 from rtee.hand.load import load_hand
 from rtee.trials.apart import Job, meshes_of

@@ -26,7 +26,7 @@ from rtee.log.check import check
 from rtee.log.chunks import MESSAGE, record_bytes
 from rtee.log.column_reader import walk
 from rtee.log.export import Format, export
-from rtee.log.file_index import survey
+from rtee.log.file_index import index_file
 from rtee.log.info import info
 from rtee.log.mcapfile import being_written
 from rtee.log.record_scanner import messages_of, scan
@@ -48,7 +48,7 @@ def rewritten(path: Path, target: Path, at: Record, content: bytes) -> Path:
 
 def late_message(path: Path, target: Path, *, chunk_too: bool) -> Path:
     """Give a message the latest time there is, with all checksums right."""
-    place = survey(path).chunks[1]
+    place = index_file(path).chunks[1]
     with path.open("rb") as stream:
         data, chunk = messages_of(place.record.read(stream))
     changed = bytearray(data)
@@ -141,7 +141,7 @@ def test_an_altered_definition_is_not_the_same(whole: Path, tmp_path: Path) -> N
             changed[place.offset + bit // 8] ^= 1 << bit % 8
             altered.write_bytes(changed)
             with contextlib.suppress(LogError):  # an identifier that nothing else has
-                assert survey(altered).damage, (place, bit)
+                assert index_file(altered).damage, (place, bit)
 
 
 @pytest.mark.parametrize(("cut", "verb"), [(0, "holds"), (20, "recovered")])
@@ -174,7 +174,7 @@ def test_a_chunk_that_fails_its_checksum_is_not_the_same(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    place = survey(whole).chunks[-2]
+    place = index_file(whole).chunks[-2]
     with whole.open("rb") as stream:
         content = bytearray(place.record.read(stream))
     content[-1] ^= 1

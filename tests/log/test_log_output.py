@@ -40,7 +40,7 @@ from rtee.log import Recording, read
 from rtee.log.dataclass_json import to_json
 from rtee.log.export import Format, export
 from rtee.log.figure import MOST_POINTS, By, figure, thinned
-from rtee.log.file_index import survey
+from rtee.log.file_index import index_file
 from rtee.log.info import info
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
@@ -426,7 +426,9 @@ def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> N
     data = story.read_bytes()
     cut, damaged = tmp_path / "cut.mcap", tmp_path / "damaged.mcap"
     cut.write_bytes(data[:-400])
-    head = survey(story).chunks[-1].record.offset - 9  # its opcode and the length of its content
+    head = (
+        index_file(story).chunks[-1].record.offset - 9
+    )  # its opcode and the length of its content
     damaged.write_bytes(
         data[:head] + bytes(0xFF ^ byte for byte in data[head:][:9]) + data[head + 9 :]
     )

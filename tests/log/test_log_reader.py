@@ -187,9 +187,9 @@ def test_damaged_files_raise_nothing_but_log_error(story: Path, tmp_path: Path, 
 
 def test_a_damaged_chunk_is_left_out_and_said(story: Path, tmp_path: Path) -> None:
     data = bytearray(story.read_bytes())
-    from rtee.log.file_index import survey
+    from rtee.log.file_index import index_file
 
-    place = survey(story).chunks[2]
+    place = index_file(story).chunks[2]
     data[place.record.offset + 60] ^= 0xFF
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
@@ -304,10 +304,10 @@ def test_recordings_of_other_software_are_read(
 
 
 def test_an_index_that_lies_is_not_believed(claw: Hand, tmp_path: Path, story: Path) -> None:
-    from rtee.log.file_index import survey
+    from rtee.log.file_index import index_file
 
     data = bytearray(story.read_bytes())
-    for chunk in survey(story).chunks:
+    for chunk in index_file(story).chunks:
         for record in chunk.indexes.values():
             data[record.offset + 14] ^= 0x55
     path = tmp_path / "lying.mcap"

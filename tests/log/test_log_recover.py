@@ -16,7 +16,7 @@ from log.samples import Log, recorded, settings
 from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log import read
-from rtee.log.file_index import survey
+from rtee.log.file_index import index_file
 from rtee.log.recover import recover
 from rtee.messages.typestore import typestore
 
@@ -65,7 +65,7 @@ def test_a_whole_file_is_left_as_it_is(story: Path, tmp_path: Path) -> None:
 
 def test_a_damaged_chunk_is_left_out_and_the_rest_kept(story: Path, tmp_path: Path) -> None:
     data = bytearray(story.read_bytes())
-    data[survey(story).chunks[2].record.offset + 60] ^= 0xFF
+    data[index_file(story).chunks[2].record.offset + 60] ^= 0xFF
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
     output = tmp_path / "sound.mcap"

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from rtee.cli.log import app
 from rtee.errors import LogError
 from rtee.log import Recording, read
-from rtee.log.file_index import survey
+from rtee.log.file_index import index_file
 from rtee.log.mcapfile import MAGIC
 from rtee.log.record_scanner import scan
 from rtee.log.recover import recover
@@ -69,7 +69,7 @@ def test_a_damaged_head_loses_its_chunk_at_most(
     story: Path, tmp_path: Path, kind: Opcode, head: bytes, closed: bool
 ) -> None:
     at = [each for each in _records(story) if each.opcode == kind][2]
-    chunk = survey(story).chunks[2]
+    chunk = index_file(story).chunks[2]
     data = bytearray(story.read_bytes())
     data[at.offset - HEAD.size : at.offset - HEAD.size + len(head)] = head
     path = _written(tmp_path / "damaged.mcap", data if closed else _unclosed(bytes(data), story))
@@ -97,7 +97,7 @@ def test_a_damaged_head_loses_its_chunk_at_most(
 def test_what_a_damaged_place_held_is_said_and_the_rest_read(
     story: Path, tmp_path: Path, closed: bool
 ) -> None:
-    places = survey(story).chunks
+    places = index_file(story).chunks
     begin = places[2].record.offset - HEAD.size
     data = bytearray(story.read_bytes())
     data[begin : begin + 100] = bytes(100)
@@ -125,7 +125,7 @@ def test_what_a_damaged_place_held_is_said_and_the_rest_read(
 def test_a_damaged_place_from_the_last_chunk_on_leaves_the_summary(
     story: Path, tmp_path: Path
 ) -> None:
-    last = survey(story).chunks[-1].record
+    last = index_file(story).chunks[-1].record
     data = bytearray(story.read_bytes())
     summary = next(each for each in _records(story) if each.opcode == Opcode.DATA_END).end
     data[last.offset - HEAD.size : summary] = bytes(summary - last.offset + HEAD.size)
@@ -151,7 +151,7 @@ def test_random_damage_never_makes_measurements(story: Path, tmp_path: Path) -> 
     whole = read(story)
     data = story.read_bytes()
     chance = random.Random(7)  # arbitrary, but the same every time
-    chunks = survey(story).chunks
+    chunks = index_file(story).chunks
     # Between the head of the second chunk and the end: times of the start stay the same.
     first = chunks[1].record.offset - HEAD.size
     ticks = 0
@@ -187,7 +187,7 @@ class _Counting(io.FileIO):
 @pytest.mark.parametrize("gap", [60, 5000])
 def test_a_search_takes_no_square_of_the_damage(story: Path, tmp_path: Path, gap: int) -> None:
     """Chunks with nonsense between them, and nonsense that looks like the begin of a chunk."""
-    chunk = survey(story).chunks[0].record
+    chunk = index_file(story).chunks[0].record
     with story.open("rb") as stream:
         content = chunk.read(stream, 36)
     content += struct.pack("<Q", 0)  # no records

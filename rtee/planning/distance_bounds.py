@@ -38,7 +38,7 @@ class Placed(Protocol):
         """Return rotations ``(k, 3, 3)`` of the bodies of some shapes, and middles ``(k, 3)``."""
 
 
-class Nearness:
+class DistanceBounds:
     """Lower bounds of the distances between the shapes of hands and the pieces of an object.
 
     Each row is a hand with the object. The caller says by `pushed` and `closed` how they have moved

@@ -20,7 +20,7 @@ def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
     return tuple(name for name in swinging if name in action.posture.involved)
 
 
-def sideways_words(hand: Hand, action: Action, prefix: str = "") -> str:
+def abduction_sentence(hand: Hand, action: Action, prefix: str = "") -> str:
     """Return a sentence about a Trig's abduction, without a prefix of names, or ``""``."""
     names = [name.removeprefix(prefix) for name in sideways(hand, action)]
     return f"also swings sideways (abduction): {', '.join(names)}" if names else ""

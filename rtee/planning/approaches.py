@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from rtee.planning.nearness import Nearness
+from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
@@ -42,7 +42,7 @@ class Candidate:
 
 
 @dataclass(slots=True)
-class Entrance:
+class Approach:
     """A way of the object towards the open hand; where it ends is to be found by `bring_in`.
 
     Attributes:
@@ -56,26 +56,26 @@ class Entrance:
     depth: float | None = None
 
 
-Found: TypeAlias = Candidate | Entrance
-"""A candidate; or an entrance, whose depth decides which candidates come next."""
+Found: TypeAlias = Candidate | Approach
+"""A candidate; or an approach, whose depth decides which candidates come next."""
 
 
-def bring_in(scene: GraspScene, at: HandPose, entrances: Sequence[Entrance]) -> None:
+def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) -> None:
     """Find how far the object comes towards the open hand, before it touches.
 
     The depths of its ways are filled in.
     """
-    if not entrances:
+    if not approaches:
         return
-    ways = np.array([entrance.way for entrance in entrances])
-    poses = np.array([entrance.pose for entrance in entrances])
+    ways = np.array([approach.way for approach in approaches])
+    poses = np.array([approach.pose for approach in approaches])
     # Its near side, not its middle, begins beyond the reach of the fingers.
     thing = scene.object
-    first = WAY + np.array([near_side(thing, e.pose, e.way, thing.inside) for e in entrances])
+    first = WAY + np.array([near_side(thing, e.pose, e.way, thing.inside) for e in approaches])
     depths = first.copy()
     poses[:, :3, 3] += depths[:, None] * ways
-    near = Nearness(scene, at, poses)
-    left = np.arange(len(entrances))
+    near = DistanceBounds(scene, at, poses)
+    left = np.arange(len(approaches))
     while len(left):
         # A step of the free distance cannot pass a link; `GAP` is left at the end.
         free = near.least(at, first[left], left) - GAP
@@ -83,12 +83,12 @@ def bring_in(scene: GraspScene, at: HandPose, entrances: Sequence[Entrance]) -> 
         for row in left[there].tolist():
             # What touches before its first step has no way in.
             depth = float(depths[row])
-            entrances[row].depth = None if depth >= first[row] else depth
+            approaches[row].depth = None if depth >= first[row] else depth
         left, free = left[~there], free[~there]
         depths[left] -= free
         near.pushed(-free[:, None] * ways[left], left)
         for row in left[depths[left] <= -_DEEPEST].tolist():
-            entrances[row].depth = -_DEEPEST
+            approaches[row].depth = -_DEEPEST
         left = left[depths[left] > -_DEEPEST]
 
 
@@ -99,7 +99,7 @@ def near_side(thing: GraspObject, pose: FloatArray, way: FloatArray, origin: Flo
 
 
 def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:
-    """Yield at most so many candidates, with the entrances before them."""
+    """Yield at most so many candidates, with the approaches before them."""
     while most:
         item = next(found, None)
         if item is None:
@@ -108,8 +108,8 @@ def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:
         yield item
 
 
-def by_turns(first: Iterator[Found], second: Iterator[Found]) -> Iterator[Found]:
-    """Yield candidates from two iterators by turns, with the entrances before them."""
+def interleaved(first: Iterator[Found], second: Iterator[Found]) -> Iterator[Found]:
+    """Yield candidates from two iterators by turns, with the approaches before them."""
     left = [first, second]
     while left:
         for found in list(left):
@@ -117,5 +117,5 @@ def by_turns(first: Iterator[Found], second: Iterator[Found]) -> Iterator[Found]
             for item in at_most(found, 1):
                 one.append(item)
                 yield item
-            if not one or isinstance(one[-1], Entrance):
+            if not one or isinstance(one[-1], Approach):
                 left.remove(found)
