@@ -348,6 +348,7 @@ class Scales:
         sense = np.array([float(s.direction) for s in scales])
         self._turns = np.array([float(s.turns) for s in scales])
         self._zero = np.array([s.zero for s in scales])
+        self._origin = self._zero + self._turns
         self._rad = np.array([s.rad for s in scales])
         self._speed = sense * np.array([s.speed_unit / s.gear for s in scales])
         self._effort = sense * np.array([s.effort_unit for s in scales])
@@ -362,7 +363,7 @@ class Scales:
         """
         position, speed, effort, current, temperature, voltage = columns
         return Measured(
-            (position - (self._zero + self._turns)) * self._rad,
+            (position - self._origin) * self._rad,
             speed * self._speed,
             effort * self._effort,
             current * self._current,

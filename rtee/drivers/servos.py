@@ -159,9 +159,22 @@ class Readings:
     errors: Mapping[int, int]
 
 
-Goals = Mapping[int, tuple[int, float, float]]
-"""Position [counts], rate [rad/s] and torque [N·m] of servos, by their index; rate and torque may
-be infinite."""
+@dataclass(frozen=True, slots=True)
+class Goals:
+    """What servos are to do.
+
+    Attributes:
+        chosen: The indices of those that get a goal.
+        positions: Positions of all servos [counts], within the limits of the servos.
+        rates: Largest rates of all joints [rad/s], which may be infinite.
+        efforts: Largest torques of all joints [N·m], which may be infinite.
+    """
+
+    chosen: list[int]
+    positions: list[int]
+    rates: list[float]
+    efforts: list[float]
+
 
 L = TypeVar("L", bound=ServoLink)
 
@@ -219,6 +232,7 @@ class ServoDriver(Driver, Generic[L]):
         self._count = 0
         self._angles: FloatArray = np.full(len(self.ids), math.nan)
         self._goal: FloatArray = np.full(len(self.ids), math.nan)
+        self._accepted: list[tuple[int, int] | None] = [None] * len(self.ids)
         self._warnings: tuple[str, ...] = ()
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "temperature"}),
@@ -335,6 +349,9 @@ class ServoDriver(Driver, Generic[L]):
             self.found[number] = self._as_found(number, stored, torque[number] == POWERED)
         for number, name in self.names.items():
             self._check_found(name, self.found[number])
+        limits = [self.found[number].limits for number in self.ids]
+        # Both limits are the same in a servo that goes anywhere.
+        self._accepted = [(low, high) if low < high else None for low, high in limits]
         for servo, scale in zip(self._servos.values(), self.scales, strict=True):
             self._adopt(servo, self.found[servo.id], scale)
         self._use_scales()
@@ -483,9 +500,7 @@ class ServoDriver(Driver, Generic[L]):
 
     async def _refuse(self, readings: Readings) -> None:
         """Raise a `DeviceFault` if readings report errors."""
-        reported = {number: error for number, error in readings.errors.items() if error}
-        errors = await self._errors(reported) if reported else {}
-        if errors:
+        if any(readings.errors.values()) and (errors := await self._errors(readings.errors)):
             raise fault_of(self.spec.name, self.names, errors, self.HINT)
 
     def _lost(
@@ -544,26 +559,26 @@ class ServoDriver(Driver, Generic[L]):
 
     async def move(self, reference: Reference) -> None:
         """Set the goals, with speed and torque limits, of the servos that a reference commands."""
-        # A copy, since the reference belongs to the caller.
-        mask = reference.mask.copy()
+        mask = reference.mask
         if self._attached:
             here = self._to_actuators(self._angles)
+            # A copy, since the reference belongs to the caller.
+            mask = mask.copy()
             mask[list(self._attached.left(reference, here))] = False
         # Before the pairs are joined: an actuator without a reference keeps its goal.
-        self._goal = np.where(mask, reference.position, self._goal)
-        rates, efforts, angles = reference.max_velocity, reference.max_effort, self._goal
+        angles = self._goal = np.where(mask, reference.position, self._goal)
+        rates, efforts, wanted = reference.max_velocity, reference.max_effort, mask.tolist()
         for i, j in self._pairs:
-            mask[[i, j]] = mask[i] or mask[j]
-        if not mask.any():
+            wanted[i] = wanted[j] = wanted[i] or wanted[j]
+        chosen = [i for i, commanded in enumerate(wanted) if commanded]
+        if not chosen:
             return
         if self._coupling is not None:
             angles = self._coupling.servos(self._goal)
             self._warnings = self._coupling.gave_way(self._goal, angles)
             rates, efforts = self._limits(rates, efforts)
-        counts = self._units.counts(angles)
-        goals = zip(counts, rates.tolist(), efforts.tolist(), strict=True)
-        chosen = mask.tolist()
-        await self._write(self._within({i: g for i, g in enumerate(goals) if chosen[i]}))
+        counts = self._within(self._units.counts(angles))
+        await self._write(Goals(chosen, counts, rates.tolist(), efforts.tolist()))
 
     def _limits(self, rates: FloatArray, efforts: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the limits of the servos for those of the actuators."""
@@ -579,16 +594,12 @@ class ServoDriver(Driver, Generic[L]):
             efforts[[i, j]] = min(efforts[i], efforts[j])
         return jacobian @ np.where(np.isfinite(rates), rates, fastest), efforts
 
-    def _within(self, goals: Goals) -> Goals:
-        """Return goals with positions that the servos accept."""
-        found = {}
-        for i, (position, rate, effort) in goals.items():
-            low, high = self.found[self.ids[i]].limits
-            # Both limits are the same in a servo that goes anywhere.
-            if low < high:
-                position = min(max(position, low), high)
-            found[i] = position, rate, effort
-        return found
+    def _within(self, counts: list[int]) -> list[int]:
+        """Return positions [counts] that the servos accept."""
+        return [
+            min(max(at, ends[0]), ends[1]) if ends else at
+            for at, ends in zip(counts, self._accepted, strict=True)
+        ]
 
     async def _hold(
         self,
@@ -618,18 +629,13 @@ class ServoDriver(Driver, Generic[L]):
                 paired = {i for pair in self._pairs if set(pair) & set(others) for i in pair}
                 for i in {*others, *paired}:
                     counts[i] = wanted[i]
-            rates, _ = self._limits(np.full(n, math.inf), np.full(n, math.inf))
-            goals = self._within(
-                {
-                    i: (counts[i], float(rates[i]), math.inf)
-                    for i, number in enumerate(self.ids)
-                    if number in numbers
-                }
-            )
-            await self._write(goals)
+            rates, efforts = self._limits(np.full(n, math.inf), np.full(n, math.inf))
+            counts = self._within(counts)
+            chosen = [i for i, number in enumerate(self.ids) if number in numbers]
+            await self._write(Goals(chosen, counts, rates.tolist(), efforts.tolist()))
             self._goal = goal
-            there = await self.connection.link.values(self.GOAL, [self.ids[i] for i in goals])
-            if all(abs(there[self.ids[i]] - goals[i][0]) <= within for i in goals):
+            there = await self.connection.link.values(self.GOAL, [self.ids[i] for i in chosen])
+            if all(abs(there[self.ids[i]] - counts[i]) <= within for i in chosen):
                 return
         raise FrameError(self.line.port, "servos do not take where they are as their goals")
 

@@ -8,24 +8,81 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import IntFlag
 from functools import partial
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
-from rtee.drivers.dynamixel.options import DynamixelOptions
-from rtee.drivers.dynamixel.table import MODELS, PULSES, Mode, Register, model_of
-from rtee.drivers.options import read_options
-from rtee.drivers.servo_lines import DELAY_UNIT, Scale, ServoOptions
+from rtee.drivers.dynamixel.table import (
+    BAUD_RATES,
+    MODELS,
+    MOST_GAIN,
+    PULSES,
+    Mode,
+    Register,
+    model_of,
+)
+from rtee.drivers.options import Positive, read_options
+from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, Scale, ServoOptions, check_line
 from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, BusTimeout, ConfigError, FrameError, HandshakeError
 from rtee.sample import FloatArray
 from rtee.types import DeviceSpec
+
+
+class DynamixelServo(ServoOptions):
+    """Options of one servo.
+
+    Attributes:
+        zero: Its position at 0 rad of the joint [pulse], within one turn.
+        drive_mode: Expected drive mode; a servo with another one is refused.
+        current: Largest current [A]; by default that of the line.
+        current_unit: Current per count [A]; by default that of the model.
+    """
+
+    id: Annotated[int, Field(ge=0, le=252)]
+    zero: Annotated[float, Field(ge=0, lt=PULSES)] | None = None
+    drive_mode: int = 0
+    current: Positive | None = None
+    current_unit: Positive | None = None
+
+
+class DynamixelOptions(LineOptions):
+    """Options of a line of Dynamixel servos."""
+
+    baudrate: int = Field(4_000_000, description="rate of the line [baud]")
+    servos: dict[str, DynamixelServo] = Field(
+        description="the servo of each actuator, by the actuator's name"
+    )
+    mode: Literal["current_based_position", "extended_position", "position"] = Field(
+        "current_based_position", description="operating mode"
+    )
+    current: Positive | None = Field(
+        None, description="largest current [A]; by default the servos' own limit"
+    )
+    fast: Literal["auto", "always", "never"] = Field(
+        "auto", description="whether to read with the fast sync read; `auto` tries it"
+    )
+    watchdog: Annotated[float, Field(ge=0.0, le=2.54)] = Field(
+        0.0, description="servos stop after a silence of this length on the line [s]; 0: they hold"
+    )
+    health_every: Annotated[int, Field(ge=1)] = Field(
+        50, description="temperature, voltage and torque are read once in so many exchanges"
+    )
+    reboot_time: Positive = Field(3.0, description="longest time for a reboot [s]")
+    deadline: Positive = Field(0.03, description="for one exchange, retries included [s]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        check_line(self, self.servos, BAUD_RATES, MOST_GAIN)
+        return self
+
 
 WATCHDOG_TRIPPED = 0x101
 """Code of the driver's own fault, above the eight bits of the hardware error status."""
@@ -92,6 +149,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         self._mode = Mode[options.mode.upper()]
         self._health: FloatArray = np.full((2, len(scales)), math.nan)
         self._sent: dict[Register, dict[int, int]] = {}
+        self._limits_sent: tuple[list[int], list[float], list[float]] | None = None
         self.capabilities = replace(
             self.capabilities,
             best_rate=self._best_rate(fast=options.fast != "never"),
@@ -109,7 +167,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     async def _connect(self) -> DynamixelLink:
         options = self.options
-        self._sent = {}
+        self._sent, self._limits_sent = {}, None
         return await self.open(
             self.buses.dynamixel,
             options.port,
@@ -234,7 +292,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             count = min(max(round(self.options.watchdog / table.WATCHDOG_UNIT), 1), 127)
             await self._set(table.BUS_WATCHDOG, dict.fromkeys(self.ids, count))
         # Limits written before a power cycle are lost.
-        self._sent = {}
+        self._sent, self._limits_sent = {}, None
         # After clearing a tripped watchdog, a servo must not move to its old goal.
         return {n for n, guard in guards.items() if guard == _TRIPPED}
 
@@ -273,7 +331,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         if not self.active:
             return
         # Servos do not answer a group write, so limits are written again now and then.
-        self._sent = {}
+        self._sent, self._limits_sent = {}, None
         # The watchdog first, as it explains why a servo does not follow.
         if self.options.watchdog > 0.0:
             guards = await link.values(table.BUS_WATCHDOG, self.ids)
@@ -296,33 +354,48 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         return min(limit, round(wanted / unit))
 
     async def _write(self, goals: Goals) -> None:
-        currents, speeds, positions = dict[int, int](), dict[int, int](), dict[int, int]()
-        limited = not self._refuses_effort()
-        timed = any(found.drive_mode & _TIME_BASED for found in self.found.values())
-        for i, (position, rate, effort) in goals.items():
-            number, scale, most = self.ids[i], self.scales[i], self._most(i)
-            positions[number] = position
-            if limited:
-                wanted = scale.to_limit(effort) if math.isfinite(effort) else most
-                currents[number] = min(wanted, most)
-            if not timed:
-                # A profile velocity of 0 means no limit.
-                speeds[number] = scale.to_speed(rate) if math.isfinite(rate) else 0
         link = self.connection.link
+        limits = goals.chosen, goals.rates, goals.efforts
+        changed = {} if limits == self._limits_sent else self._changed_limits(goals)
+        positions = {self.ids[i]: goals.positions[i] for i in goals.chosen}
 
         def write() -> None:
-            for register, values in (
-                (table.GOAL_CURRENT, currents),
-                (table.PROFILE_VELOCITY, speeds),
-            ):
-                sent = self._sent.setdefault(register, {})
-                changed = {n: v for n, v in values.items() if sent.get(n) != v}
-                link.write_group(register, changed)
+            for register, values in changed.items():
+                link.write_group(register, values)
                 # Not before the write, so that a failed one is repeated.
-                sent.update(changed)
+                self._sent.setdefault(register, {}).update(values)
             link.write_group(table.GOAL_POSITION, positions)
 
+        self._limits_sent = None
         await link.run(write)
+        self._limits_sent = limits
+
+    def _changed_limits(self, goals: Goals) -> dict[Register, dict[int, int]]:
+        """Return the current and speed limits that servos do not have yet."""
+        wanted: dict[Register, dict[int, int]] = {}
+        if not self._refuses_effort():
+            wanted[table.GOAL_CURRENT] = {
+                self.ids[i]: min(
+                    self.scales[i].to_limit(goals.efforts[i])
+                    if math.isfinite(goals.efforts[i])
+                    else self._most(i),
+                    self._most(i),
+                )
+                for i in goals.chosen
+            }
+        if not any(found.drive_mode & _TIME_BASED for found in self.found.values()):
+            wanted[table.PROFILE_VELOCITY] = {
+                # A profile velocity of 0 means no limit.
+                self.ids[i]: self.scales[i].to_speed(goals.rates[i])
+                if math.isfinite(goals.rates[i])
+                else 0
+                for i in goals.chosen
+            }
+        changed = {
+            register: {n: v for n, v in values.items() if self._sent.get(register, {}).get(n) != v}
+            for register, values in wanted.items()
+        }
+        return {register: values for register, values in changed.items() if values}
 
     # --- faults ------------------------------------------------------------------------------
 

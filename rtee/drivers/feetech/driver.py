@@ -321,11 +321,12 @@ class FeetechDriver(ServoDriver[FeetechLink]):
 
     async def _write(self, goals: Goals) -> None:
         family, data, limited = self.family, {}, not self._refuses_effort()
-        for i, (position, rate, effort) in goals.items():
+        for i in goals.chosen:
             scale, torque = self.scales[i], self._most(i)
+            rate, effort = goals.rates[i], goals.efforts[i]
             if limited and math.isfinite(effort):
                 torque = min(scale.to_limit(effort), torque)
-            values = family.pack(table.GOAL_POSITION, position)
+            values = family.pack(table.GOAL_POSITION, goals.positions[i])
             # HLS servos have the goal torque in this register; in others it is a running time,
             # which only counts without a speed.
             values += family.pack(table.GOAL_TIME, torque if family.name == "hls" else 0)

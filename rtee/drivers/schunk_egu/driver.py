@@ -6,26 +6,29 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
 from rtee import monotonic
-from rtee.buses.modbus import ModbusRefusal
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.options import DeviceOptions, read_options
-from rtee.drivers.register_blocks import Blocks
+from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu.codec import (
     ERRORS,
     FAST_STOP,
     IMAGE,
+    MODULES,
     RESULTS,
     SILENT,
+    TEXTS,
     UNHEARD,
     WARNINGS,
     Control,
@@ -33,9 +36,9 @@ from rtee.drivers.schunk_egu.codec import (
     Output,
     Parameter,
     Status,
+    float_of,
+    text_of,
 )
-from rtee.drivers.schunk_egu.grip_timer import GripTimer
-from rtee.drivers.schunk_egu.identity import identify
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import (
@@ -43,9 +46,140 @@ from rtee.errors import (
     ConfigError,
     DeviceFault,
     FrameError,
+    HandshakeError,
 )
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
+
+_NEWER = 0.2
+"""Share of the newest exchange in the usual duration of one."""
+_MOVES = 20.0
+"""Way after which a grip counts as begun [µm]: more than the noise of an encoder."""
+_JITTER = 1e-3
+"""Least time between two positions that give a speed [s]."""
+
+
+class GripTimer:
+    """Times a grip by the positions that are read of it.
+
+    Attributes:
+        reading: Usual duration of a reading [s].
+        writing: Usual duration of a write [s].
+    """
+
+    def __init__(self) -> None:
+        self.reading = self.writing = 0.0
+        self._speed = 0.0  # [µm/s]
+        self._from = 0.0
+        self._seen: tuple[float, float] | None = None  # way closed [µm] and time [s]
+
+    def begin(self, closed: float) -> None:
+        """Note that a grip begins, and how far it is closed then [µm]."""
+        self._seen, self._from = None, closed
+
+    def see(self, closed: float, asked: float, answered: float) -> None:
+        """Note how far it is closed [µm], measured between question and answer [s]."""
+        at = 0.5 * (asked + answered)
+        if self._seen is not None:
+            self._speed = (closed - self._seen[0]) / max(at - self._seen[1], _JITTER)
+        if self._seen is not None or closed - self._from > _MOVES:
+            self._seen = closed, at
+
+    def read(self, took: float) -> None:
+        """Note how long a reading took [s]."""
+        self.reading += _NEWER * (took - self.reading)
+
+    def wrote(self, took: float) -> None:
+        """Note how long a write took [s]."""
+        self.writing += _NEWER * (took - self.writing)
+
+    def due(self, left: float, writes: int) -> float:
+        """Return when to begin the writes that stop it where it has so far to go [µm].
+
+        Infinity if it does not move, or not yet.
+        """
+        if self._seen is None or self._speed <= 0.0:
+            return math.inf
+        return self._seen[1] + left / self._speed - writes * self.writing
+
+
+_WHAT = "an EGU or EGK"
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """A gripper.
+
+    Attributes:
+        name: Its model.
+        serial: Its serial number.
+        firmware: The version of its software.
+        least: Smallest distance between the fingers [mm].
+        most: Largest distance between the fingers [mm].
+        force: Largest grip force [N].
+        speed: Largest speed of that distance [mm/s].
+        grip_speed: Largest speed of a grip [mm/s]; that of motions where it says none.
+    """
+
+    name: str
+    serial: str
+    firmware: str
+    least: float
+    most: float
+    force: float
+    speed: float
+    grip_speed: float
+
+
+async def identify(bus: ModbusBus, unit: int, device: str) -> Identity:
+    """Read what the gripper of a number on a line says of itself.
+
+    Args:
+        bus: The line.
+        unit: The gripper's number.
+        device: Its name in errors.
+
+    Raises:
+        HandshakeError: if it is another device.
+        BusError: if it does not answer, or refuses.
+    """
+
+    async def read(what: Parameter, count: int) -> tuple[int, ...]:
+        return await bus.read(unit, what.register, count, deadline=PATIENT)
+
+    async def number(what: Parameter) -> float:
+        return float_of(await read(what, 2))
+
+    # The bytes of the register are in the gripper's order, low byte first.
+    module = (await read(Parameter.MODULE, 1))[0].to_bytes(2, "big")
+    name = MODULES.get(int.from_bytes(module, "little"))
+    if name is None:
+        raise HandshakeError(
+            device, _WHAT, f"a device of module type {int.from_bytes(module, 'little')}"
+        )
+    least, most = await number(Parameter.LEAST_POSITION), await number(Parameter.MOST_POSITION)
+    force, speed = await number(Parameter.MOST_FORCE), await number(Parameter.MOST_SPEED)
+    # Another device may return zeros for registers that it does not have.
+    if not (least < most and force > 0.0 and speed > 0.0):
+        raise HandshakeError(
+            device, _WHAT, f"positions {least} to {most} mm, {force} N, {speed} mm/s"
+        )
+    texts = {what: text_of(await read(what, count)) for what, count in TEXTS.items()}
+    try:
+        grip_speed = await number(Parameter.MOST_GRIP_SPEED)
+    except ModbusRefusal:
+        grip_speed = speed
+    return Identity(
+        name,
+        texts[Parameter.SERIAL],
+        texts[Parameter.SOFTWARE],
+        least,
+        most,
+        force,
+        speed,
+        grip_speed if 0.0 < grip_speed < speed else speed,
+    )
+
 
 _PER_FINGER = 2e6  # of the images [µm] by a metre of one finger: they have the distance between
 _SAME, _REACHED = 1000.0, 200.0

@@ -12,7 +12,7 @@ import pytest
 
 from rtee.drivers.ability_hand import codec
 from rtee.drivers.ability_hand.codec import Command, CommandParser, Header
-from rtee.drivers.ability_hand.options import AbilityHandOptions, motors_of
+from rtee.drivers.ability_hand.driver import AbilityHandOptions, motors_of
 from rtee.errors import ConfigError, DeviceFault, FrameError, NotConnected
 from rtee.testing import DeviceCase, Session, actuator
 from rtee.types import Reference

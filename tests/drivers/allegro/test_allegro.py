@@ -21,9 +21,8 @@ from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import AllegroFrameError, Command, HandInfo, Periods, Status
 from rtee.drivers.allegro.control import JointControl
-from rtee.drivers.allegro.driver import AllegroDriver
+from rtee.drivers.allegro.driver import AllegroDriver, AllegroOptions
 from rtee.drivers.allegro.emulator import AllegroEmulator, AllegroProperties
-from rtee.drivers.allegro.options import AllegroOptions
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 from tests.drivers.objects import obstruct

@@ -24,7 +24,7 @@ from rtee.drivers.inspire_rh56.codec import (
 )
 from rtee.drivers.inspire_rh56.emulator import InspireRh56Emulator
 from rtee.drivers.inspire_rh56.memory import Rh56Properties
-from rtee.drivers.inspire_rh56.scales import FORCES, Scale
+from rtee.drivers.inspire_rh56.options import FORCES, Scale
 
 READ, WRITE = Command.READ, Command.WRITE
 OPENED = codec.table([1000] * 5 + [0])

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from rtee.drivers.inspire_rh56.codec import Register, table
-from rtee.drivers.inspire_rh56.scales import FORCES
+from rtee.drivers.inspire_rh56.options import FORCES
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 from tests.drivers.objects import place_in_rh56
 

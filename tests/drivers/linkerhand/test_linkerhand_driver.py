@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from rtee.drivers.linkerhand.codec import L10, Table
-from rtee.drivers.linkerhand.options import LinkerHandOptions, motors_of
+from rtee.drivers.linkerhand.driver import LinkerHandOptions, motors_of
 from rtee.errors import (
     CommandRejected,
     ConfigError,

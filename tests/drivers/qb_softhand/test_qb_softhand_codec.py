@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec, parameters
 from rtee.drivers.qb_softhand.codec import Command, Frame, Parser, QbFrameError
+from rtee.drivers.qb_softhand.driver import OneMotor, TwoMotors
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
 from rtee.drivers.qb_softhand.link import QbLink
-from rtee.drivers.qb_softhand.synergy import OneMotor, TwoMotors
 from rtee.errors import BusTimeout, FrameError
 
 SHEET = [

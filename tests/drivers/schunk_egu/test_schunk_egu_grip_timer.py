@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rtee.drivers.schunk_egu.grip_timer import GripTimer
+from rtee.drivers.schunk_egu.driver import GripTimer
 
 
 def moving(speed: float) -> GripTimer:
