@@ -38,7 +38,7 @@ def retarget(
         own_place(folder)  # a folder that cannot be written is refused before the work
     found = None if save else read_correspondence(folder, library.hand)
     if found is None:
-        found = fit(library.hand, library)
+        found = fit(library)
     if save:
         path = write_correspondence(owned(folder), library.hand, found)
         print(f"written to {path}", file=sys.stderr)
@@ -58,8 +58,8 @@ def _show(hand: HandModel, found: Correspondence) -> None:
     for pinch in found.pinches:
         first, second = pinch.fingers
         what = "meets the thumb's" if pinch.contact else "comes near the thumb's"
-        if pinch.widest is not None:
-            what = f"opens to {pinch.widest * 1e3:.0f} mm from {first}"
+        if pinch.widths:
+            what = f"opens to {pinch.widths[0] * 1e3:.0f} mm from {first}"
         met[second] = what
     rows = tuple(
         Row(

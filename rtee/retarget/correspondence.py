@@ -80,15 +80,17 @@ class Pinch:
 
     Attributes:
         fingers: The fingers, the thumb's first.
-        widest: Distance of their surfaces when the human tips are fully apart, for grippers [m];
-            else the distance of the tips is scaled.
         contact: The positions at which their surfaces meet [rad | m], as extraction found them;
             none if it found no pinch.
+        widths: For grippers, distances of their surfaces, falling [m]: the first one answers human
+            tips that are fully apart.
+        way: The positions at these distances [rad | m], by actuator.
     """
 
     fingers: tuple[str, str]
-    widest: Annotated[float, Ge(0.0)] | None = None
     contact: dict[str, float] = field(default_factory=dict)
+    widths: tuple[float, ...] = ()
+    way: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,9 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
     fingers, actuators = {*found.fingers}, {*found.closed}
     for pinch in found.pinches:
         fingers.update(pinch.fingers)
-        actuators.update(pinch.contact)
+        actuators.update(pinch.contact, pinch.way)
+        if {len(each) for each in pinch.way.values()} - {len(pinch.widths)}:
+            raise ConfigError("a pinch's way has as many positions as widths", path=path)
     tips = {finger.name for finger in hand.fingers if finger.tip_links}
     for name in sorted(fingers):
         if name not in tips or name not in found.fingers:
@@ -179,9 +183,15 @@ def _document(found: Correspondence) -> dict[str, Any]:
 
 
 def _pinch(pinch: Pinch) -> dict[str, Any]:
-    widest = {} if pinch.widest is None else {"widest": pinch.widest}
-    return {"fingers": list(pinch.fingers), **widest, **_unless_empty("contact", pinch.contact)}
+    return {
+        "fingers": list(pinch.fingers),
+        **_unless_empty("contact", pinch.contact),
+        **_unless_empty("widths", list(pinch.widths)),
+        **_unless_empty("way", pinch.way),
+    }
 
 
-def _unless_empty(key: str, value: Mapping[str, Any] | list[Any]) -> dict[str, Any]:
+def _unless_empty(
+    key: str, value: Mapping[str, Any] | list[float] | list[dict[str, Any]]
+) -> dict[str, Any]:
     return {key: value} if value else {}

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
+from rtee.actions.library import ActionLibrary
 from rtee.actions.openings import model_of
-from rtee.actions.types import Action, Primitive, PrimitiveKind
-from rtee.errors import ConfigError
+from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.errors import ActionError, ConfigError
 from rtee.hand.halton import halton
-from rtee.hand.model import Finger, Hand
+from rtee.hand.model import Finger
 from rtee.retarget.correspondence import (
     FORMAT,
     Correspondence,
@@ -21,12 +22,15 @@ from rtee.retarget.correspondence import (
     Pinch,
     Vector,
 )
-from rtee.retarget.tips import Tips
+from rtee.retarget.tips import Tips, limits_of
 from rtee.sample import FloatArray
 
 _NAMES: Final = {str(human): human for human in Human} | {"pinky": Human.LITTLE}
 
 _IN_ORDER: Final = (Human.INDEX, Human.MIDDLE, Human.RING, Human.LITTLE)
+
+_WIDTHS: Final = 17
+"""Openings of a gripper that are kept: linkages are no straighter than that."""
 
 _POSTURES: Final = 128
 """Postures by which the reach of a finger is found: enough for its few joints."""
@@ -38,20 +42,21 @@ _PINCHING: Final = 0.5
 """How far the fingers are closed in a usual pinch; of several pinches the nearest one is taken."""
 
 
-def fit(hand: Hand, actions: Iterable[Action], tips: Tips | None = None) -> Correspondence:
-    """Find how a person's hand moves this one, from its model and its primitives alone.
+def fit(library: ActionLibrary) -> Correspondence:
+    """Find how a person's hand moves a hand, from its model and its primitives alone.
 
     Raises:
         ConfigError: The hand has less than two fingertips.
         ModelError: A mesh of it cannot be read.
     """
-    return _Fit(hand, actions, tips or Tips(hand)).found()
+    return _Fit(library, Tips(library.hand)).found()
 
 
 class _Fit:
-    def __init__(self, hand: Hand, actions: Iterable[Action], tips: Tips) -> None:
-        self._hand, self._tips = hand, tips
-        self._primitives = [action for action in actions if isinstance(action, Primitive)]
+    def __init__(self, library: ActionLibrary, tips: Tips) -> None:
+        self._hand, self._tips, self._openings = library.hand, tips, library.openings
+        self._primitives = [action for action in library if isinstance(action, Primitive)]
+        hand = library.hand
         self._fingers = [finger for finger in hand.fingers if finger.tip_links]
         if len(self._fingers) < 2:
             raise ConfigError(
@@ -125,7 +130,7 @@ class _Fit:
     def _reach(self, name: str) -> float:
         hand = self._hand
         own = [hand.actuator_index(a) for a in self._hand.finger(name).actuators]
-        lower, upper = _limits(hand)
+        lower, upper = limits_of(hand)
         far = [float(np.linalg.norm(self._tip(name, self._rest) - self._bases[name]))]
         for shares in halton(len(own), _POSTURES) if own else ():
             u = self._rest.copy()
@@ -199,27 +204,44 @@ class _Fit:
     # --- pinches -----------------------------------------------------------------------------
 
     def _pinch(self, pair: tuple[str, str], *, grips: bool) -> Pinch:
-        widest = round(self._widest(pair), 4) if grips else None
-        return Pinch(pair, widest, self._contact(pair))
+        contact = self._contact(pair)
+        if not (grips and contact):
+            return Pinch(pair, contact)
+        shares = np.linspace(0.0, 1.0, _WIDTHS)
+        way = {
+            name: tuple(np.round(rest + shares * (value - rest), 4).tolist())
+            for name, value in contact.items()
+            for rest in [self._hand.actuator(name).rest]
+        }
+        widths = np.minimum.accumulate([self._width(pair, contact, share) for share in shares])
+        return Pinch(pair, contact, tuple(np.round(widths, 5).tolist()), way)
 
-    def _widest(self, pair: tuple[str, str]) -> float:
-        hand = self._hand
-        lower, upper = _limits(hand)
-        gaps = []
-        for u in (self._rest, lower, upper):
-            self._tips.go(u)
-            gaps.append(self._tips.gap(pair)[0])
-        return max(0.0, *gaps)
+    def _width(self, pair: tuple[str, str], contact: Mapping[str, float], share: float) -> float:
+        """Return the opening between two fingers on the way from rest to their contact [m]."""
+        for primitive in self._pinches(pair):
+            try:
+                opening = self._openings.of(primitive)
+            except ActionError:
+                continue  # no table of it
+            touching = primitive.evidence[0].contact_at if primitive.evidence else None
+            return opening.at(share * (touching or 1.0))
+        u = self._rest.copy()
+        for name, value in contact.items():
+            u[self._hand.actuator_index(name)] += share * (value - self._hand.actuator(name).rest)
+        self._tips.go(u)
+        return max(0.0, self._tips.gap(pair)[0])
+
+    def _pinches(self, pair: tuple[str, str]) -> list[Primitive]:
+        kinds = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
+        found = (each for each in self._primitives if each.kind in kinds)
+        return [each for each in found if {*each.elements} == {*pair}]
 
     def _contact(self, pair: tuple[str, str]) -> dict[str, float]:
         """Return where the tips of two fingers first meet on the way to their pinch."""
         hand, usual = self._hand, self._at(_PINCHING)
-        lower, upper = _limits(hand)
+        lower, upper = limits_of(hand)
         best: tuple[float, dict[str, float]] = (np.inf, {})
-        for primitive in self._primitives:
-            kinds = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
-            if primitive.kind not in kinds or {*primitive.elements} != {*pair}:
-                continue
+        for primitive in self._pinches(pair):
             for posture, evidence in zip(primitive.postures, primitive.evidence, strict=True):
                 share = 1.0 if evidence.contact_at is None else evidence.contact_at
                 contact = {
@@ -231,14 +253,6 @@ class _Fit:
                 off = (np.array([*contact.values()]) - usual[rows]) / (upper - lower)[rows]
                 best = min(best, (float(np.linalg.norm(off)), contact), key=lambda each: each[0])
         return {name: round(value, 4) for name, value in best[1].items()}
-
-
-def _limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Return the limits ``(n,)``; those of one turn for actuators without."""
-    return (
-        np.where(np.isfinite(hand.lower), hand.lower, -np.pi),
-        np.where(np.isfinite(hand.upper), hand.upper, np.pi),
-    )
 
 
 def _unit(vector: FloatArray) -> FloatArray:

@@ -52,13 +52,16 @@ class Posture:
 
 def palm_frame(points: FloatArray, side: Side) -> FloatArray:
     """Return the palm's axes as rows ``(3, 3)``: palmar, to the thumb's side, to the fingers."""
-    distal = points[9] - points[0]
-    distal = distal / max(float(np.linalg.norm(distal)), 1e-9)
+    distal = _unit(points[9] - points[0])
     radial = points[5] - points[17]
-    radial = radial - (radial @ distal) * distal
-    radial = radial / max(float(np.linalg.norm(radial)), 1e-9)
-    palmar = np.cross(radial, distal)
+    radial = _unit(radial - (radial @ distal) * distal)
+    (a, b, c), (x, y, z) = radial.tolist(), distal.tolist()
+    palmar = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
     return np.array([palmar if side is Side.RIGHT else -palmar, radial, distal])
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return vector / max(math.sqrt(vector @ vector), 1e-9)
 
 
 def in_palm(points: FloatArray, side: Side) -> FloatArray:

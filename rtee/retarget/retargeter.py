@@ -71,13 +71,12 @@ class Retargeter:
         *,
         side: Side = Side.RIGHT,
         layout: Layout = LAYOUTS["mediapipe"],
-        tips: Tips | None = None,
     ) -> None:
         """Prepare to retarget; see `of`."""
         self.hand, self.correspondence, self.side = hand, correspondence, side
         self.dropped = 0
         self._layout = layout
-        self._tips = tips or Tips(hand)
+        self._tips = Tips(hand)
         self._solver = Solver(hand, correspondence, self._tips)
         self._smoother = Smoother()
         self._u = np.array(hand.rest)
@@ -108,12 +107,11 @@ class Retargeter:
         """
         folder = hand_folder(hand)[0]
         model = load_hand(folder)
-        tips = Tips(model)
         found = read_correspondence(folder, model)
         if found is None:
-            found = fit(model, ActionLibrary.load(model, folder / "actions"), tips)
+            found = fit(ActionLibrary.load(model, folder / "actions"))
         known = layout_named(layout) if isinstance(layout, str) else layout
-        return cls(model, found, side=side_named(side), layout=known, tips=tips)
+        return cls(model, found, side=side_named(side), layout=known)
 
     def begin(self, at: Mapping[str, float]) -> None:
         """Begin at positions by actuator [rad | m], such as the measured ones; else at rest."""

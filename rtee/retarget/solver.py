@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtee.hand.model import Hand
 from rtee.retarget.correspondence import Correspondence, Human
 from rtee.retarget.human import FINGERS, Posture
-from rtee.retarget.tips import Row, Tips
+from rtee.retarget.tips import Row, Tips, limits_of
 from rtee.sample import FloatArray
 
 TOUCHING: Final = 0.018
@@ -21,7 +21,7 @@ thickness each."""
 APART: Final = 0.095
 """Distance of the human tips at which a gripper is fully open [m]."""
 
-_MEET: Final = (0.038, 0.075)
+_MEET: Final = (0.036, 0.06)
 """Distance of two human tips below which their gap is kept exactly, and above which it does not
 matter [m]; between them the weight changes smoothly."""
 
@@ -44,6 +44,9 @@ _GAP: Final = 150.0
 _DRAW: Final = 0.5
 """Weight of the positions of the extracted pinch as the tips meet [1/range]."""
 
+_GRIP: Final = 10.0
+"""The same of a gripper, whose opening is all that it has."""
+
 _DRAWN: Final = 0.03
 """Gap at which the extracted pinch has half of that weight [m]."""
 
@@ -53,8 +56,20 @@ _APART: Final = 1000.0
 _CURVED: Final = 1.0
 """Curvature of a tip's path that is damped, of that of a circle around the finger's base."""
 
-_STEPS: Final = 3
+_STEPS: Final = 2
 """Steps of Gauss-Newton per frame: from the last frame's answer, two come to within noise."""
+
+_CORRECTIONS: Final = 3
+"""Most corrections of gaps after them: at the edges of tips, a step turns the normal."""
+
+_REACHED: Final = (0.0002, 0.008)
+"""Errors of a gap that need no correction, and that no correction mends [m]."""
+
+_SOFT: Final = 1e-5
+"""Square of the motion of a gap over an actuator's range below which it is none [m²]: 3 mm."""
+
+_SMALL: Final = 0.05
+"""Largest correction [range]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +78,15 @@ class _Pinch:
     fingers: tuple[int, int]
     human: Human
     scale: float
-    widest: float | None
     rows: NDArray[np.intp]
     contact: FloatArray
+    widths: FloatArray
+    way: FloatArray
+
+    def at(self, width: float) -> FloatArray:
+        """Return a gripper's positions ``(a,)`` at a distance of its tips [m]."""
+        # np.interp needs rising abscissae, and the widths fall.
+        return np.array([np.interp(-width, -self.widths, column) for column in self.way])
 
 
 class Solver:
@@ -73,8 +94,7 @@ class Solver:
 
     def __init__(self, hand: Hand, found: Correspondence, tips: Tips) -> None:
         self._tips = tips
-        self._lower = np.where(np.isfinite(hand.lower), hand.lower, -np.pi)
-        self._upper = np.where(np.isfinite(hand.upper), hand.upper, np.pi)
+        self._lower, self._upper = limits_of(hand)
         self.range = np.maximum(self._upper - self._lower, 1e-6)
         self._turned = self.range**2
         self._rest, n = np.array(hand.rest), len(hand.actuators)
@@ -90,6 +110,9 @@ class Solver:
             body, placement = tips.kinematics.bodies[str(hand.finger(name).tip)]
             self._bodies.append(body)
             self._points.append(np.array(placement * np.array(each.tip)))
+        # The jaws of a gripper are on their way; their hulls may well overlap.
+        if self._follow.any():
+            tips.watch()
         # Which fingers an actuator closes: their mean says how far.
         self._closed = self._rest.copy()
         self._closes = np.zeros((n, len(names)))
@@ -103,15 +126,21 @@ class Solver:
                 spec = hand.finger(finger)
                 self._closes[i, k] = float(name in (spec.own or spec.actuators))
         self._closes /= np.maximum(self._closes.sum(axis=1, keepdims=True), 1.0)
-        self._pinches = []
+        self._pinches: list[_Pinch] = []
+        self._grips = np.zeros(n, dtype=bool)
         for pinch in found.pinches:
             fingers = names.index(pinch.fingers[0]), names.index(pinch.fingers[1])
             reach = float(np.mean([self._reach[k] for k in fingers]))
-            rows = np.array([hand.actuator_index(a) for a in pinch.contact], dtype=np.intp)
+            rows = np.array(
+                [hand.actuator_index(a) for a in pinch.way or pinch.contact], dtype=np.intp
+            )
             contact = np.array([*pinch.contact.values()])
+            self._grips[rows] |= bool(pinch.widths)
             human = self._humans[fingers[1]]
+            widths, way = np.array(pinch.widths), np.array([*pinch.way.values()])
+            scale = reach / _FINGER
             self._pinches.append(
-                _Pinch(pinch.fingers, fingers, human, reach / _FINGER, pinch.widest, rows, contact)
+                _Pinch(pinch.fingers, fingers, human, scale, rows, contact, widths, way)
             )
 
     def solve(self, human: Posture, last: FloatArray) -> FloatArray:
@@ -125,6 +154,10 @@ class Solver:
         draw, drawn = np.zeros(len(last)), np.zeros(len(last))
         for pinch in self._pinches:
             distance = float(human.gaps[of[pinch.fingers[1]]])
+            if len(pinch.widths):
+                draw[pinch.rows] += pinch.at(_opened(distance) * float(pinch.widths[0]))
+                drawn[pinch.rows] += 1.0
+                continue
             weight, gap = self._intent(pinch, distance)
             if weight <= 0.0:
                 continue
@@ -136,7 +169,7 @@ class Solver:
             drawn[pinch.rows] += share
         # Several pinches of one actuator share its weight.
         draw = np.divide(draw, drawn, out=prior.copy(), where=drawn > 0.0)
-        drawn = _DRAW**2 * np.minimum(drawn, 1.0)
+        drawn = np.where(self._grips, _GRIP, _DRAW) ** 2 * np.minimum(drawn, 1.0)
         follow = self._follow * (1.0 - 0.9 * bound) / self._reach
         stay = _STAY**2 + _SLIDE**2 * (self._moves * bound).max(axis=1)
         self._tips.go(last)
@@ -144,13 +177,28 @@ class Solver:
         u = last
         for _ in range(_STEPS):
             u = self._step(u, last, targets, follow, prior, draw, drawn, stay, wanted, near)
+        return self._met(u, [(pair, gap) for pair, gap, weight in wanted if weight == 1.0])
+
+    def _met(self, u: FloatArray, wanted: list[tuple[tuple[str, str], float]]) -> FloatArray:
+        """Return the nearest positions at which gaps are as wide as they should be."""
+        for _ in range(_CORRECTIONS if wanted else 0):
+            self._tips.go(u)
+            found = [self._tips.gap(pair) for pair, _ in wanted]
+            off = np.array([gap - row[0] for (_, gap), row in zip(wanted, found, strict=True)])
+            # What is far off is out of reach; and where tips overlap, others do not meet.
+            over = np.array([row[0] < -_REACHED[0] for row in found])
+            mended = (np.abs(off) < _REACHED[1]) & (over | ~over.any())
+            rows, off = np.array([row[1] for row in found])[mended] * self.range, off[mended]
+            if not len(off) or np.abs(off).max() < _REACHED[0]:
+                break
+            square = rows @ rows.T + _SOFT * np.eye(len(off))
+            step = np.clip(rows.T @ np.linalg.solve(square, off), -_SMALL, _SMALL)
+            u = np.clip(u + step * self.range, self._lower, self._upper)
         return u
 
     def _intent(self, pinch: _Pinch, distance: float) -> tuple[float, float]:
         """Return the weight of a gap and how wide it should be [m]."""
         beyond = max(0.0, distance - TOUCHING)
-        if pinch.widest is not None:
-            return 1.0, pinch.widest * min(1.0, beyond / (APART - TOUCHING))
         share = min(1.0, max(0.0, (_MEET[1] - distance) / (_MEET[1] - _MEET[0])))
         return share * share * (3.0 - 2.0 * share), pinch.scale * beyond
 
@@ -189,8 +237,9 @@ class Solver:
             damping += _CURVED * float(np.abs(off).max()) * self._turned
         for pair, gap, weight in wanted:
             distance, row = tips.gap(pair)
-            row = _GAP * weight * row * unit
-            off = _GAP * weight * (gap - distance)
+            weight *= _GAP if distance > 0.0 else _APART
+            row = weight * row * unit
+            off = weight * (gap - distance)
             hessian += np.outer(row, row)
             slope += row * off
             damping += abs(off) * np.abs(row)
@@ -201,22 +250,26 @@ class Solver:
                 row = _APART * row * unit
                 hessian += np.outer(row, row)
                 slope += row * (-_APART * distance)
-        hessian[np.diag_indices_from(hessian)] += damping
+        hessian.flat[:: len(u) + 1] += damping
         return self._within(u, hessian, slope)
 
     def _within(self, u: FloatArray, hessian: FloatArray, slope: FloatArray) -> FloatArray:
         """Return the minimum of a quadratic function within the limits, by freezing."""
         low, high = (self._lower - u) / self.range, (self._upper - u) / self.range
-        step, free = np.zeros_like(u), np.ones(len(u), dtype=bool)
-        for _ in range(len(u)):
-            given = slope[free] - hessian[np.ix_(free, ~free)] @ step[~free]
-            step[free] = np.linalg.solve(hessian[np.ix_(free, free)], given)
-            beyond = free & ((step < low) | (step > high))
-            if not beyond.any():
-                break
+        step: FloatArray = np.asarray(np.linalg.solve(hessian, slope), dtype=np.float64)
+        free = np.ones(len(u), dtype=bool)
+        while (beyond := free & ((step < low) | (step > high))).any():
             step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
             free &= ~beyond
             if not free.any():
                 break
+            rows = hessian[free]
+            given = slope[free] - rows[:, ~free] @ step[~free]
+            step[free] = np.linalg.solve(rows[:, free], given)
         found: FloatArray = np.clip(u + step * self.range, self._lower, self._upper)
         return found
+
+
+def _opened(distance: float) -> float:
+    """Return how far a person's tips are apart, 0 to 1."""
+    return min(1.0, max(0.0, (distance - TOUCHING) / (APART - TOUCHING)))

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.hand.geometry import HandGeometry
+from rtee.hand.halton import halton
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.sample import FloatArray
@@ -19,8 +20,22 @@ NEAR: Final = 0.004
 """Distance at which links of different fingers are kept apart [m]: more than they move in a step
 of the solver near contact."""
 
+_POSTURES: Final = 200
+"""Postures at which pairs of shapes are looked at once, to know those that may come near."""
+
+_FAR: Final = 0.008
+"""Least distance at these postures of those that never do [m]: postures between them are nearer."""
+
 Row = tuple[float, FloatArray]
 """A distance [m] and its derivative by the actuators ``(n,)``."""
+
+
+def limits_of(hand: Hand) -> tuple[FloatArray, FloatArray]:
+    """Return the actuators' limits ``(n,)`` [rad | m]; those of one turn where there are none."""
+    return (
+        np.where(np.isfinite(hand.lower), hand.lower, -np.pi),
+        np.where(np.isfinite(hand.upper), hand.upper, np.pi),
+    )
 
 
 class Tips:
@@ -41,6 +56,7 @@ class Tips:
         self._pairs: dict[tuple[str, str], list[int]] = {}
         self._others: list[int] = []
         self._links: dict[int, frozenset[str]] = {}
+        self._spheres = np.zeros((0, 9))
         self._add_pairs()
 
     # --- the pairs ---------------------------------------------------------------------------
@@ -53,20 +69,30 @@ class Tips:
         for a, b in combinations(tips, 2):
             sides = self.geometry.of_links(*a.tip_links), self.geometry.of_links(*b.tip_links)
             self._pairs[a.name, b.name] = [self._add(i, j) for i, j in product(*sides)]
-        count = len(self._model.collisionPairs)
         for i, j in combinations(range(len(shapes)), 2):
             links = shapes[i].link, shapes[j].link
             fingers = of_finger.get(links[0]), of_finger.get(links[1])
             if None in fingers or fingers[0] == fingers[1] or frozenset(links) in disabled:
                 continue
             self._links[self._add(i, j)] = frozenset(links)
-        # Hulls that overlap at rest are no measure of a collision.
-        self._others = list(range(count, len(self._model.collisionPairs)))
         self._data = pin.GeometryData(self._model)
         for request in self._data.distanceRequests:
             request.enable_signed_distance = True
+
+    def watch(self) -> None:
+        """Find which links may come near one another, for `near`; takes up to a second."""
+        hand, shapes = self.hand, self.geometry.shapes
+        # Hulls that overlap at rest are no measure of a collision.
         self.go(np.array(hand.rest))
+        self._others = list(self._links)
         self._others = [k for k in self._others if self._distance(k).min_distance > NEAR]
+        # Most pairs never come near one another.
+        never = set(self._others)
+        lower, upper = limits_of(hand)
+        for shares in halton(len(lower), _POSTURES):
+            self.go(lower + shares * (upper - lower))
+            never -= {k for k in never if self._distance(k).min_distance < _FAR}
+        self._others = [k for k in self._others if k not in never]
         self._spheres = np.array(
             [
                 (
@@ -130,7 +156,7 @@ class Tips:
     def near(self, meeting: Iterable[tuple[str, str]]) -> list[Row]:
         """Return the distances of links that should not touch and are nearer than `NEAR`.
 
-        The tips of the fingers that meet are left out.
+        Of links that `watch` has found; the tips of the fingers that meet are left out.
         """
         if not len(self._spheres):
             return []
