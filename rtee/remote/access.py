@@ -157,7 +157,10 @@ def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
         request for request in REQUESTS.values() if request.group != HELLO and request.role <= role
     ]
     # The access path is part of the key: a client cannot say hello with another's certificate.
-    keys = [f"{HELLO}/{way}", *(f"{request.group}/{request.name}" for request in allowed)]
+    names = [f"{request.group}/{request.name}" for request in allowed]
+    if role is max(Role):  # who may send all is told which there are
+        names = [f"{group}/*" for group in sorted({request.group for request in allowed})]
+    keys = [f"{HELLO}/{way}", *names]
     yield _rule(f"{role.name.lower()} {way}", "ingress", ["query"], hand, keys)
     put = [f"{INBOX}/{way}/{request.name}/*" for request in allowed if request.group == CONTROL]
     if put:

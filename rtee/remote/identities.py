@@ -15,9 +15,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
-from rtee.errors import RequestRejected, TooManyRequests
+from rtee.errors import RequestRejected, TooManyRequests, foreign
 from rtee.hand.names import check_name
-from rtee.messages.identity import SECRET, claim_of
+from rtee.messages.identity import LONGEST_CLAIM, SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import Check, IncomingRequest, accepted
 from rtee.remote.rates import CLIENTS_OF_WAY, REFUSALS, RESERVED, TOGETHER, Ignored, Rates
@@ -184,23 +184,39 @@ class Identities:
         Raises `RequestRejected` if the request is not signed or was sent before, or its client
         lacks the role or sends too many, and `Ignored` if there are too many even to refuse them.
         """
-        client = self.signer(request, attachment, question)
-        if client is None:
-            self._strangers.refuse("this client is not known here; say hello first")
+        client = self._signed(request, attachment, question)
+        if isinstance(client, str):
+            self._strangers.refuse(client)
         return self.permit(client, request)
 
     def signer(self, request: Request, attachment: bytes | None, question: bytes) -> Client | None:
         """Return the client that has signed a request; ``None``: no client, or a repeated one."""
+        client = self._signed(request, attachment, question)
+        return None if isinstance(client, str) else client
+
+    def _signed(self, request: Request, attachment: bytes | None, question: bytes) -> Client | str:
+        """Return the client that has signed a request, or in a sentence why none has."""
         claim = claim_of(attachment)
-        client = None if claim is None else self._there.get(claim.client)
         # Cheap checks come first: requests of strangers cost no HMAC.
-        if claim is None or client is None:
-            return None
+        if claim is None:
+            return (
+                f"'{request.name}' needs the attachment '<number> <client> <signature>', in ASCII"
+                f" and at most {LONGEST_CLAIM} bytes"
+            )
+        client = self._there.get(claim.client)
+        if client is None:
+            return f"there is no client '{foreign(claim.client[:50])}' here; say hello first"
         # Before the number is recorded: otherwise anybody could use up a client's numbers.
         if not claim.signed_by(client.secret, request.name, question):
-            return None
+            return (
+                f"'{client.name}' has not signed this: a signature is the first 32 hexadecimal"
+                f" digits of HMAC-SHA256 of '{request.name} <number> ' and the payload, with the"
+                " 32 bytes of the client's secret as the key"
+            )
         with self._lock:
-            return client if client.is_new(request.name, claim.count) else None
+            if client.is_new(request.name, claim.count):
+                return client
+        return f"the number of a '{request.name}' should be larger than those before, from 1 on"
 
     def admits(self, client: Client) -> bool:
         """Return whether a client's access path is still admitted."""

@@ -21,6 +21,12 @@ log = logging.getLogger(__name__)
 LONGEST = 65536
 """Longest question that is decoded [bytes]: ten times the longest timed action."""
 
+_NAMES = {
+    group: ", ".join(each.name for each in REQUESTS.values() if each.group == group)
+    for group in {each.group for each in REQUESTS.values()}
+}
+"""The names of the requests of each group, for messages: joined once; junk must cost little."""
+
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")
 
@@ -161,7 +167,7 @@ def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byte
     name = _name(message, group)
     request = REQUESTS.get(name)
     if request is None or request.group != group:
-        raise MessageError(f"there is no request '{name[:50]}' in '{group}'")
+        raise MessageError(f"there is no request '{name[:50]}' in '{group}', but {_NAMES[group]}")
     payload = message.payload
     # The length first: copying the bytes holds Python's interpreter lock, which the loop needs.
     size = 0 if payload is None else len(payload)
