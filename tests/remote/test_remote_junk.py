@@ -126,7 +126,7 @@ async def test_short_junk_is_refused_with_a_reason(
                     ask, key = rude[0].refusal, key_of(request)
                     reason = await anyio.to_thread.run_sync(ask, key, junk, proof)
                     unknown = proof is None and request.group not in ("hello", "stop")
-                    assert ("not known here" in reason) == unknown
+                    assert ("needs the attachment" in reason) == unknown
         await _still_well(remote)
 
 
@@ -205,9 +205,15 @@ async def test_keys_that_are_no_requests(
 ) -> None:
     async with serving(hand, library) as served:
         rude.append(Rude(served.server.endpoint))
-        for key in ("control/dance", "ask/do", "stop/do", "control/stop", "hello/root", "**"):
+        for key in ("hello/root", "hello/here/x", "dance/do", "**"):
             answers = await anyio.to_thread.run_sync(rude[0].ask, f"rtee/small/{key}", b"")
             assert answers == [], "nothing like that reaches the hand"
+        for key in ("control/dance", "ask/do", "stop/do", "control/stop", "ask/*"):
+            ask = rude[0].refusal
+            reason = await anyio.to_thread.run_sync(ask, f"rtee/small/{key}", b"")
+            group, _, name = key.partition("/")
+            assert reason.startswith(f"there is no request '{name}' in '{group}', but ")
+        assert not [event for event in served.watcher.events if event.kind == "stop"]
 
 
 async def test_junk_from_a_hand_is_ignored(

@@ -547,10 +547,10 @@ def test_who_was_interrupted_comes_back_with_its_token() -> None:
 
     assert ask() == "one"
     assert identities.left("0" * 32) == "one"
-    with pytest.raises(RequestRejected, match="not known"):
+    with pytest.raises(RequestRejected, match="there is no client 'one' here; say hello first"):
         ask()
     identities.came("1" * 32)
-    with pytest.raises(RequestRejected, match="not known"):
+    with pytest.raises(RequestRejected, match="there is no client 'one' here; say hello first"):
         ask()
     identities.came("0" * 32)
     assert ask() == "one"
