@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, SupportsFloat
 
@@ -82,6 +83,13 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
     if size < 0.0:
         raise GoalRejected(f"the {name} must not be negative, not {value}")
     return size
+
+
+class AngleUnit(StrEnum):
+    """Unit of the angles of an MJCF, as its ``<compiler angle>`` has it."""
+
+    DEGREE = "degree"
+    RADIAN = "radian"
 
 
 MAY_BE_NOTHING: Final = "closed on something thin, or on nothing: that cannot be told"

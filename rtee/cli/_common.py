@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 from rtee.errors import ConfigError, RteeError
 from rtee.hand.config_schema import Outside
+from rtee.units import AngleUnit
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -181,6 +182,10 @@ XacroArguments = Annotated[
     typer.Argument(
         metavar="[NAME:=VALUE]...", help="Arguments of the xacro file that --urdf names."
     ),
+]
+AngleOption = Annotated[
+    AngleUnit | None,
+    typer.Option(help="Unit of the angles of an MJCF that does not say; degree unless given."),
 ]
 RootOption = Annotated[
     str | None,

@@ -6,7 +6,9 @@ import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
 
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
@@ -30,7 +32,10 @@ _PADDED: Final = 44
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table, aligned to the right for numbers; a whole line is never wrapped."""
+    """A column of a table, aligned to the right for numbers.
+
+    The lines of a whole one are wrapped only where nothing else would be left of the others.
+    """
 
     name: str
     right: bool = False
@@ -127,8 +132,12 @@ class Table:
             )
         ]
         left = width - _GAP * (len(natural) - 1) - (_INDENT if self.heading else 0)
-        left -= sum(n for n, column in zip(natural, self.columns, strict=True) if column.whole)
         flexible = [i for i, column in enumerate(self.columns) if not column.whole]
+        whole = sum(n for n, column in zip(natural, self.columns, strict=True) if column.whole)
+        if left - whole < sum(min(natural[i], _NARROW) for i in flexible):
+            flexible = list(range(len(natural)))
+        else:
+            left -= whole
         # Narrow columns first: the width that they do not need is left to the wide ones.
         for count, i in zip(
             range(len(flexible), 0, -1), sorted(flexible, key=lambda i: natural[i]), strict=True
@@ -157,9 +166,29 @@ class Table:
         return grid
 
 
+class _Output:
+    """What the options of a command say of its output."""
+
+    wide = False
+
+
+def _print_wide(wide: bool) -> None:
+    _Output.wide = wide
+
+
+WideOption = Annotated[
+    bool,
+    typer.Option(
+        "--wide",
+        callback=_print_wide,
+        help="One line per row, however long, with all that a pipe gets.",
+    ),
+]
+
+
 def on_terminal() -> bool:
-    """Return whether stdout is a terminal."""
-    return sys.stdout.isatty()
+    """Return whether to lay out for a terminal: stdout is one, and ``--wide`` was not given."""
+    return sys.stdout.isatty() and not _Output.wide
 
 
 def prefix_to_drop(names: Collection[str]) -> str:

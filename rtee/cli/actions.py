@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rtee.cli._common import Hand, JsonOption, actions_of
-from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, Table, WideOption, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
     from rtee.actions.types import Action, ActionReference, Evidence, Primitive
@@ -18,7 +18,7 @@ _SHOWN = 3
 """Pairs of colliding links shown on a terminal, to keep a cell short; a pipe gets all."""
 
 
-def actions(hand: Hand, as_json: JsonOption = False) -> None:
+def actions(hand: Hand, wide: WideOption = False, as_json: JsonOption = False) -> None:
     """List the grasping actions of a hand."""
     from rtee.actions.describe import describe
 

@@ -17,6 +17,7 @@ import typer
 
 from rtee import monotonic
 from rtee.cli._common import (
+    AngleOption,
     JsonOption,
     OutsideOption,
     RootOption,
@@ -27,7 +28,7 @@ from rtee.cli._common import (
     owned,
     subtree_of,
 )
-from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, Table, WideOption, on_terminal, prefix_to_drop
 from rtee.hand.config_schema import Outside
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def extract(
     srdf: Annotated[
         Path | None, typer.Option(help="The model's SRDF; without it the fingers are found.")
     ] = None,
+    angle: AngleOption = None,
     root: RootOption = None,
     outside: OutsideOption = Outside.ABSENT,
     package_dir: Annotated[
@@ -88,6 +90,7 @@ def extract(
     report: Annotated[
         Path | None, typer.Option(help="Write a page with a picture of every action (HTML).")
     ] = None,
+    wide: WideOption = False,
     as_json: JsonOption = False,
     jobs: Annotated[
         int, typer.Option(min=0, help="Processes to use; 0 means one per processor.")
@@ -135,7 +138,7 @@ def extract(
                 model = load_hand(folder)
             else:
                 folders = package_dir or []
-                readable = stack.enter_context(as_urdf(urdf, mjcf, words, folders, root))
+                readable = stack.enter_context(as_urdf(urdf, mjcf, words, folders, root, angle))
                 groups = stack.enter_context(as_srdf(srdf, (), folders))
                 model = _hand_in(readable, groups, subtree)
             with progress_bar() as progress:

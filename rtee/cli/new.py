@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import (
+    AngleOption,
     OutsideOption,
     RootOption,
     XacroArguments,
@@ -38,6 +39,7 @@ def new(
     srdf: Annotated[
         Path | None, typer.Option("--srdf", help="Its SRDF; without one the fingers are found.")
     ] = None,
+    angle: AngleOption = None,
     root: RootOption = None,
     outside: OutsideOption = Outside.ABSENT,
     package_dir: Annotated[
@@ -80,7 +82,7 @@ def new(
     # A model that is no xacro file has no arguments; those given are the SRDF's then.
     own = words if srdf is None or srdf.suffix != XACRO or _is_xacro(urdf) else []
     with (
-        as_urdf(urdf, mjcf, own, folders, root) as model,
+        as_urdf(urdf, mjcf, own, folders, root, angle) as model,
         as_srdf(srdf, words, folders) as groups,
     ):
         new_hand = make_hand(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.drivers.mujoco.model import CARRIER
-from rtee.errors import ModelError, UnknownLink
+from rtee.errors import ConfigError, ModelError, UnknownLink
 from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
@@ -72,7 +72,12 @@ class _Link:
 
 
 def import_mjcf(
-    path: Path | str, folder: Path, folders: Sequence[Path | str] = (), *, root: str | None = None
+    path: Path | str,
+    folder: Path,
+    folders: Sequence[Path | str] = (),
+    *,
+    root: str | None = None,
+    radians: bool | None = None,
 ) -> Imported:
     """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
@@ -82,13 +87,22 @@ def import_mjcf(
         folders: Further folders of its includes and meshes.
         root: The body below which the hand is, out of a whole robot or scene, whose floating base
             then stands still, and whose free objects are left out.
+        radians: Whether the angles of a file that does not say are radians; ``None``: degrees.
 
     Raises:
         UnknownLink: The model has no body ``root``.
+        ConfigError: A unit is given, and the file says it by itself.
         ModelError: The file cannot be read, or has elements that a URDF cannot represent; the
             message names file and line if they are known.
     """
     source = read_mjcf(path, folders)
+    if radians is not None:
+        if source.says_angle:
+            raise ConfigError(
+                "--angle is for files that do not say: this one has <compiler angle>",
+                path=source.path,
+            )
+        source.spec.compiler.degree = not radians
     loose = [] if root is None else _still(source, root)
     for joint in source.spec.joints:
         _check_joint(joint, source)
@@ -105,7 +119,7 @@ def import_mjcf(
         raise ModelError(
             "the numbers of its couplings are too far apart to solve them", path=source.path
         ) from None
-    motion.notes += [*loose, *notes, *_degrees(model, source)]
+    motion.notes += [*loose, *notes, *(_degrees(model, source) if radians is None else [])]
     writer = _Writer(model, source, motion, folder)
     urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
     write_atomically(urdf, writer.text())
@@ -169,8 +183,8 @@ def _degrees(model: mujoco.MjModel, source: Source) -> list[str]:
         return []
     return [
         "the file does not say in which unit its angles are, so they count as degrees, and no "
-        f"hinge turns beyond {math.degrees(most):.2g}°; if they are radians, add "
-        '<compiler angle="radian"/>'
+        f"hinge turns beyond {math.degrees(most):.2g}°; if they are radians, give "
+        '--angle radian, or add <compiler angle="radian"/>'
     ]
 
 

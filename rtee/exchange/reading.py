@@ -11,6 +11,7 @@ from typing import Final
 from rtee.errors import ConfigError, needing_extra
 from rtee.exchange.xacro_expand import arguments_of, expand
 from rtee.hand.files import temporary_folder
+from rtee.units import AngleUnit
 
 XACRO: Final = ".xacro"
 """Suffix of files that are expanded; other files are never run."""
@@ -41,6 +42,7 @@ def as_urdf(
     arguments: Sequence[str],
     package_dirs: Sequence[Path],
     root: str | None = None,
+    angle: AngleUnit | None = None,
 ) -> AbstractContextManager[ReadableModel]:
     """Return a context in which a model exists as a URDF.
 
@@ -50,10 +52,13 @@ def as_urdf(
         arguments: Arguments of the xacro file, as ``NAME:=VALUE``.
         package_dirs: Folders to look packages up in.
         root: The link below which the hand is, out of a whole robot.
+        angle: Unit of the angles of an MJCF that does not say; ``None``: degrees.
 
     Raises:
-        ConfigError: There are arguments without a xacro file.
+        ConfigError: There are arguments without a xacro file, or a unit without an MJCF.
     """
+    if angle is not None and mjcf is None:
+        raise ConfigError("--angle goes with --mjcf; the angles of a URDF are radians")
     if urdf is not None and urdf.suffix == XACRO:
         return xacro_as_urdf(urdf, arguments_of(arguments), package_dirs)
     if arguments:
@@ -61,7 +66,7 @@ def as_urdf(
             f"'{arguments[0]}' should be an argument of a xacro file, whose name ends with {XACRO}"
         )
     if mjcf is not None:
-        return mjcf_as_urdf(mjcf, package_dirs, root)
+        return mjcf_as_urdf(mjcf, package_dirs, root, angle)
     assert urdf is not None  # noqa: S101 - one of both is given
     return nullcontext(ReadableModel(urdf, package_dirs=tuple(package_dirs)))
 
@@ -110,12 +115,16 @@ def as_srdf(
 
 @contextmanager
 def mjcf_as_urdf(
-    path: Path, folders: Sequence[Path] = (), root: str | None = None
+    path: Path,
+    folders: Sequence[Path] = (),
+    root: str | None = None,
+    angle: AngleUnit | None = None,
 ) -> Iterator[ReadableModel]:
     """Convert an MJCF file to a URDF, which exists inside the context.
 
     Its includes and meshes may be in further ``folders``. With a ``root``, free joints outside the
-    hand below it are no obstacle.
+    hand below it are no obstacle. ``angle`` is the unit of a file that does not say; ``None``:
+    degrees.
 
     Raises:
         MissingExtra: The extra ``sim`` is not installed.
@@ -124,5 +133,6 @@ def mjcf_as_urdf(
     with needing_extra("reading MJCF", "sim"):
         from rtee.exchange.mjcf_import import import_mjcf
     with temporary_folder(path) as folder:
-        imported = import_mjcf(path, folder, folders, root=root)
+        radians = None if angle is None else angle is AngleUnit.RADIAN
+        imported = import_mjcf(path, folder, folders, root=root, radians=radians)
         yield ReadableModel(imported.urdf, imported.passive, imported.excluded, imported.notes)

@@ -32,6 +32,9 @@ OWN: Final = 0.25
 """Least motion of the tips at which an actuator of only one finger counts [fraction of the largest
 motion by any actuator]; smaller ones are adjustments."""
 
+_POSTURES: Final = 33
+"""Postures in which a single actuator is looked at: each 3 % of its range."""
+
 _PASSES: Final = 2
 """Number of times that the limits of every actuator are compared; the second time, the limits
 chosen for the others are known."""
@@ -106,6 +109,33 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     return ClosedRest(names, max(gaps), rest, min(openings))
 
 
+def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
+    """Return the widest posture of a hand with one actuator whose rest is not given.
+
+    ``None`` if it rests there already, or its fingertips do not part. At 0, a claw is nearly
+    closed: `rtee open` would not open it, and its pinch would have no way to go.
+
+    Raises:
+        ModelError: A mesh cannot be read.
+    """
+    hand, search = geometry.hand, _Search(geometry)
+    pairs = search.parted()
+    if len(hand.actuators) != 1 or not pairs:
+        return None
+    (spec,) = hand.actuators
+    bounded = math.isfinite(spec.lower) and math.isfinite(spec.upper)
+    if not bounded or spec.rest != min(max(0.0, spec.lower), spec.upper):
+        return None
+    gaps = search.gaps(hand.rest, pairs)
+    tried = [np.array([value]) for value in np.linspace(spec.lower, spec.upper, _POSTURES)]
+    widest = max(tried, key=lambda u: sum(search.gaps(u, pairs)))
+    openings = search.gaps(widest, pairs)
+    if sum(openings) < sum(gaps) + NEAR:
+        return None
+    names = tuple((hand.fingers[i].name, hand.fingers[j].name) for i, j in pairs)
+    return ClosedRest(names, max(gaps), {spec.name: float(widest[0])}, min(openings))
+
+
 Pair = tuple[int, int]
 
 
@@ -118,13 +148,12 @@ class _Search:
 
     def pinching(self) -> list[Pair]:
         """Return the pairs of fingers whose tips pinch at rest."""
-        hand = self._hand
-        tipped = [i for i, finger in enumerate(hand.fingers) if finger.tip]
-        return [
-            pair
-            for pair in combinations(tipped, 2)
-            if self._apart(pair) and self._near(pair) and self._opposed(pair)
-        ]
+        return [pair for pair in self.parted() if self._near(pair) and self._opposed(pair)]
+
+    def parted(self) -> list[Pair]:
+        """Return the pairs of fingers whose tips are on different bodies."""
+        tipped = [i for i, finger in enumerate(self._hand.fingers) if finger.tip]
+        return [pair for pair in combinations(tipped, 2) if self._apart(pair)]
 
     def gaps(self, u: FloatArray, pairs: Iterable[Pair]) -> list[float]:
         """Return the gap of each pair of tips at a posture [m]; 0 if they touch."""
@@ -234,8 +263,10 @@ class _Search:
         return self._geometry.of_links(*first), self._geometry.of_links(*second)
 
 
-def closed_rest_of(hand: Hand) -> ClosedRest | None:
-    """Return how a hand's rest posture is a pinch; see `closed_rest`.
+def closed_rest_of(hand: Hand, *, narrow: bool = False) -> ClosedRest | None:
+    """Return how a hand's rest posture is a pinch, or with ``narrow`` not its widest one.
+
+    See `closed_rest` and `widest_rest`.
 
     Raises:
         ModelError: A mesh cannot be read.
@@ -243,4 +274,6 @@ def closed_rest_of(hand: Hand) -> ClosedRest | None:
     # Imported here, since it needs Coal and Pinocchio, which a robot's computer may not have.
     from rtee.hand.geometry import HandGeometry
 
-    return closed_rest(HandGeometry(hand))
+    geometry = HandGeometry(hand)
+    closed = closed_rest(geometry)
+    return closed if closed is not None or not narrow else widest_rest(geometry)

@@ -185,7 +185,8 @@ def _settle(
     hand = replace(hand, fingers=(*hand.fingers, *added))
     # These depend on the rest posture, and are computed again if it changes below.
     pairs = allowed_collisions(hand)
-    closed = closed_rest_of(hand)
+    # An SRDF says by itself where a hand rests.
+    closed = closed_rest_of(hand, narrow=searched)
     if closed is not None:
         hand = load(**chosen, rest=closed.opened)
         hand = replace(hand, fingers=(*hand.fingers, *added))

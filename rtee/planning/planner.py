@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.naming import label
-from rtee.actions.types import Action, Timed, kind_of
+from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.planning.approaches import GAP, Candidate
@@ -405,9 +405,18 @@ def squeeze(actuator: ActuatorSpec) -> float:
     return _SQUEEZE.get(actuator.kind, _SQUEEZE_ANGLE)
 
 
+_ALONE: Final = frozenset({PrimitiveKind.TRIG, PrimitiveKind.TIP_FLEX, PrimitiveKind.FING_FLEX})
+"""Primitives that bend one finger against whatever is there."""
+
+_OPPOSED: Final = 0.05
+"""How much more score makes one of these better than an action of opposed fingers, whose opening
+and force are known and can be asked for."""
+
+
 def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
     """Return what grasps are sorted by: the best score first, then the name."""
-    return (-plan.score, plan.action, plan.elements)
+    lead = 0.0 if plan.action in _ALONE else _OPPOSED
+    return (-plan.score - lead, plan.action, plan.elements)
 
 
 def _score(times: float, ball: float, off: float) -> float:

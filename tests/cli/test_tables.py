@@ -7,7 +7,7 @@ import pytest
 from rtee_process import RTEE
 
 from rtee.cli import _table
-from rtee.cli._table import Column, Row, Table, prefix_to_drop
+from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 LONG = "a remark of many words that no narrow terminal shows on a line of its own"
 
@@ -60,6 +60,25 @@ def test_a_table_fits_the_terminal_and_loses_nothing(width: int, heading: str) -
     for word in ("Things", "first", "22", "two", *([] if heading else ["count"])):
         assert word in shown
     assert all(word in " ".join(lines) for word in LONG.split())
+
+
+@pytest.mark.parametrize("width", [40, 80])
+def test_names_too_long_for_the_terminal_are_folded(width: int) -> None:
+    names = "\n".join(f"left_hand_{finger}_finger_metacarpal_link" for finger in ("a", "b")) * 2
+    columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
+    row = Row(("thumb", names, f"not clear: {names}"), "PinchTight")
+    lines = drawn(Table(columns, (row,), "", "action"), width)
+    assert max(map(len, lines)) <= width
+    shown = "".join("".join(line.split()) for line in lines)
+    assert "thumb" in shown
+
+
+def test_a_wide_table_is_that_of_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setattr(_table._Output, "wide", False)
+    assert on_terminal()
+    _table._print_wide(True)
+    assert not on_terminal()
 
 
 def test_rows_of_a_group_stand_below_their_heading() -> None:

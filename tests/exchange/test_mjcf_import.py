@@ -15,17 +15,18 @@ pytest.importorskip("pinocchio")
 from hand.test_scaffold import stl  # noqa: E402
 from rtee_process import RTEE  # noqa: E402
 
-from rtee.errors import ModelError  # noqa: E402
+from rtee.errors import ConfigError, ModelError  # noqa: E402
 from rtee.exchange import mjcf_files  # noqa: E402
 from rtee.exchange.export import Kind, export_hand  # noqa: E402
 from rtee.exchange.mjcf_import import import_mjcf  # noqa: E402
-from rtee.exchange.reading import mjcf_as_urdf  # noqa: E402
+from rtee.exchange.reading import as_urdf, mjcf_as_urdf  # noqa: E402
 from rtee.extract.extraction import extract  # noqa: E402
 from rtee.hand.geometry import HandGeometry  # noqa: E402
 from rtee.hand.kinematics import Kinematics  # noqa: E402
 from rtee.hand.load import load_hand, load_model  # noqa: E402
 from rtee.hand.model import Hand, JointRole  # noqa: E402
 from rtee.hand.scaffold import make_hand  # noqa: E402
+from rtee.units import AngleUnit  # noqa: E402
 
 CONFIG = Path(__file__).parents[2] / "config"
 
@@ -252,6 +253,20 @@ def test_angles_that_count_as_degrees_by_default_are_told(tmp_path: Path) -> Non
     assert "degrees" not in notes_of(tmp_path / "hand.xml")
     made(tmp_path, hand_of(MOTORS))
     assert "degrees" not in notes_of(tmp_path / "hand.xml")
+
+
+def test_the_unit_of_angles_is_given(tmp_path: Path) -> None:
+    radians = hand_of(MOTORS).replace("0 90", "0 1.5")
+    file = tmp_path / "hand.xml"
+    file.write_text(radians)
+    imported = import_mjcf(file, tmp_path, radians=True)
+    assert load_model(imported.urdf).upper[1] == pytest.approx(1.5)
+    assert "degrees" not in " ".join(imported.notes)
+    file.write_text(radians.replace("<worldbody>", '<compiler angle="radian"/><worldbody>'))
+    with pytest.raises(ConfigError, match="this one has <compiler angle>"):
+        import_mjcf(file, tmp_path, radians=False)
+    with pytest.raises(ConfigError, match="--angle goes with --mjcf"):
+        as_urdf(file, None, (), (), angle=AngleUnit.RADIAN)
 
 
 def test_meshes_and_textures_are_looked_for_in_their_own_folders(tmp_path: Path) -> None:

@@ -55,6 +55,17 @@ def test_the_wsg_50_rests_in_a_pinch(shared: Path) -> None:
     assert closed.opened == {left: -0.055, right: 0.055}
 
 
+def test_a_claw_rests_at_its_widest(shared: Path) -> None:
+    """At zero it is nearly closed, but no pinch: `rtee open` would not have opened it."""
+    folder = shared / "field" / "04_single_jaw_arm"
+    jaws = load_model(folder / "two_jaws.urdf", folder / "two_jaws.srdf")
+    assert closed_rest_of(jaws) is None
+    widest = closed_rest_of(jaws, narrow=True)
+    assert widest is not None
+    assert widest.opened["gripper"] > 1.5
+    assert widest.opening > widest.gap + 0.003
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_other_hands_do_not(shared: Path, name: str) -> None:
     folder = shared / "hands" / name

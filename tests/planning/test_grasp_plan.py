@@ -25,6 +25,7 @@ from rtee.planning.apart import Question, ask
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
 from rtee.planning.plan import grasp_plan, plan_grasps
+from rtee.planning.planner import rank
 from rtee.planning.poses import orientations
 from rtee.planning.result import from_document, to_document
 from rtee.sample import FloatArray
@@ -355,6 +356,13 @@ def test_a_jaw_of_the_body_and_a_claw_hold_a_ball() -> None:
     assert {contact.finger for contact in best.contacts} == {"", "finger_2"}
     assert best.opening > 0.05
     assert best.load > 3.0
+
+
+def test_a_pinch_comes_before_a_finger_alone(jaws: Hand, library: ActionLibrary) -> None:
+    pinch = plan_grasps(jaws, library, read_object("sphere:0.015")).plans[0]
+    alone = dataclasses.replace(pinch, action="Trig", score=pinch.score + 0.01)
+    better = dataclasses.replace(alone, score=pinch.score + 0.1)
+    assert sorted([alone, better, pinch], key=rank) == [better, pinch, alone]
 
 
 @pytest.mark.heavy
