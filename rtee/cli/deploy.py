@@ -67,11 +67,14 @@ def install(
 
     Example: sudo rtee deploy install robotiq_2f_85 --serial gripper=FT4XXXXX
     """
+    from rtee.deploy.install import Installation
+
+    if not dry_run:
+        _check_rights(Installation(root), f"install {hand}")
     installation, needs, files, copies = _wanted(hand, root, serial, program, realtime)
     if dry_run:
         _print_states(installation, installation.compare(needs.hand, files | copies))
         return
-    _check_rights(installation, f"install {needs.hand}")
     _print_states(installation, installation.install(needs.hand, files | copies))
     # Not before the files are written, from which both read.
     for problem in (installation.make_user(), *installation.reload()):
@@ -107,7 +110,7 @@ def _wanted(
 
     Files are contents by absolute path within the system.
     """
-    from rtee.deploy.files import hand_files, own_program, system_files
+    from rtee.deploy.files import check_visible, hand_files, own_program, system_files
     from rtee.deploy.install import Installation
     from rtee.deploy.needs import Needs
     from rtee.errors import ConfigError
@@ -118,6 +121,7 @@ def _wanted(
     if wrong is not None:
         raise ConfigError(f"--serial should be DEVICE=NUMBER, not '{wrong}'")
     installation = Installation(root)
+    check_visible(program, live=installation.live)
     prepared = prepare(hand, RunOptions(driver="devices"))
     needs = Needs.of(prepared, {name: number for name, _, number in pairs})
     files = system_files(needs, program or own_program(), realtime=realtime)

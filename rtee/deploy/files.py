@@ -32,6 +32,15 @@ USER = "rtee"
 STATE = Path("/var/lib/rtee")
 """Working directory of the service."""
 
+_HIDDEN = {
+    "/home": "ProtectHome",
+    "/root": "ProtectHome",
+    "/run/user": "ProtectHome",
+    "/tmp": "PrivateTmp",  # noqa: S108 - nothing is written there
+    "/var/tmp": "PrivateTmp",  # noqa: S108
+}
+"""Folders that the unit hides from its service, and the settings that do."""
+
 _ALLOWED_PORTS = ("ttyUSB", "ttyACM", "ttyS", "ttyAMA")
 """Kinds of serial ports that the unit permits for every hand."""
 
@@ -60,6 +69,29 @@ def shipped() -> Path:
 def own_program() -> str:
     """Return the path of the ``rtee`` of this environment."""
     return str(Path(sys.executable).parent / "rtee")
+
+
+def check_visible(program: str | None, *, live: bool) -> None:
+    """Refuse a program that the unit's own sandbox would hide from its service.
+
+    ``program`` is the ``rtee`` given by the user; ``None``: that of this environment, of which the
+    service also needs the interpreter and the package. In an image, which is not the running system
+    (``live``), only the path counts.
+
+    Raises:
+        ConfigError: if it is hidden, with what to do.
+    """
+    paths = [Path(program or own_program())]
+    if live:
+        paths += [path.resolve() for path in paths]
+        paths += [] if program else [Path(sys.executable).resolve(), Path(__file__).resolve()]
+    for path in paths:
+        for folder, setting in _HIDDEN.items():
+            if path.is_relative_to(folder):
+                raise ConfigError(
+                    f"the service would not see {path}: its unit has {setting}; install rtee in"
+                    " /opt/rtee (python3 -m venv /opt/rtee), or give --program"
+                )
 
 
 def write_files(folder: Path) -> list[Path]:
@@ -187,8 +219,6 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
     ``live`` if it is the running one.
     """
     sentences: list[str] = []
-    if (program or own_program()).startswith(("/home/", "/root/", "/run/user/")):
-        sentences.append("the service sees no homes: install rtee in /opt/rtee, or give --program")
     for port in needs.ports:
         name = link_of(port, needs.hand)
         if port.serial and name != port.path:

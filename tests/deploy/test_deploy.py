@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from rtee.deploy.check import check_service
-from rtee.deploy.files import drop_in, hand_files, system_files
+from rtee.deploy.files import check_visible, drop_in, hand_files, system_files
 from rtee.deploy.install import MANIFEST, Installation, State
 from rtee.deploy.needs import Needs
 from rtee.drivers.diagnosis.checks import Verdict
@@ -517,12 +517,12 @@ def rtee(
 
 def test_plan_and_dry_run_print_and_write_nothing(root: Path, hand: Path) -> None:
     before = tree(root)
-    planned = rtee("plan", hand, "--root", root, "--serial", "gripper=FT4ABC")
+    planned = rtee("plan", hand, "--root", root, "--program", PROGRAM, "--serial", "gripper=FT4ABC")
     assert planned.returncode == 0, planned.stderr
     assert "Type=notify" in planned.stdout
     assert 'SYMLINK+="rtee/jaw-gripper"' in planned.stdout
     assert "- in hand.yaml, at 'gripper': port: /dev/rtee/jaw-gripper" in planned.stdout
-    dry = rtee("install", hand, "--root", root, "--dry-run")
+    dry = rtee("install", hand, "--root", root, "--program", PROGRAM, "--dry-run")
     assert f"new: {root / UNIT[1:]}" in dry.stdout
     assert tree(root) == before
 
@@ -532,11 +532,11 @@ def test_plan_and_dry_run_print_and_write_nothing(root: Path, hand: Path) -> Non
 def test_the_command_makes_the_user_and_takes_it_away(root: Path, hand: Path) -> None:
     accounts = [root / "etc/passwd", root / "etc/group"]
     before = [path.read_text() for path in accounts]
-    done = rtee("install", hand, "--root", root)
+    done = rtee("install", hand, "--root", root, "--program", PROGRAM)
     assert done.returncode == 0, done.stderr
     assert "rtee:x:" in accounts[0].read_text()
     assert "dialout:x:20:rtee" in accounts[1].read_text()
-    assert rtee("install", hand, "--root", root).stdout.count("new: ") == 0
+    assert rtee("install", hand, "--root", root, "--program", PROGRAM).stdout.count("new: ") == 0
     done = rtee("uninstall", "jaw", "--root", root)
     assert (done.returncode, "!" in done.stdout) == (0, False), done.stdout
     assert [path.read_text() for path in accounts] == before
@@ -551,3 +551,21 @@ def test_a_name_is_no_path(root: Path, hand: Path, name: str) -> None:
     before = tree(root)
     assert rtee("uninstall", name, "--root", root).returncode == 2
     assert tree(root) == before
+
+
+@pytest.mark.parametrize(
+    ("program", "hidden", "setting"),
+    [
+        ("/home/ann/venv/bin/rtee", "/home/ann/venv/bin/rtee", "ProtectHome"),
+        ("/tmp/venv/bin/rtee", "/tmp/venv/bin/rtee", "PrivateTmp"),
+        ("link", "/root/venv/rtee", "ProtectHome"),
+    ],
+)
+def test_a_program_that_the_sandbox_hides_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, hidden: str, setting: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to("/root/venv/rtee")
+    with pytest.raises(ConfigError, match=f"would not see {hidden}: its unit has {setting}"):
+        check_visible(program, live=True)
+    check_visible("/opt/rtee/bin/rtee", live=False)
