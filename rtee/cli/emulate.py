@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _complete_device(incomplete: str) -> list[str]:
-    from rtee.drivers.registry import emulator_names
+    from rtee.drivers.emulators import emulator_names
 
     return [name for name in emulator_names() if name.startswith(incomplete)]
 

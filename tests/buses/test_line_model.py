@@ -6,7 +6,7 @@ import pytest
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.line_model import Wire
-from rtee.drivers.registry import EMULATORS, find_emulator
+from rtee.drivers.emulators import EMULATORS, find_emulator
 
 BAUD = 10_000.0
 """A byte takes a millisecond."""

@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from rtee.drivers.emulator_server import Player
-from rtee.drivers.emulators import make_emulator
+from rtee.drivers.emulators import emulator_names, make_emulator
 from rtee.drivers.objects import STIFFNESS, Closing, ObjectInHand, grasping
-from rtee.drivers.registry import emulator_names
 from rtee.errors import ConfigError
 from rtee.prepare import RunOptions, prepare
 

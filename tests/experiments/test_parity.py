@@ -18,9 +18,9 @@ from experiments.kinematic import KinematicPlay
 from experiments.wires import on_the_wire, wired
 from rtee.actions.build import generic
 from rtee.actions.library import ActionLibrary
+from rtee.drivers.emulators import emulator_names
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
-from rtee.drivers.registry import emulator_names
 from rtee.hand.catalog import hand_names
 from rtee.hand.model import Hand
 from rtee.run import PreparedHand

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rtee.drivers.registry import find_driver, find_emulator
+from rtee.drivers.emulators import find_emulator
+from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError
 from rtee.testing.scaffold import write_package
 

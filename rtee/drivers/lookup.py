@@ -1,0 +1,52 @@
+"""Find classes by name: built-in ones, entry points of other packages, or ``module:Class``."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+from rtee.errors import ConfigError, suggestion
+
+
+def known_names(built_in: Mapping[str, str], group: str) -> list[str]:
+    """Return the names of all built-in classes and those in an entry point group, sorted."""
+    return sorted({*built_in, *_offered(group)})
+
+
+def find_class(
+    name: str, what: str, built_in: Mapping[str, str], group: str, base: type, unknown: str
+) -> Any:
+    """Return the class of a name.
+
+    Args:
+        name: A built-in name, an entry point's name, or ``module:Class``.
+        what: What it is, for the message, such as ``driver``.
+        built_in: The built-in ones, ``module:Class`` by name; they take precedence.
+        group: The entry point group of the others.
+        base: The class that it must be derived from.
+        unknown: The message for an unknown name, to which a suggestion is added.
+
+    Raises:
+        ConfigError: if the name is unknown, or the class cannot be imported or is not a ``base``.
+    """
+    target = built_in.get(name) or _offered(group).get(name) or (name if ":" in name else None)
+    if target is None:
+        hint = suggestion(name, known_names(built_in, group))
+        raise ConfigError(f"{unknown}; {hint}")
+    module_name, _, class_name = target.partition(":")
+    try:
+        # Imported when first needed: a hand must not need the packages of other hands' drivers.
+        imported = getattr(importlib.import_module(module_name), class_name)
+    except Exception as error:  # importing a module of another package may raise anything
+        raise ConfigError(f"{what} '{name}' ({target}) cannot be imported: {error}") from error
+    if not (isinstance(imported, type) and issubclass(imported, base)):
+        raise ConfigError(f"{what} '{name}' ({target}) is not a subclass of {base.__name__}")
+    return imported
+
+
+def _offered(group: str) -> Mapping[str, str]:
+    # Imported only here: it takes 1.5 MB, and most hands have drivers of rtee's.
+    from importlib.metadata import entry_points
+
+    return {point.name: point.value for point in entry_points(group=group)}
