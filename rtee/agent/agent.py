@@ -21,7 +21,7 @@ from rtee.types import Goal, Result
 _MOST: Final = 200
 """Events and results that are kept: hours of quiet work."""
 
-_AGAIN: Final = 1.0
+_AGAIN: Final = 0.3
 """Time between two looks for a hand that has gone [s]."""
 
 _FOUND_WITHIN: Final = 3.0

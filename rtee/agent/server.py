@@ -13,24 +13,16 @@ from mcp.server.mcpserver import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.mcpserver.resources import FunctionResource
 from mcp.server.mcpserver.tools import Tool
+from mcp.types import ToolAnnotations
 
 from rtee.agent.agent import Agent
 from rtee.agent.texts import INSTRUCTIONS
 from rtee.agent.tools import Tools
 from rtee.errors import RteeError
 
-_NAMES: Final = (
-    "describe",
-    "state",
-    "events",
-    "grasp_plan",
-    "do",
-    "grasp",
-    "open",
-    "stop",
-    "recordings",
-    "recording",
-)
+_READING: Final = ("describe", "state", "events", "grasp_plan", "recordings", "recording")
+_MOVING: Final = ("do", "grasp", "open", "stop")
+"""The tools that only read, and the others; nothing else of `Tools` is offered."""
 
 
 @contextlib.asynccontextmanager
@@ -52,7 +44,7 @@ async def serve(agents: Sequence[Agent]) -> None:
 def server_of(agents: Sequence[Agent]) -> MCPServer:
     """Return the server of the tools and resources of some hands."""
     tools = Tools(agents)
-    made = [_tool(getattr(tools, name), agents) for name in _NAMES]
+    made = [_tool(getattr(tools, name), agents) for name in (*_READING, *_MOVING)]
     server = MCPServer("rtee", instructions=INSTRUCTIONS, tools=made, log_level="WARNING")
     for agent in agents:
         for what, read in (("model", tools.model), ("library", tools.library)):
@@ -75,7 +67,8 @@ def _tool(method: Callable[..., Awaitable[Any]], agents: Sequence[Agent]) -> Too
         except RteeError as error:
             raise ToolError(str(error)) from None
 
-    tool = Tool.from_function(call)
+    reads = ToolAnnotations(read_only_hint=method.__name__ in _READING)
+    tool = Tool.from_function(call, annotations=reads)
     # Misspelt options would otherwise be dropped in silence.
     model = tool.fn_metadata.arg_model
     model.model_config["extra"] = "forbid"

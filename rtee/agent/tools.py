@@ -20,6 +20,8 @@ from rtee.agent.agent import Agent
 from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
 from rtee.hand.load import hand_folder, load_configured
 from rtee.planning.result import GraspPlan
+from rtee.remote.agents import AGENT
+from rtee.remote.client import stop_hand
 from rtee.types import Goal
 
 _SHAPE: Final = r"^(box:[\d.]+x[\d.]+x[\d.]+|(cylinder|capsule):[\d.]+x[\d.]+|sphere:[\d.]+)$"
@@ -170,7 +172,10 @@ class Tools:
 
     async def stop(self, hand: HandName = "") -> dict[str, Any]:
         """Stop the hand at once; afterwards only a person lets you move it again."""
-        return {"confirmed": await (await self._agent(hand).remote()).stop()}
+        agent = self._agent(hand)
+        # On its own way, whatever has become of the connection.
+        _, confirmed = await stop_hand(agent.name, endpoint=agent.endpoint, client=AGENT)
+        return {"confirmed": confirmed}
 
     async def recordings(self, hand: HandName = "") -> dict[str, Any]:
         """List the newest recordings of the hand; 'recording' tells what happened in one."""

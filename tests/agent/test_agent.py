@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import re
-from collections.abc import AsyncIterator
+import subprocess
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import anyio
 import pytest
@@ -16,7 +19,7 @@ pytest.importorskip("mcp")
 
 from mcp import Client, StdioServerParameters
 from mcp.server.mcpserver.exceptions import ToolError
-from remote.serving import Served, serving, until
+from remote.serving import URDF, Served, serving, until
 from rtee_process import RTEE
 
 import rtee
@@ -82,6 +85,9 @@ async def both(
 async def test_by_default_an_agent_reads_only(hand: Hand, library: ActionLibrary) -> None:
     async with both(hand, library, Limits().gate) as (served, agent):
         described = await agent.done("describe")
+        tools = (await agent.client.list_tools()).tools
+        moving = {t.name for t in tools if not (t.annotations and t.annotations.read_only_hint)}
+        assert moving == {"do", "grasp", "open", "stop"}
         assert {"action": "Trig", "elements": ["index"]} in described["actions"]
         assert {"untrusted": "both"} in [each.get("about") for each in described["actions"]]
         assert (await agent.done("state"))["devices"][0]["device"] == "sim"
@@ -230,6 +236,66 @@ def test_the_command_line_only_narrows_hand_yaml() -> None:
     ):
         with pytest.raises(ConfigError, match=sentence):
             Limits.of(file, wider)
+
+
+async def test_it_finds_the_hand_again(hand: Hand, library: ActionLibrary) -> None:
+    async with model(Gate.ACT) as agent:
+        assert "the hand 'small' does not run" in await agent.refused("stop")
+        for _ in range(2):
+            async with serving(hand, library):
+                assert (await agent.done("do", **TRIG))["reached"]
+
+
+def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*RTEE, *words], capture_output=True, text=True, **options)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("mcp", "no hand runs here; name those that will: rtee mcp HAND"),
+        ("mcp claw --force 21", "--force 21.0 is more than hand.yaml allows an agent: 20.0"),
+        ("mcp claw --gate act", "--gate act is more than hand.yaml allows an agent: approve"),
+        ("agent admit claw", "'rtee agent admit' wants a person at a terminal, not a script"),
+        ("agent approve", "'rtee agent approve' wants a person at a terminal, not a script"),
+    ],
+)
+def test_what_the_command_line_refuses(
+    words: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "config" / "claw").mkdir(parents=True)
+    (tmp_path / "config" / "claw" / "claw.urdf").write_text(URDF)
+    settings = "name: claw\nurdf: claw.urdf\nagent: {gate: approve, force: 20}\n"
+    (tmp_path / "config" / "claw" / "hand.yaml").write_text(settings)
+    monkeypatch.setenv("RTEE_CONFIG_PATH", str(tmp_path / "config"))
+    done = command(*words.split(), stdin=subprocess.DEVNULL)
+    assert (done.returncode, done.stderr) == (2, f"rtee: {sentence}\n")
+
+
+@pytest.fixture
+def terminal(runtime: Path) -> Iterator[IO[bytes]]:
+    """A terminal in which a person approves."""
+    ours, its = pty.openpty()
+    with open(ours, "r+b", buffering=0) as terminal:
+        person = subprocess.Popen([*RTEE, "agent", "approve"], stdin=its, stdout=its, stderr=its)
+        os.close(its)
+        shown = b""
+        while b"waiting for questions" not in shown:
+            shown += terminal.read(1000)
+        yield terminal
+        person.kill()
+        person.wait()
+
+
+async def test_a_person_answers_in_a_terminal(
+    hand: Hand, library: ActionLibrary, terminal: IO[bytes]
+) -> None:
+    async with both(hand, library, Gate.APPROVE) as (served, agent):
+        for answer, goals in ((b"n\n", 0), (b"y\n", 1)):
+            terminal.write(answer)
+            refused, text = await agent.call("do", **TRIG)
+            assert refused == (not goals), text
+            assert len(served.watcher.goals) == goals
 
 
 @pytest.mark.heavy
