@@ -4,7 +4,8 @@ Sequences are made of a parametric hand in three sizes: pinches with each finger
 noise of a webcam, dropouts; with --recorded FILE also a recorded one (npz, `joints` (k, 21, 3) [m]
 at 30 Hz). Near are the frames in which two human tips are within 35 mm; there, the gap between the
 robot's surfaces is compared with the person's own, the distance beyond 18 mm, scaled as the fingers
-are. With --dexi PYTHON, the interpreter of an environment with dexi-rs, its DexPilot gets the same
+are; tips that cannot meet in the model do not count. With --dexi PYTHON, the interpreter of an
+environment with dexi-rs, its DexPilot gets the same
 URDFs, tips, scales and points in the palm's frame. Run: python benchmarks/retarget.py
 """
 
@@ -31,6 +32,7 @@ RATE = 30.0  # of a webcam [Hz]
 NEAR = 0.035  # human tips that mean to meet [m]
 TOUCH = 0.018  # distance of human tips that touch [m]
 FINGER = 0.085  # length of a human finger [m], by which gaps are scaled
+MEETS = 0.001  # gap in the extracted pinch of tips that can meet [m]
 NOISE = 0.001  # standard deviation of each coordinate [m]
 LOST = 0.02  # share of frames without a hand
 
@@ -114,7 +116,7 @@ def dexi(python: str, retargeter: Retargeter, frames: list[FloatArray | None]) -
     done = subprocess.run(
         [python, "-c", _DEXI],
         input=json.dumps(asked),
-        stdout=subprocess.PIPE,
+        capture_output=True,
         text=True,
         check=True,
     )
@@ -138,7 +140,7 @@ def measure(
         scale = float(np.mean([maps[name].reach for name in pinch.fingers])) / FINGER
         if pinch.widths:
             scale = pinch.widths[0] / (0.095 - TOUCH)
-        if not pinch.contact:
+        if not pinch.contact or retargeter.gap(pinch.contact, *pinch.fingers) > MEETS:
             continue  # the hand's tips cannot meet
         gaps = np.array(
             [
@@ -188,8 +190,11 @@ def main() -> None:
             found = follow(retargeter, frames)
             print(f"| {name} | {sequence} | {measure(retargeter, frames, found, size)}", flush=True)
             if options.dexi:
-                theirs = dexi(options.dexi, retargeter, frames)
-                row = measure(retargeter, frames, theirs, size)
+                try:
+                    theirs = dexi(options.dexi, retargeter, frames)
+                    row = measure(retargeter, frames, theirs, size)
+                except subprocess.CalledProcessError as error:
+                    row = f"cannot: {error.stderr.strip().splitlines()[-1]} |"
                 print(f"| {name}, dexi-rs | {sequence} | {row}", flush=True)
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import AsyncIterator, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
@@ -12,6 +17,9 @@ from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
 if TYPE_CHECKING:
     from rtee.hand.model import Hand as HandModel
     from rtee.retarget.correspondence import Correspondence
+    from rtee.retarget.frames import Frame
+    from rtee.retarget.retargeter import Retargeter
+    from rtee.sample import FloatArray
 
 
 def retarget(
@@ -19,13 +27,21 @@ def retarget(
     save: Annotated[
         bool, typer.Option("--save", help="Find it in the model, and store it as retarget.yaml.")
     ] = False,
+    show: Annotated[
+        bool, typer.Option("--show", help="Show it in the browser, beside a person's hand.")
+    ] = False,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The points to show; else a hand that pinches."),
+    ] = None,
+    port: Annotated[int, typer.Option(help="Port of the page.", min=0, max=65535)] = 8080,
     as_json: JsonOption = False,
 ) -> None:
     """Show which finger of a hand follows which of a person's, and which tips meet.
 
-    Example: rtee retarget leap_hand --save
+    Example: rtee retarget leap_hand --show
     """
-    from rtee.errors import needing_extra
+    from rtee.errors import ConfigError, needing_extra
 
     with needing_extra("retargeting", "retarget"):
         from rtee.retarget.correspondence import read_correspondence, write_correspondence
@@ -49,6 +65,51 @@ def retarget(
         print(json.dumps({"hand": library.hand.name, **asdict(found)}))
     else:
         _show(library.hand, found)
+    if show:
+        _open_page(folder, landmarks, port)
+    elif landmarks is not None:
+        raise ConfigError("--landmarks says what --show shows")
+
+
+def _open_page(folder: Path, file: Path | None, port: int) -> None:
+    import anyio
+
+    from rtee.errors import needing_extra
+
+    with needing_extra("the GUI", "gui"):
+        from rtee.gui.access import Access
+        from rtee.gui.person import show_person
+    from rtee.retarget import frames as tracker
+    from rtee.retarget.layouts import LAYOUTS, Side
+    from rtee.retarget.retargeter import Retargeter
+    from rtee.testing.human_hand import shown
+
+    retargeter = Retargeter.of(folder)
+    seen = (
+        tracker.read_frames(file, LAYOUTS["mediapipe"], Side.RIGHT)
+        if file is not None
+        else [tracker.Frame(k / 30.0, points) for k, points in enumerate(shown())]
+    )
+    page = partial(
+        show_person, retargeter.hand, answered(retargeter, seen), access=Access(), port=port
+    )
+    # Ctrl-C is the usual end, not a failure.
+    with contextlib.suppress(KeyboardInterrupt):
+        anyio.run(page)
+
+
+async def answered(
+    retargeter: Retargeter, frames: Sequence[Frame]
+) -> AsyncIterator[tuple[FloatArray, FloatArray]]:
+    """Yield a person's points beside the robot, and its positions, again and again in real time."""
+    from rtee.retarget.frames import due
+
+    while True:
+        async for frame in due(frames):
+            answer = retargeter.step(frame.points, frame.stamp)
+            if frame.points is not None:
+                positions = np.array([*answer.values()])
+                yield retargeter.beside(frame.points), positions
 
 
 def _show(hand: HandModel, found: Correspondence) -> None:

@@ -198,6 +198,21 @@ class Retargeter:
                 f"the side given is {self.side}"
             )
 
+    def beside(self, points: FloatArray) -> FloatArray:
+        """Return a person's points ``(21, 3)`` [m] beside the hand, turned and as large as it.
+
+        In the hand's base frame, its palm's axes along the hand's own, to look at.
+        """
+        palm, maps = self.correspondence.palm, [*self.correspondence.fingers.values()]
+        seen = in_palm(points, self.side)
+        reach = max(each.reach for each in maps)
+        larger = reach / max(float(np.linalg.norm(seen[12] - seen[9])), bones(seen)[6:9].sum())
+        axes = np.array([palm.palmar, palm.radial, palm.distal])
+        bases = np.array([each.base for each in maps]).mean(axis=0)
+        # Its knuckles beside the hand's, on the little finger's side.
+        found: FloatArray = larger * (seen - seen[9]) @ axes + bases - 1.5 * reach * axes[1]
+        return found
+
     def gap(self, at: Mapping[str, float], first: str, second: str) -> float:
         """Return the distance between two fingertips' surfaces [m]; negative if they overlap.
 

@@ -89,6 +89,29 @@ class _Pinch:
         return np.array([np.interp(-width, -self.widths, column) for column in self.way])
 
 
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """What a frame asks for.
+
+    Attributes:
+        last: The last positions ``(n,)`` [rad | m].
+        targets: Where the tips should be ``(k, 3)`` [m].
+        follow: Weights of the tips' places ``(k,)`` [1/m].
+        stiffness: Weights of positions ``(n,)``.
+        pull: The sum of these times the positions that they pull to ``(n,)``.
+        wanted: Pairs of fingers, the gap between them [m] and its weight, 0 to 1.
+        near: Links that should stay apart.
+    """
+
+    last: FloatArray
+    targets: FloatArray
+    follow: FloatArray
+    stiffness: FloatArray
+    pull: FloatArray
+    wanted: list[tuple[tuple[str, str], float, float]]
+    near: list[Row]
+
+
 class Solver:
     """Solves for a hand's positions, each time from the last ones."""
 
@@ -127,7 +150,7 @@ class Solver:
                 self._closes[i, k] = float(name in (spec.own or spec.actuators))
         self._closes /= np.maximum(self._closes.sum(axis=1, keepdims=True), 1.0)
         self._pinches: list[_Pinch] = []
-        self._grips = np.zeros(n, dtype=bool)
+        self._drawing = np.full(n, _DRAW**2)
         for pinch in found.pinches:
             fingers = names.index(pinch.fingers[0]), names.index(pinch.fingers[1])
             reach = float(np.mean([self._reach[k] for k in fingers]))
@@ -135,7 +158,8 @@ class Solver:
                 [hand.actuator_index(a) for a in pinch.way or pinch.contact], dtype=np.intp
             )
             contact = np.array([*pinch.contact.values()])
-            self._grips[rows] |= bool(pinch.widths)
+            if pinch.widths:
+                self._drawing[rows] = _GRIP**2
             human = self._humans[fingers[1]]
             widths, way = np.array(pinch.widths), np.array([*pinch.way.values()])
             scale = reach / _FINGER
@@ -169,14 +193,21 @@ class Solver:
             drawn[pinch.rows] += share
         # Several pinches of one actuator share its weight.
         draw = np.divide(draw, drawn, out=prior.copy(), where=drawn > 0.0)
-        drawn = np.where(self._grips, _GRIP, _DRAW) ** 2 * np.minimum(drawn, 1.0)
-        follow = self._follow * (1.0 - 0.9 * bound) / self._reach
+        drawn = self._drawing * np.minimum(drawn, 1.0)
         stay = _STAY**2 + _SLIDE**2 * (self._moves * bound).max(axis=1)
         self._tips.go(last)
-        near = self._tips.near(pair for pair, _, _ in wanted)
+        problem = _Problem(
+            last,
+            targets,
+            self._follow * (1.0 - 0.9 * bound) / self._reach,
+            _PRIOR**2 + stay + drawn,
+            _PRIOR**2 * prior + stay * last + drawn * draw,
+            wanted,
+            self._tips.near(pair for pair, _, _ in wanted),
+        )
         u = last
         for _ in range(_STEPS):
-            u = self._step(u, last, targets, follow, prior, draw, drawn, stay, wanted, near)
+            u = self._step(u, problem)
         return self._met(u, [(pair, gap) for pair, gap, weight in wanted if weight == 1.0])
 
     def _met(self, u: FloatArray, wanted: list[tuple[tuple[str, str], float]]) -> FloatArray:
@@ -202,27 +233,13 @@ class Solver:
         share = min(1.0, max(0.0, (_MEET[1] - distance) / (_MEET[1] - _MEET[0])))
         return share * share * (3.0 - 2.0 * share), pinch.scale * beyond
 
-    def _step(
-        self,
-        u: FloatArray,
-        last: FloatArray,
-        targets: FloatArray,
-        follow: FloatArray,
-        prior: FloatArray,
-        draw: FloatArray,
-        drawn: FloatArray,
-        stay: FloatArray,
-        wanted: list[tuple[tuple[str, str], float, float]],
-        near: list[Row],
-    ) -> FloatArray:
+    def _step(self, u: FloatArray, problem: _Problem) -> FloatArray:
         """Return the positions after one step of Gauss-Newton."""
-        tips, unit = self._tips, self.range
+        tips, unit, follow = self._tips, self.range, problem.follow
         tips.go(u)
         # In units of the ranges, so that radians and metres are comparable.
-        weights = np.full(len(u), _PRIOR**2)
-        hessian = np.diag(weights + stay + drawn)
-        slope = (weights * (prior - u) + stay * (last - u) + drawn * (draw - u)) / unit
-        damping = np.zeros_like(u)
+        rows, off = np.zeros((0, len(u))), np.zeros(0)
+        damping = problem.stiffness
         if follow.any():
             places = np.array(
                 [tips.place(b, p) for b, p in zip(self._bodies, self._points, strict=True)]
@@ -230,42 +247,43 @@ class Solver:
             rows = (tips.moves(self._bodies, places) * (follow[:, None, None] * unit)).reshape(
                 -1, len(u)
             )
-            off = follow[:, None] * (targets - places)
-            hessian += rows.T @ rows
-            slope += rows.T @ off.ravel()
+            off = (follow[:, None] * (problem.targets - places)).ravel()
             # What Gauss-Newton leaves out, by its size: else targets out of reach make it swing.
-            damping += _CURVED * float(np.abs(off).max()) * self._turned
-        for pair, gap, weight in wanted:
+            damping = damping + _CURVED * float(np.abs(off).max()) * self._turned
+        added = []
+        for pair, gap, weight in problem.wanted:
             distance, row = tips.gap(pair)
             weight *= _GAP if distance > 0.0 else _APART
-            row = weight * row * unit
-            off = weight * (gap - distance)
-            hessian += np.outer(row, row)
-            slope += row * off
-            damping += abs(off) * np.abs(row)
-        for begun, row in near:
+            added.append((weight * row * unit, weight * (gap - distance)))
+            damping = damping + np.abs(added[-1][0] * added[-1][1])
+        for begun, row in problem.near:
             # They move little in a frame, so that one look at them is enough.
-            distance = begun + float(row @ (u - last))
+            distance = begun + float(row @ (u - problem.last))
             if distance < 0.0:
-                row = _APART * row * unit
-                hessian += np.outer(row, row)
-                slope += row * (-_APART * distance)
+                added.append((_APART * row * unit, -_APART * distance))
+        if added:
+            rows = np.vstack([rows, [row for row, _ in added]])
+            off = np.append(off, [each for _, each in added])
+        hessian = rows.T @ rows
         hessian.flat[:: len(u) + 1] += damping
-        return self._within(u, hessian, slope)
+        return self._within(
+            u, hessian, rows.T @ off + (problem.pull - problem.stiffness * u) / unit
+        )
 
     def _within(self, u: FloatArray, hessian: FloatArray, slope: FloatArray) -> FloatArray:
         """Return the minimum of a quadratic function within the limits, by freezing."""
         low, high = (self._lower - u) / self.range, (self._upper - u) / self.range
-        step: FloatArray = np.asarray(np.linalg.solve(hessian, slope), dtype=np.float64)
-        free = np.ones(len(u), dtype=bool)
-        while (beyond := free & ((step < low) | (step > high))).any():
-            step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
-            free &= ~beyond
-            if not free.any():
-                break
+        step = np.zeros_like(u)
+        free = ~((low >= 0.0) & (slope < 0.0) | (high <= 0.0) & (slope > 0.0))
+        while free.any():
             rows = hessian[free]
             given = slope[free] - rows[:, ~free] @ step[~free]
             step[free] = np.linalg.solve(rows[:, free], given)
+            beyond = free & ((step < low) | (step > high))
+            if not beyond.any():
+                break
+            step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
+            free &= ~beyond
         found: FloatArray = np.clip(u + step * self.range, self._lower, self._upper)
         return found
 

@@ -104,3 +104,12 @@ def _reached(base: FloatArray, bones: FloatArray, goal: FloatArray) -> FloatArra
             step = chain[i + 1] - chain[i]
             chain[i + 1] = chain[i] + bones[i] * step / np.linalg.norm(step)
     return chain
+
+
+def shown() -> list[FloatArray]:
+    """Return points of a hand that closes, pinches with each finger and spreads, at 30 Hz."""
+    hand, turn = HumanHand(), 0.5 - 0.5 * np.cos(np.linspace(0.0, 2.0 * np.pi, 60))
+    frames = [hand.points((float(share),) * 5) for share in turn]
+    for finger in range(1, 5):
+        frames += [hand.points(pinch=(finger, float(0.09 - 0.075 * share))) for share in turn]
+    return frames + [hand.points(spread=0.12 * float(share)) for share in turn]
