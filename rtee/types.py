@@ -395,9 +395,8 @@ class Event:
     """A notable occurrence that is neither feedback nor a result.
 
     Attributes:
-        kind: ``grasp_lost``, ``device_fault``, ``device_lost``, ``reconnected``, ``limited``,
-            ``stop``, ``recovered``, ``thermal``, ``implausible``, ``mark``, ``action_added`` and
-            the like.
+        kind: ``grasp_lost``, ``device_fault``, ``stop``, ``mark`` and others, which
+            ``docs/reference/events.md`` lists.
         source: The device, finger or client it concerns.
         text: One sentence.
         stamp: CLOCK_MONOTONIC [s].

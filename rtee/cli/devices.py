@@ -24,7 +24,7 @@ from rtee.cli._common import (
 if TYPE_CHECKING:
     from rtee.deploy.needs import Needs
     from rtee.drivers.diagnosis.checks import Check
-    from rtee.types import DeviceSpec
+    from rtee.types import DeviceSpec, DeviceStatus
 
 DeviceOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="One device of the hand; by default all.")
@@ -127,8 +127,12 @@ def doctor(
                 results["network"] = certificates
         if ros2:
             results["ROS 2"] = await _graph(hand)
+        name = _running(hand) if hand and not emulated else None
+        if name is not None:
+            # It owns its ports: a second program there would only be in its way.
+            results |= await _asked(name, device)
         # A hand without devices is no mistake, unless the user names one of them.
-        if hand and (device is not None or has_devices(hand)):
+        elif hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated, ideal):
                     results[spec.name] = await check_device(spec, pool)
@@ -188,6 +192,54 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
         return refuted
 
     return 1 if asyncio.run(execute()) else 0
+
+
+def _running(hand: str) -> str | None:
+    """Return the name of a hand if it runs on this computer."""
+    from rtee.errors import RteeError
+    from rtee.hand.load import load_configured
+    from rtee.remote.directory import running
+
+    try:
+        name = load_configured(hand)[1].name
+    except RteeError:  # the check of the model says what is wrong with it
+        return None
+    return name if name in running() else None
+
+
+async def _asked(name: str, only: str | None) -> dict[str, list[Check]]:
+    """Return what a running hand says of its devices, or of the one named."""
+    from rtee.drivers.diagnosis.checks import wrong
+    from rtee.errors import ConfigError, RemoteError, suggestion
+    from rtee.remote.client import connect
+
+    try:
+        async with connect(name, client="doctor") as remote:
+            devices = {each.name: each for each in (await remote.status()).devices}
+    except RemoteError as error:
+        remedy = "if it hangs, end it with Ctrl-C; its service restarts by itself"
+        return {f"{name}, which runs": [wrong("answer", str(error), remedy)]}
+    if only is not None and only not in devices:
+        raise ConfigError(f"hand '{name}' has no device '{only}'; {suggestion(only, devices)}")
+    chosen = devices.values() if only is None else [devices[only]]
+    return {each.name: [_told(name, each)] for each in chosen}
+
+
+def _told(hand: str, device: DeviceStatus) -> Check:
+    """Return a check of a device from what the running hand says of it."""
+    from rtee.drivers.diagnosis.checks import ok, wrong
+    from rtee.types import Lifecycle
+
+    text = f"{device.driver}, {device.lifecycle}, says the running hand"
+    if device.lifecycle is Lifecycle.ACTIVE:
+        counts = f"{device.rate:.0f} Hz, {device.errors} errors, {device.reconnects} reconnects"
+        return ok("device", f"{text}: {counts}")
+    why = device.fault_name or device.message
+    return wrong(
+        "device",
+        text + (f": {why}" if why else ""),
+        device.hint or f"rtee recover {hand}; to try the device alone, end the hand first",
+    )
 
 
 def _service(hand: str) -> tuple[list[Check], Needs | None]:

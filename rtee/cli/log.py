@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import JsonOption
-from rtee.cli._online import to_json
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table
 from rtee.errors import ConfigError, LogError, foreign, needing_extra
 
@@ -78,6 +78,19 @@ def _show(summary: Info) -> None:
             _print_safely(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
     for note in recording.notes:
         _print_safely(f"note: {note}")
+
+
+@app.command()
+def mark(
+    text: Annotated[str, typer.Argument(help="What happens, in one line.")],
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Put a mark into the recording of a running hand.
+
+    Example: rtee log mark "the cup slipped"
+    """
+    with_hand(hand, connect, "mark", lambda remote: remote.record("mark", text))
 
 
 def _print_safely(line: str) -> None:

@@ -205,7 +205,8 @@ class Recorder:
                 self._writer.sink.start(time.time_ns())
             except OSError as error:
                 raise LogError(
-                    f"no recording can be written here: {reason(error)}",
+                    f"no recording can be written here: {reason(error)}; --log gives another"
+                    " folder, --no-log records nothing",
                     path=self._settings.folder,
                 ) from error
         # A daemon, so that a disk that hangs cannot keep the process from ending.

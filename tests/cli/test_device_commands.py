@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 from rtee_process import RTEE
+
+from rtee.remote.directory import VARIABLE
+from rtee.testing.running import running_hand
 
 
 def rtee(*words: str, status: int = 0, typed: str = "") -> str:
@@ -34,6 +38,23 @@ def test_the_doctor_fails_where_something_is_wrong() -> None:
     text = rtee("doctor", "robotiq_2f_85", status=1)
     assert "wrong    port: there is no /dev/ttyUSB0" in text
     assert "-> plug it in" in text
+
+
+def test_the_doctor_asks_a_hand_that_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path
+) -> None:
+    """It advised to kill the hand, whose port is in use: by the hand."""
+    monkeypatch.chdir(repository)
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "run"))
+    with running_hand("robotiq_2f_85", folder=tmp_path) as hand:
+        text = rtee("doctor", "robotiq_2f_85")
+        assert "ok       device: robotiq_2f, active, says the running hand" in text
+        hand.unplug()
+        while hand.status().devices[0].lifecycle == "active":
+            time.sleep(0.01)
+        text = rtee("doctor", "robotiq_2f_85", status=1)
+        assert "wrong    device: robotiq_2f" in text
+        assert "kill" not in text
 
 
 def test_a_hand_is_located_and_calibrated(tmp_path: Path) -> None:

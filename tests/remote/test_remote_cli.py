@@ -21,6 +21,7 @@ from rtee.cli.define import compose
 from rtee.cli.do import do
 from rtee.cli.do import open_ as open
 from rtee.cli.grasp import touch
+from rtee.cli.log import mark
 from rtee.cli.state import state
 from rtee.cli.status import status
 from rtee.cli.stop import recover, stop
@@ -70,6 +71,12 @@ def test_do_says_what_fingers_do_on_contact(served: Served) -> None:
     assert served.watcher.goals[0].on_contact == {"": "hold", "thumb": "stop"}
     with pytest.raises(GoalRejected, match="unknown on_contact 'push'"):
         run(do, "fist", "--on-contact", "push")
+
+
+def test_a_mark_goes_into_the_recording(served: Served) -> None:
+    assert run(mark, "the cup slipped", "--hand", "small") == ""
+    assert served.recorder is not None
+    assert served.recorder.calls == ["the cup slipped"]
 
 
 def test_touching_nothing_has_exit_status_1(served: Served) -> None:
