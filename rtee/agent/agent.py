@@ -10,11 +10,11 @@ import anyio
 import anyio.to_thread
 
 from rtee.agent import texts
-from rtee.agent.approval import approve
-from rtee.agent.limits import Limits
 from rtee.errors import GoalRejected, NoHand, RteeError, needing_extra
 from rtee.hand.config_schema import Gate
+from rtee.remote.agent_limits import Limits
 from rtee.remote.agents import AGENT
+from rtee.remote.approval import approve
 from rtee.remote.client import RemoteHand, connect
 from rtee.types import Goal, Result
 
@@ -97,9 +97,7 @@ class Agent:
         try:
             remote = await self.remote()
             if out := (await remote.status()).agents_out:
-                raise GoalRejected(
-                    f"agents are out since the hand was {out}; only a person lets in"
-                )
+                raise GoalRejected(f"agents are out since the hand was {out}; ask a person")
             played = await self._pass(remote, goal, words, thing)
             result = texts.result(await _done(remote, goal))
         finally:
@@ -124,10 +122,10 @@ class Agent:
         if gate is Gate.SIMULATE and against:
             raise GoalRejected(f"in simulation, {against} ({played})")
         if gate is Gate.APPROVE:
-            told = (f"In simulation: {played}." if played else "", against and f"BUT {against}.")
-            await approve(
-                " ".join((f"{self.name}: an agent asks to {words}.", *filter(None, told)))
-            )
+            told = f"In simulation: {played}." if played else ""
+            but = f"BUT {against}." if against else ""
+            asked = (f"{self.name}: an agent asks to {words}.", told, but)
+            await approve(" ".join(filter(None, asked)))
         return played
 
     async def _rehearsed(self, remote: RemoteHand, goal: Goal, thing: str) -> tuple[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from typing import Any, Final
 
@@ -48,14 +47,9 @@ def server_of(agents: Sequence[Agent]) -> MCPServer:
     server = MCPServer("rtee", instructions=INSTRUCTIONS, tools=made, log_level="WARNING")
     for agent in agents:
         for what, read in (("model", tools.model), ("library", tools.library)):
-            server.add_resource(
-                FunctionResource.from_function(
-                    _read(read, agent),
-                    uri=f"rtee://{agent.name}/{what}",
-                    name=f"{what} of {agent.name}",
-                    mime_type="application/json",
-                )
-            )
+            uri, name = f"rtee://{agent.name}/{what}", f"{what} of {agent.name}"
+            fn, mime = functools.partial(read, agent), "application/json"
+            server.add_resource(FunctionResource(uri=uri, name=name, fn=fn, mime_type=mime))
     return server
 
 
@@ -79,12 +73,3 @@ def _tool(method: Callable[..., Awaitable[Any]], agents: Sequence[Agent]) -> Too
     if "force" in properties:
         properties["force"]["maximum"] = max(agent.limits.force for agent in agents)
     return tool
-
-
-def _read(
-    read: Callable[[Agent], Awaitable[dict[str, Any]]], agent: Agent
-) -> Callable[[], Awaitable[str]]:
-    async def text() -> str:
-        return json.dumps(await read(agent), indent=2)
-
-    return text

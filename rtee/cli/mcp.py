@@ -62,7 +62,7 @@ def mcp(
     with needing_extra("'rtee mcp'", "mcp"):
         from rtee.agent.server import serve
     from rtee.agent.agent import Agent
-    from rtee.agent.limits import Limits
+    from rtee.remote.agent_limits import Limits
     from rtee.remote.find import hands_running
 
     asked = AgentSettings(gate, force, effort, speed, tuple(action or ()))
@@ -90,7 +90,7 @@ def approve() -> None:
     """
     import anyio
 
-    from rtee.agent.approval import answer_all, listening
+    from rtee.remote.approval import answer_all, listening
 
     _check_terminal("approve")
 

@@ -25,13 +25,13 @@ from rtee_process import RTEE
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.agent.agent import Agent
-from rtee.agent.approval import answer_all, listening
-from rtee.agent.limits import Limits
 from rtee.agent.server import serving as offered
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.config_schema import AgentSettings, Gate
 from rtee.hand.model import Hand
+from rtee.remote.agent_limits import Limits
 from rtee.remote.agents import AGENT
+from rtee.remote.approval import answer_all, listening
 from rtee.testing.running import StartHand
 
 pytestmark = pytest.mark.anyio
