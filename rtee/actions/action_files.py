@@ -27,7 +27,6 @@ from rtee.actions.documents import (
     custom_document,
     located,
     primitives_document,
-    read_as,
     read_document,
     read_primitives,
 )
@@ -39,6 +38,7 @@ from rtee.hand.catalog import FILE_NAME
 from rtee.hand.files import reason, write_all
 from rtee.hand.model import Hand
 from rtee.hand.own_copy import copied_since, copy_notice, own
+from rtee.hand.validation import checked
 from rtee.hand.yamlfile import YamlDocument, read_emitted, read_text
 from rtee.hand.yamlwrite import emit
 
@@ -403,7 +403,7 @@ def read_definition(kind: ActionKind, path: Path) -> Definition:
         ActionError: for every mistake, with file and line.
     """
     document = read_document(path)
-    return Definition(read_as(CUSTOM[kind], document), document)
+    return Definition(checked(CUSTOM[kind], document, ActionError), document)
 
 
 class Builder:

@@ -38,7 +38,7 @@ from rtee.actions.types import (
 )
 from rtee.errors import ActionError, UserError, suggestion
 from rtee.hand.model import Hand
-from rtee.hand.validation import Check, Invalid, field_types, known_keys, validated
+from rtee.hand.validation import Check, checked, field_types
 from rtee.hand.yamlfile import Location, YamlDocument, parse_yaml, read_text
 
 WHAT = "the file of actions"
@@ -125,7 +125,7 @@ def read_primitives(hand: Hand, path: Path) -> list[Primitive]:
         ActionError: for every mistake, with file and line.
     """
     document = read_document(path)
-    content = read_as(PrimitivesDocument, document)
+    content = checked(PrimitivesDocument, document, ActionError)
     with located(document, ("kind",)):
         kind, count = _primitive_kind(content.kind)
     return [
@@ -400,94 +400,3 @@ def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[N
             raise
         line = document.line(tuple(location))
         raise ActionError(error.message, path=document.path, line=line) from None
-
-
-def read_as(kind: type[T], document: YamlDocument) -> T:
-    """Return the content of a document as a dataclass.
-
-    Raises:
-        ActionError: for the first mistake in the file, with its line.
-    """
-    try:
-        return validated(kind, document.data)
-    except Invalid as error:
-        raise first_mistake(error.errors(), document, kind) from None
-
-
-def first_mistake(
-    mistakes: Sequence[Mapping[str, Any]],
-    document: YamlDocument,
-    kind: Any = None,
-    at: Location = (),
-) -> ActionError:
-    """Return the error that comes first in a file, with its line.
-
-    Args:
-        mistakes: The errors, as `Invalid.errors` or pydantic's errors have them.
-        document: The file.
-        kind: The dataclass that the content was checked against, where unknown keys are refused.
-        at: Location of that content in the file; by default its root.
-    """
-    placed = [{**mistake, "loc": (*at, *mistake["loc"])} for mistake in mistakes]
-    location, mistake = document.located(placed)[0]
-    words = _sentence(kind, location, mistake)
-    return ActionError(words, path=document.path, line=document.line(location))
-
-
-def _sentence(kind: Any, location: Location, error: Mapping[str, Any]) -> str:
-    """Return a mistake in words."""
-    reason, value, limits = error["type"], error["input"], error.get("ctx", {})
-    key = location[-1] if location else ""
-    if reason == "extra_forbidden":
-        hint = suggestion(str(key), known_keys(kind, location[:-1]))
-        return f"unknown key '{key}'; {hint}"
-    if reason == "missing":
-        return f"{_called(location[:-1])} lacks the key '{key}'"
-    if reason == "value_error":
-        cause = limits["error"]
-        return cause.message if isinstance(cause, UserError) else str(cause)
-    entry = _called(location)
-    if error["loc"][-1:] == ("[key]",):  # the mark of a wrong key, which `location` leaves out
-        return f"the key {value} in {_called(location[:-1])} must be a name"
-    # An integer that is too large for a float is of the wrong type.
-    if reason == "finite_number" or (reason == "float_type" and type(value) is int):
-        return f"{entry} must be a finite number"
-    if reason == "greater_than_equal":
-        return f"{entry} is {value:g}; it must be at least {limits['ge']:g}"
-    if reason in ("too_short", "too_long"):
-        length = limits.get("min_length", limits.get("max_length"))
-        return f"{entry} is empty" if not value else f"{entry} must have {length} entries"
-    return f"{entry} must be {_WANTED.get(reason, error['msg'])}, not {_kind(value)}"
-
-
-_WANTED: Final = {
-    "dataclass_type": "a mapping",
-    "model_type": "a mapping",
-    "dict_type": "a mapping",
-    "tuple_type": "a list",
-    "string_type": "a text",
-    "bool_type": "true or false",
-    "float_type": "a number",
-}
-"""Expected values by kind of mistake."""
-
-
-def _called(location: Location) -> str:
-    """Return the name of an entry for a sentence."""
-    named = [part for part in location if isinstance(part, str)]
-    return f"'{named[-1]}'" if named else "the file"
-
-
-def _kind(value: Any) -> str:
-    match value:
-        case None:
-            return "empty"
-        case bool():  # before int, since True is an int
-            return "true or false"
-        case int() | float():
-            return "a number"
-        case str():
-            return f"the text '{value[:40]}'"
-        case list():
-            return "a list"
-    return "a mapping"

@@ -19,19 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    RootModel,
-    Strict,
-    ValidationError,
-)
-from pydantic.alias_generators import to_camel, to_pascal
+from annotated_types import Ge, Len
 
 from rtee.actions.build import SLACK, StepPlan, full_posture, generic
-from rtee.actions.documents import first_mistake, located, read_document
+from rtee.actions.documents import located, read_document
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
@@ -46,6 +37,7 @@ from rtee.errors import ActionError, suggestion
 from rtee.hand.files import reason
 from rtee.hand.model import Hand
 from rtee.hand.names import safe_name
+from rtee.hand.validation import OTHERS, checked
 from rtee.hand.yamlfile import Location, YamlDocument
 from rtee.types import from_rest
 
@@ -66,87 +58,68 @@ _GENERIC, _COMPOSED, _TIMED = 1, 2, 3
 _EARLY = "the files of early versions have neither 'PrimitiveType' nor 'Type'"
 
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Names = Annotated[tuple[str, ...], Strict(False)]
+Amount = Annotated[float, Ge(0)]
+Names = tuple[str, ...]
 Counts = dict[str, Amount]
 """Counts by name of the joint; 0 for joints that are not involved."""
 
 Joints = dict[str, Any]
 """Positions by joint; those of joints that the hand does not have may be anything."""
 
-
-class _Entry(BaseModel):
-    """A mapping in a file of ROS End-Effector, with any other keys."""
-
-    # Its keys are in PascalCase, such as ``JointPos``.
-    model_config = ConfigDict(strict=True, alias_generator=to_pascal)
+_Positions = dict[str, Annotated[tuple[float, ...], Len(1, 1)] | float]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    """A mapping in a file of ROS End-Effector, with fields of the names of its keys, and others."""
+
+    others: Mapping[Any, Any] = field(default_factory=dict, metadata={OTHERS: True})
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Named(_Entry):
-    action_name: str
+    ActionName: str
 
 
+@dataclass(frozen=True, kw_only=True)
 class _SingleJoint(_Entry):
-    fingers_involved: Names
-    joint_pos_further: Joints
+    FingersInvolved: Names
+    JointPosFurther: Joints
 
 
+@dataclass(frozen=True, kw_only=True)
 class _Counted(_Entry):
-    joints_involved_count: Counts
+    JointsInvolvedCount: Counts
 
 
+@dataclass(frozen=True, kw_only=True)
 class _State(_Entry):
-    joint_pos: Joints = {}
-    joint_states: Joints = {}
+    JointPos: Joints = field(default_factory=dict)
+    JointStates: Joints = field(default_factory=dict)
 
 
+@dataclass(frozen=True, kw_only=True)
 class _Composed(_Entry):
-    inner_actions_names: Names = ()
-    fingers_involved: Names = ()
-    independent: Any = False
+    InnerActionsNames: Names = ()
+    FingersInvolved: Names = ()
+    Independent: Any = False
 
 
+@dataclass(frozen=True, kw_only=True)
 class _Margins(_Entry):
-    # The keys of margins are in camelCase.
-    model_config = ConfigDict(alias_generator=to_camel)
-
-    margin_before: Amount
-    margin_after: Amount
+    marginBefore: Amount  # noqa: N815 - the key
+    marginAfter: Amount  # noqa: N815
 
 
+@dataclass(frozen=True, kw_only=True)
 class _Timed(_Entry):
-    actions_time_margins: dict[str, _Margins]
-    actions_joint_pos: dict[str, Joints]
-    actions_joint_count: dict[str, Counts]
-    actions_names_ordered: Names
+    ActionsTimeMargins: dict[str, _Margins]
+    ActionsJointPos: dict[str, Joints]
+    ActionsJointCount: dict[str, Counts]
+    ActionsNamesOrdered: Names
 
 
-def _single(value: Any) -> Any:
-    if not isinstance(value, list):
-        return value
-    if len(value) != 1:
-        raise ActionError(f"a position must have 1 numbers, not {len(value)}")
-    return value[0]
-
-
-class _Positions(RootModel[dict[str, Annotated[Number, BeforeValidator(_single)]]]):
-    model_config = ConfigDict(strict=True)
-
-
-M = TypeVar("M", bound=BaseModel)
-
-
-def _validated(model: type[M], document: YamlDocument, at: Location, data: Any) -> M:
-    """Return what a file holds at a location as a model.
-
-    Raises:
-        ActionError: for the first mistake in the file, with its line.
-    """
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise first_mistake(error.errors(), document, at=at) from None
+M = TypeVar("M")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,21 +137,21 @@ class _Source:
     document: YamlDocument
 
     def read(self, model: type[M], *at: str) -> M:
-        """Return the content, or that at a location inside it, as a model."""
+        """Return the content, or that at a location inside it, as a dataclass."""
         data: Any = self.data
         for part in at:
             data = data[part]
-        return _validated(model, self.document, (self.key, *at), data)
+        return checked(model, self.document, ActionError, (self.key, *at), data)
 
     def joints(self, *at: str) -> tuple[Location, Joints]:
         """Return the location of a state's joint positions, and the positions."""
         state = self.read(_State, *at)
-        if not (state.joint_pos or state.joint_states):
+        if not (state.JointPos or state.JointStates):
             with located(self.document, (self.key, *at)):
                 raise ActionError(f"'{(self.key, *at)[-1]}' lacks the key 'JointPos'")
-        if state.joint_pos:
-            return (self.key, *at, "JointPos"), state.joint_pos
-        return (self.key, *at, "JointStates"), state.joint_states
+        if state.JointPos:
+            return (self.key, *at, "JointPos"), state.JointPos
+        return (self.key, *at, "JointStates"), state.JointStates
 
 
 @dataclass
@@ -284,7 +257,7 @@ class _Reader:
     def _primitive(self, source: _Source) -> Primitive:
         key = source.key
         elements = tuple(map(str, key)) if isinstance(key, tuple) else (str(key),)
-        name = source.read(_Named).action_name
+        name = source.read(_Named).ActionName
         base = normalise(name).rstrip("0123456789")
         kind = _KINDS.get(base)
         if kind is None:
@@ -293,9 +266,9 @@ class _Reader:
         if kind.of_actuators:
             self.hand.actuator(elements[0])
             entry = source.read(_SingleJoint)
-            fingers = self._fingers(entry.fingers_involved)
+            fingers = self._fingers(entry.FingersInvolved)
             at = (key, "JointPosFurther")
-            values = self._joints(source, at, entry.joint_pos_further, what, elements)
+            values = self._joints(source, at, entry.JointPosFurther, what, elements)
             postures = [full_posture(self.hand, {elements[0]: values[elements[0]]})]
         else:
             fingers = elements = self._fingers(elements)
@@ -316,7 +289,7 @@ class _Reader:
         ]
         if not keys:
             raise ActionError(f"{what} has no ActionState_1")
-        counts = source.read(_Counted).joints_involved_count
+        counts = source.read(_Counted).JointsInvolvedCount
         # By number, since the first one is executed and "10" sorts before "2".
         keys.sort(key=lambda key: int(key.removeprefix("ActionState_")))
         places = [source.joints(key) for key in keys]
@@ -325,19 +298,19 @@ class _Reader:
     # --- custom actions
 
     def _counted(self, name: str, source: _Source) -> dict[str, float]:
-        counts = source.read(_Counted).joints_involved_count
+        counts = source.read(_Counted).JointsInvolvedCount
         return _involved(self._posture(source, *source.joints(), counts, name))
 
     def _composed(self, name: str, source: _Source) -> Action:
         set_points = self._counted(name, source)
         entry = source.read(_Composed)
-        names = entry.inner_actions_names
+        names = entry.InnerActionsNames
         parts = find_parts(
             self.hand,
             # `find_parts` needs parts with the same candidates side by side.
             [self._called(n) for n in sorted(names, key=names.index)],
             set_points,
-            self._fingers(entry.fingers_involved),
+            self._fingers(entry.FingersInvolved),
         )
         if parts is None:
             self._note(
@@ -345,7 +318,7 @@ class _Reader:
                 f"({', '.join(names)}) without elements and scales"
             )
             return generic(self.hand, name, set_points, description=f"made of {', '.join(names)}")
-        return self.library.compose(name, parts, independent=bool(entry.independent))
+        return self.library.compose(name, parts, independent=bool(entry.Independent))
 
     def _called(self, name: str) -> list[Action]:
         """Return the imported actions of this name."""
@@ -363,10 +336,10 @@ class _Reader:
 
     def _timed(self, name: str, source: _Source) -> Timed:
         entry = source.read(_Timed)
-        margins, positions = entry.actions_time_margins, entry.actions_joint_pos
-        counts = entry.actions_joint_count
+        margins, positions = entry.ActionsTimeMargins, entry.ActionsJointPos
+        counts = entry.ActionsJointCount
         plans = []
-        for i, alias in enumerate(entry.actions_names_ordered):
+        for i, alias in enumerate(entry.ActionsNamesOrdered):
             with located(source.document, (source.key, "ActionsNamesOrdered", i)):
                 if alias not in margins or alias not in positions or alias not in counts:
                     raise ActionError(
@@ -376,7 +349,7 @@ class _Reader:
             what = f"{name}, {alias}"
             posture = self._posture(source, at, positions[alias], counts[alias], what)
             use = self._use(name, alias, _involved(posture))
-            before, after = margins[alias].margin_before, margins[alias].margin_after
+            before, after = margins[alias].marginBefore, margins[alias].marginAfter
             # Aliases of ROS End-Effector may have characters that rtee does not allow.
             plans.append(StepPlan(use, safe_name(alias, "step"), before, after))
         return self.library.sequence(name, plans)
@@ -425,7 +398,8 @@ class _Reader:
         # Joints that the hand does not have may have any values, even other than numbers.
         own = {name: value for name, value in joints.items() if name in actuators}
         values: dict[str, float] = {}
-        for name, value in _validated(_Positions, source.document, at, own).root.items():
+        for name, given in checked(_Positions, source.document, ActionError, at, own).items():
+            value = given[0] if isinstance(given, tuple) else given
             spec = self.hand.actuator(name)
             clamped = min(max(value, spec.lower), spec.upper)
             if name in involved and not math.isclose(clamped, value, abs_tol=SLACK):

@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 
 from annotated_types import Gt, Interval
 
-from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.config_schema import (
     ActuatorDynamics,
@@ -32,7 +31,7 @@ from rtee.hand.config_schema import (
 )
 from rtee.hand.model import CLEARANCE
 from rtee.hand.names import check_name
-from rtee.hand.validation import OTHERS, Check, Invalid, known_keys, validated
+from rtee.hand.validation import OTHERS, Check, checked
 from rtee.hand.yamlfile import YamlDocument, read_yaml
 
 MeasuredOpening = tuple[
@@ -162,35 +161,4 @@ def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:
     """
     file = Path(path)
     document = read_yaml(file / FILE_NAME if file.is_dir() else file, FILE_NAME)
-    try:
-        return validated(HandConfig, document.data), document
-    except Invalid as errors:
-        raise _first_error(errors, document) from None
-
-
-def _first_error(errors: Invalid, document: YamlDocument) -> ConfigError:
-    """Return the error that comes first in the file."""
-    found = document.located(errors.errors())
-    location, error = found[0]
-    reasons = [e["msg"] for place, e in found if place == location]  # several for a union
-    # In words for people, who write YAML and have no inputs and tuples.
-    message = " or ".join(
-        reason.removeprefix("Value error, ").removeprefix("Input ").replace(" tuple", " list")
-        for reason in reasons
-    )
-    value = repr(error["input"])[:80]
-    match error["type"]:
-        case "extra_forbidden":
-            hint = suggestion(str(location[-1]), known_keys(HandConfig, location[:-1]))
-            return document.error(location, f"unknown key; {hint}")
-        case "missing":
-            return document.error(location, "is missing")
-        case "dataclass_type":
-            message = f"should be a mapping, such as {{name: value}}, not {value}"
-            return document.error(location, message)
-        case "path_type":
-            return document.error(location, f"should be a valid string, not {value}")
-        case "value_error":
-            return document.error(location, message)
-        case _:
-            return document.error(location, f"{message}, not {value}")
+    return checked(HandConfig, document), document

@@ -7,7 +7,7 @@ dataclass, a list a tuple, a text a path or a member of an enumeration, an integ
 Unknown keys, and numbers that are NaN or infinite, are refused.
 
 The mistakes have the form of those of pydantic, which checks the options of drivers. Files are not
-checked with it, since its import takes 9 MB and a tenth of a second.
+checked with it, since its import takes 9 MB and a tenth of a second; `checked` reads them.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, TypedDict, TypeVa
 
 from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MaxLen, MinLen
 
-T = TypeVar("T")
+from rtee.errors import ConfigError, UserError, suggestion
+from rtee.hand.yamlfile import Location, YamlDocument
 
-Location = tuple[str | int, ...]
+T = TypeVar("T")
 
 OTHERS: Final = "others"
 """Marks, in its metadata, the field of a dataclass that takes all keys without a field."""
@@ -52,16 +53,14 @@ class Mistake(TypedDict):
     Attributes:
         type: Its kind, such as ``missing``.
         loc: Its location: keys and positions from the root.
-        msg: What is wrong, a sentence.
+        msg: What the value should be, or what is wrong.
         input: The value that is wrong.
-        ctx: Bounds and causes, by pydantic's names.
     """
 
     type: str
     loc: Location
     msg: str
     input: Any
-    ctx: dict[str, Any]
 
 
 class Invalid(ValueError):
@@ -87,6 +86,43 @@ def validated(kind: type[T], data: Any) -> T:
     if mistakes:
         raise Invalid(mistakes)
     return typing.cast("T", made)
+
+
+def checked(
+    kind: type[T],
+    document: YamlDocument,
+    raised: type[UserError] = ConfigError,
+    at: Location = (),
+    data: Any = None,
+) -> T:
+    """Return a document, or what is at a location in it, as a dataclass.
+
+    Args:
+        kind: The dataclass, or another type of valid data.
+        document: The document.
+        raised: The error to raise.
+        at: Location of the data in the document.
+        data: The data, if not the whole document.
+
+    Raises:
+        UserError: It does not fit; the message names file, line and key of the first mistake.
+    """
+    try:
+        return validated(kind, document.data if data is None else data)
+    except Invalid as error:
+        found = document.located([{**each, "loc": (*at, *each["loc"])} for each in error.errors()])
+    location, first = found[0]
+    # One location has several for a union.
+    reasons = " or ".join(mistake["msg"] for place, mistake in found if place == location)
+    match first["type"]:
+        case "extra_forbidden":
+            known = known_keys(kind, location[len(at) : -1])
+            reasons = f"unknown key; {suggestion(str(location[-1]), known)}"
+        case "missing" | "value_error":
+            pass
+        case _:
+            reasons = f"{reasons}, not {first['input']!r:.80}"
+    raise document.error(location, reasons, raised)
 
 
 def known_keys(kind: Any, location: Location) -> list[str]:
@@ -138,16 +174,16 @@ def _others(kind: Any) -> str | None:
     )
 
 
+_A_MAPPING: Final = "should be a mapping, such as {name: value}"
+
 _Checker = Callable[[Any, Location, list[Mistake]], Any]
 """Takes a value, its location and the mistakes so far; returns the value converted to its type.
 
 After a mistake, the returned value is meaningless."""
 
 
-def _mistake(
-    mistakes: list[Mistake], kind: str, at: Location, message: str, value: Any, **context: Any
-) -> None:
-    mistakes.append(Mistake(type=kind, loc=at, msg=message, input=value, ctx=context))
+def _mistake(mistakes: list[Mistake], kind: str, at: Location, message: str, value: Any) -> None:
+    mistakes.append(Mistake(type=kind, loc=at, msg=message, input=value))
 
 
 # Cached, since a file of actions has thousands of values of a few types.
@@ -187,7 +223,7 @@ def _checker(kind: Any) -> _Checker:
 def _float(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
     if type(value) is float:
         if not math.isfinite(value):
-            _mistake(mistakes, "finite_number", at, "Input should be a finite number", value)
+            _mistake(mistakes, "finite_number", at, "should be a finite number", value)
         return value
     if type(value) is int:
         try:
@@ -195,7 +231,7 @@ def _float(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         # An integer of more than 308 digits.
         except OverflowError:
             pass
-    _mistake(mistakes, "float_type", at, "Input should be a valid number", value)
+    _mistake(mistakes, "float_type", at, "should be a valid number", value)
     return None
 
 
@@ -203,7 +239,7 @@ def _of_type(kind: type, name: str, words: str) -> _Checker:
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         # Not isinstance: True is an int, too.
         if type(value) is not kind:
-            _mistake(mistakes, f"{name}_type", at, f"Input should be a valid {words}", value)
+            _mistake(mistakes, f"{name}_type", at, f"should be a valid {words}", value)
         return value
 
     return check
@@ -211,13 +247,13 @@ def _of_type(kind: type, name: str, words: str) -> _Checker:
 
 def _none(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
     if value is not None:
-        _mistake(mistakes, "none_required", at, "Input should be None", value)
+        _mistake(mistakes, "none_required", at, "should be None", value)
 
 
 def _path(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
     if isinstance(value, str | Path):
         return Path(os.path.expanduser(value))
-    _mistake(mistakes, "path_type", at, "Input is not a valid path", value)
+    _mistake(mistakes, "path_type", at, "should be a valid path", value)
     return None
 
 
@@ -239,8 +275,8 @@ def _words(members: Mapping[Any, Any]) -> _Checker:
         # A text first: a list could not be looked up.
         if isinstance(value, str) and value in members:
             return members[value]
-        message = f"Input should be {expected}"
-        _mistake(mistakes, "literal_error", at, message, value, expected=expected)
+        message = f"should be {expected}"
+        _mistake(mistakes, "literal_error", at, message, value)
         return None
 
     return check
@@ -270,7 +306,7 @@ def _union(checkers: list[_Checker]) -> _Checker:
 def _sequence(item: _Checker, kind: type[list[Any]] | type[tuple[Any, ...]], name: str) -> _Checker:
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         if not isinstance(value, list | tuple):
-            _mistake(mistakes, f"{name}_type", at, f"Input should be a valid {name}", value)
+            _mistake(mistakes, f"{name}_type", at, "should be a valid list", value)
             return None
         return kind(item(each, (*at, i), mistakes) for i, each in enumerate(value))
 
@@ -280,7 +316,7 @@ def _sequence(item: _Checker, kind: type[list[Any]] | type[tuple[Any, ...]], nam
 def _fixed(items: list[_Checker]) -> _Checker:
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         if not isinstance(value, list | tuple):
-            _mistake(mistakes, "tuple_type", at, "Input should be a valid tuple", value)
+            _mistake(mistakes, "tuple_type", at, "should be a valid list", value)
             return None
         if len(value) > len(items):
             _exceeded(_TOO_LONG, len(items), value, at, mistakes)
@@ -288,7 +324,7 @@ def _fixed(items: list[_Checker]) -> _Checker:
         pairs = zip(items, value, strict=False)
         made = [item(each, (*at, i), mistakes) for i, (item, each) in enumerate(pairs)]
         for i in range(len(value), len(items)):
-            _mistake(mistakes, "missing", (*at, i), "Field required", value)
+            _mistake(mistakes, "missing", (*at, i), "is missing", value)
         return tuple(made)
 
     return check
@@ -297,7 +333,7 @@ def _fixed(items: list[_Checker]) -> _Checker:
 def _mapping(key: _Checker, item: _Checker) -> _Checker:
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         if not isinstance(value, Mapping):
-            _mistake(mistakes, "dict_type", at, "Input should be a valid dictionary", value)
+            _mistake(mistakes, "dict_type", at, _A_MAPPING, value)
             return None
         # "[key]" as in pydantic: without it, a wrong key would look like a wrong value.
         return {
@@ -322,7 +358,7 @@ def _dataclass(kind: Any) -> _Checker:
 
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         if not isinstance(value, Mapping):
-            _mistake(mistakes, "dataclass_type", at, "Input should be a mapping", value)
+            _mistake(mistakes, "dataclass_type", at, _A_MAPPING, value)
             return None
         before = len(mistakes)
         made: dict[str, Any] = {}
@@ -330,13 +366,13 @@ def _dataclass(kind: Any) -> _Checker:
             if name in value:
                 made[name] = item(value[name], (*at, name), mistakes)
             elif name in needed:
-                _mistake(mistakes, "missing", (*at, name), "Field required", value)
+                _mistake(mistakes, "missing", (*at, name), "is missing", value)
         unknown = {name: each for name, each in value.items() if name not in checkers}
         if rest is not None and others is not None:
             made[others] = rest(unknown, at, mistakes)
         else:
             for name, each in unknown.items():
-                message = "Extra inputs are not permitted"
+                message = "unknown key"
                 _mistake(mistakes, "extra_forbidden", (*at, name), message, each)
         # `__post_init__` relies on values of the right types.
         if len(mistakes) > before:
@@ -344,7 +380,7 @@ def _dataclass(kind: Any) -> _Checker:
         try:
             return kind(**made)
         except ValueError as error:  # from __post_init__: values that do not fit each other
-            _mistake(mistakes, "value_error", at, f"Value error, {error}", value, error=error)
+            _mistake(mistakes, "value_error", at, str(error), value)
             return None
 
     return check
@@ -417,7 +453,7 @@ def _check_bound(
         try:
             metadata.function(value)
         except ValueError as error:
-            _mistake(mistakes, "value_error", at, f"Value error, {error}", given, error=error)
+            _mistake(mistakes, "value_error", at, str(error), given)
         return
     bound = _BOUNDS[type(metadata)]
     limit = getattr(metadata, bound.limit)
@@ -426,5 +462,5 @@ def _check_bound(
 
 
 def _exceeded(bound: _Bound, limit: Any, value: Any, at: Location, mistakes: list[Mistake]) -> None:
-    message = f"Input should {bound.words.format(limit)}"
-    _mistake(mistakes, bound.kind, at, message, value, **{bound.limit: limit})
+    message = f"should {bound.words.format(limit)}"
+    _mistake(mistakes, bound.kind, at, message, value)

@@ -60,23 +60,24 @@ class YamlDocument:
                 return line
         return None
 
-    def error(self, location: Location, message: str) -> ConfigError:
+    def error(
+        self, location: Location, message: str, raised: type[UserError] = ConfigError
+    ) -> UserError:
         """Return an error that names file, line and field."""
         key = ".".join(str(part)[:80] for part in location)
-        return ConfigError(
-            f"{key}: {message}" if key else message,
-            path=self.path,
-            line=self.line(location),
-            key=key or None,
-        )
+        words = f"{key}: {message}" if key else message
+        error = raised(words, path=self.path, line=self.line(location))
+        if isinstance(error, ConfigError):
+            error.key = key or None
+        return error
 
     def located(self, errors: Sequence[Mapping[str, Any]]) -> list[tuple[Location, Any]]:
-        """Return the errors of a pydantic model with their locations, in the order of the file.
+        """Return mistakes with their locations, in the order of the file.
 
         Keys that are missing come last: one of them may only be misspelled.
 
         Args:
-            errors: What ``ValidationError.errors()`` returns for this document's data.
+            errors: What `Invalid.errors` returns for this document's data.
         """
         found = [(self._known(error["loc"], error["type"]), error) for error in errors]
         return sorted(

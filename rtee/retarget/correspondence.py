@@ -10,11 +10,11 @@ from typing import Annotated, Any, Final
 
 from annotated_types import Ge, Len
 
-from rtee.actions.documents import read_as
 from rtee.actions.openings import model_of
-from rtee.errors import ConfigError
+from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
+from rtee.hand.validation import checked
 from rtee.hand.yamlfile import read_yaml
 from rtee.hand.yamlwrite import emit
 
@@ -124,7 +124,7 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
     path = folder / FILE_NAME
     if not path.is_file():
         return None
-    found = read_as(Correspondence, read_yaml(path, "the retargeting"))
+    found = checked(Correspondence, read_yaml(path, "the retargeting"), ActionError)
     again = f"`rtee retarget {hand.name} --save` makes it again"
     if found.format != FORMAT:
         raise ConfigError(f"has format {found.format}, not {FORMAT}; {again}", path=path)

@@ -289,7 +289,7 @@ def test_failed_reload_leaves_the_library_as_it_was(library: ActionLibrary, tmp_
     library.save(tmp_path)
     (tmp_path / "generic" / "point.yaml").write_text("name: point\n")
     before = list(library)
-    with pytest.raises(ActionError, match="lacks the key 'set_points'"):
+    with pytest.raises(ActionError, match="set_points: is missing"):
         library.reload()
     assert list(library) == before
 
