@@ -30,5 +30,8 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         import importlib
 
+        from rtee.errors import check_system
+
+        check_system()
         return getattr(importlib.import_module(_HOME[name]), name)
     raise AttributeError(f"module 'rtee' has no attribute '{name}'")

@@ -43,6 +43,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import sys
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -150,6 +151,14 @@ class MissingExtra(ConfigError):
         """
         super().__init__(f"{what} needs the extra '{extra}': {install_line(extra)}")
         self.extra = extra
+
+
+def check_system() -> None:
+    """Raise `ConfigError` on a system whose parts rtee cannot do without."""
+    if sys.platform == "win32":
+        raise ConfigError(
+            "rtee runs on Linux, and without real devices on macOS, but not on Windows; use WSL 2"
+        )
 
 
 def install_line(extra: str) -> str:

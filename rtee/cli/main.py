@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rtee.cli._common import app_of
-from rtee.errors import RteeError
+from rtee.errors import RteeError, check_system
 
 COMMANDS: dict[str, tuple[str, str]] = {
     # offline
@@ -141,6 +141,7 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
+        check_system()
         # In standalone mode, typer would print errors in its own form and exit.
         status = cli(prog_name="rtee", standalone_mode=False)
         # Flush here, where a failure to write becomes a sentence below; at exit it would not.
