@@ -34,7 +34,7 @@ class Field(NamedTuple):
 
     def get(self, words: Sequence[int]) -> Any:
         """Return the value; raises `ValueError` for a number that is none."""
-        number = (words[self.word] & self.mask) >> self.bit
+        number = words[self.word] >> self.bit & (1 << self.width) - 1
         if self.signed and number >> self.width - 1:
             number -= 1 << self.width
         return self.kind(number)
@@ -77,9 +77,10 @@ def at(
     kind: Callable[[int], Any] = int,
     *,
     signed: bool = False,
+    default: int = 0,
 ) -> Any:
     """Declare a value of `Registers`; by default a whole register. Arguments as for `Field`."""
-    return field(default=kind(0), metadata={"at": Field(word, bit, width, kind, signed)})
+    return field(default=kind(default), metadata={"at": Field(word, bit, width, kind, signed)})
 
 
 def flag(word: int, bit: int) -> Any:
@@ -121,7 +122,8 @@ class Registers:
         """Read it; raises `FrameError` for what it cannot hold, with the name of the bus."""
         kind = cast("Any", cls)
         try:
-            if cls.STRICT and any(w & ~k for w, k in zip(registers, _known(kind), strict=False)):
+            known = _known(kind) if cls.STRICT else ()
+            if len(registers) < cls.COUNT or any(registers[i] & ~k for i, k in enumerate(known)):
                 raise ValueError
             return cls(**{name: place.get(registers) for name, place in _layout(kind)})
         except ValueError:

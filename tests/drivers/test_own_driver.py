@@ -6,20 +6,21 @@ import asyncio
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
-from rtee.drivers.base import Driver
 from rtee.drivers.registry import driver_names, find_driver
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, DeviceFault
 from rtee.hand.load import load_model
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.tick_driver import drive
-from rtee.types import DeviceSpec, Goal, Lifecycle
+from rtee.testing import actuator
+from rtee.types import DeviceSpec, Goal, Lifecycle, Reference
 
 pytestmark = pytest.mark.anyio
 
@@ -76,26 +77,44 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 @pytest.fixture
-def example(repository: Path) -> type[Driver]:
+def examples(repository: Path) -> dict[str, Any]:
     page = (repository / "docs" / "how-to" / "write-a-driver.md").read_text()
-    code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
-    assert len(code.splitlines()) < 30
+    code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert len(code[0].splitlines()) < 30
+    assert len(code[1].splitlines()) < 120
     names: dict[str, object] = {}
-    exec(code, names)
-    driver = names["JawDriver"]
-    assert isinstance(driver, type)
-    assert issubclass(driver, Driver)
-    return driver
+    for part in code[:2]:
+        exec(compile(part, "write-a-driver.md", "exec", dont_inherit=True), names)
+    return {name: names[name] for name in ("JawDriver", "ModbusJawDriver")}
 
 
-async def test_the_example_drives_its_gripper(example: type[Driver], tmp_path: Path) -> None:
+async def test_the_example_on_modbus_drives_its_gripper(examples: dict[str, Any]) -> None:
+    spec = DeviceSpec(
+        "jaw", "jaw", "jaw", (actuator("slide", 0.0, 0.085),), {"port": "/dev/jaw"}, emulated=True
+    )
+    async with BusPool() as pool:
+        jaw = examples["ModbusJawDriver"](spec, pool)
+        await jaw.configure()
+        assert (await jaw.sense()).position == pytest.approx([0.02])
+        while abs((await jaw.sense()).position[0] - 0.05) > 1e-4:
+            await jaw.move(Reference.at([0.05]))
+        await jaw.stop()
+        pool.played("jaw/jaw").faults.add("overload")
+        with pytest.raises(DeviceFault, match="overload"):
+            await jaw.sense()
+        await jaw.close()
+
+
+async def test_the_example_drives_its_gripper(examples: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "jaw.urdf").write_text(URDF)
     hand = load_model(tmp_path / "jaw.urdf")
     async with Gripper() as gripper:
         options = {"host": "127.0.0.1", "port": gripper.port}
         spec = DeviceSpec("jaw", "jaw", "jaw", hand.actuators, options=options, rate=200.0)
         settings = LoopSettings(rate=200.0)
-        devices = [(DeviceSettings(spec, reconnect_active=True), example(spec, BusPool()))]
+        devices = [
+            (DeviceSettings(spec, reconnect_active=True), examples["JawDriver"](spec, BusPool()))
+        ]
         loop = HandLoop(hand, ActionLibrary(hand), settings, devices)
         async with loop:
             await loop.ready()

@@ -59,6 +59,9 @@ _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_th
 
 Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
 
+_ACKNOWLEDGED = 1.0
+"""Longest time for a board to acknowledge a command [s]: hundreds of its cycles."""
+
 
 class HeriEthercatOptions(DeviceOptions):
     """Options of a HERI II hand on EtherCAT.
@@ -74,7 +77,6 @@ class HeriEthercatOptions(DeviceOptions):
         limit_torque: Whether to send the effort limit as the torque reference of a board: the
             smaller limit of its two motors. Otherwise that reference is 0.
         watchdog: Time without frames after which boards leave operation [s].
-        order_timeout: Longest time for a board to acknowledge a command [s].
         deadline: Longest time for one exchange [s].
     """
 
@@ -86,7 +88,6 @@ class HeriEthercatOptions(DeviceOptions):
     torque_per_ampere: Positive = TORQUE_PER_AMPERE
     limit_torque: bool = True
     watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
-    order_timeout: Positive = 1.0
     deadline: Positive = 0.02
 
 
@@ -249,7 +250,7 @@ class HeriEthercatDriver(Driver):
         """
         bus = self.connection.link
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
-        end = monotonic.now() + self.options.order_timeout
+        end = monotonic.now() + _ACKNOWLEDGED
         done: bool | None = None
         # Without frames, the board's watchdog would take it out of operation meanwhile.
         while done is None and monotonic.now() < end:

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, Self, TypeVar
+from typing import ClassVar, TypeVar
 
 from rtee.buses.emulator import CanFrame
+from rtee.drivers.registers import Registers, at
 
 T = TypeVar("T")
 
@@ -24,8 +25,6 @@ block of RS-485 is assumed."""
 BITRATE = 1_000_000  # of CAN [bit/s]
 MOST = 255
 """Largest value of a register."""
-VERSION_COUNT = 6
-"""Registers of the version block."""
 
 
 class LinkerFrameError(ValueError):
@@ -131,42 +130,35 @@ MODELS: Mapping[str, Model] = {"o6": O6, "l10": L10}
 """The hands by their name in hand.yaml."""
 
 
+class Side(IntEnum):
+    """The side of a hand: the letter of its name."""
+
+    LEFT = ord("L")
+    RIGHT = ord("R")
+
+
 @dataclass(frozen=True, slots=True)
-class Version:
+class Version(Registers):
     """The version block of a hand.
 
     Attributes:
         motors: Number of its degrees of freedom.
         hand: Version of the hand.
         serial: Serial number or lot.
-        side: ``R`` or ``L``.
+        side: Its side.
         software: Version of its software, major and minor in a nibble each.
         hardware: The same of its hardware.
     """
 
-    SIDES: ClassVar[Mapping[int, str]] = {82: "R", 76: "L"}
+    COUNT: ClassVar[int] = 6
+    WHAT: ClassVar[str] = "version block of a LinkerHand"
 
-    motors: int
-    hand: int
-    serial: int
-    side: str
-    software: int
-    hardware: int
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int]) -> Self:
-        """Read it from the version block; raises `LinkerFrameError`."""
-        if len(registers) != VERSION_COUNT:
-            raise LinkerFrameError(f"{len(registers)} registers are not a version block")
-        motors, hand, serial, side, software, hardware = registers
-        if side not in cls.SIDES:
-            raise LinkerFrameError(f"no side of a hand: {side}")
-        return cls(motors, hand, serial, cls.SIDES[side], software, hardware)
-
-    def to_registers(self) -> tuple[int, ...]:
-        """Return the version block."""
-        side = {letter: code for code, letter in self.SIDES.items()}[self.side]
-        return (self.motors, self.hand, self.serial, side, self.software, self.hardware)
+    motors: int = at(0)
+    hand: int = at(1)
+    serial: int = at(2)
+    side: Side = at(3, kind=Side, default=Side.RIGHT)
+    software: int = at(4)
+    hardware: int = at(5)
 
 
 def dotted(version: int) -> str:

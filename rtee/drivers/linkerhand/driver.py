@@ -232,7 +232,7 @@ class LinkerHandDriver(Driver):
     def _identity(self, version: Version | None) -> dict[str, str]:
         found = {"model": f"LinkerHand {self._model.name}", "address": f"unit {self.options.unit}"}
         if version is not None:
-            found["side"] = "right" if version.side == "R" else "left"
+            found["side"] = version.side.name.lower()
             found["firmware"] = dotted(version.software)
             found["hardware"] = dotted(version.hardware)
         return found

@@ -20,9 +20,9 @@ from rtee.drivers.linkerhand.codec import (
     MODELS,
     MOST,
     RIGHT,
-    VERSION_COUNT,
     Fault,
     Model,
+    Side,
     Table,
     Version,
 )
@@ -182,7 +182,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     def version(self) -> Version:
         """Return its version block."""
         motors = self.model.count + (1 if "wrong_device" in self.faults else 0)
-        side = "L" if self.unit == codec.LEFT else "R"
+        side = Side.LEFT if self.unit == codec.LEFT else Side.RIGHT
         return Version(motors, 1, 1, side, self.properties.software, 0x10)
 
     # --- Modbus ------------------------------------------------------------------------------
@@ -194,7 +194,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return input registers; those between its tables are 0."""
-        block = range(self.model.version, self.model.version + VERSION_COUNT)
+        block = range(self.model.version, self.model.version + Version.COUNT)
         if address + count > block.stop or (
             count > self.model.count and not self.properties.joint_reads
         ):

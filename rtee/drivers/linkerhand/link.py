@@ -84,11 +84,8 @@ class ModbusLink(LinkerLink):
 
     async def version(self) -> Version | None:
         """Return the hand's version block; raises `BusError`."""
-        registers = await self._read(self.model.version, codec.VERSION_COUNT)
-        try:
-            return Version.from_registers(registers)
-        except LinkerFrameError as error:
-            raise FrameError(self._bus.name, str(error)) from error
+        registers = await self._read(self.model.version, Version.COUNT)
+        return Version.from_registers(registers, self._bus.name)
 
     async def _read(self, address: int, count: int) -> tuple[int, ...]:
         return await self._bus.read(

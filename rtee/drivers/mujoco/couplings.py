@@ -19,7 +19,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.options import PASSIVE_STIFFNESS, SimOptions
 from rtee.drivers.mujoco.servos import PRISMATIC, Servo
 from rtee.errors import ModelError
 from rtee.hand.config_schema import ActuatorDynamics, Following
@@ -307,7 +307,7 @@ def _add_springs(
         # by the leverage of its slope.
         alone = 1.0 / (slope or math.inf) if known.coupling is Following.SPRING else share
         unit = PRISMATIC if slide else 1.0
-        stiffness = max(abs(alone) * servo.limit / give, options.passive_stiffness * unit)
+        stiffness = max(abs(alone) * servo.limit / give, PASSIVE_STIFFNESS * unit)
         inertia = options.armature * unit
         tendon = spec.add_tendon(name=coupling_name(follower.joint))
         tendon.wrap_joint(follower.joint, 1.0)

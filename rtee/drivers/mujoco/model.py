@@ -18,7 +18,7 @@ from rtee.drivers.mujoco.contacts import (
     time_step,
 )
 from rtee.drivers.mujoco.couplings import add_couplings, add_locks, motor_joint, on_spring, reach
-from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.options import DENSITY, JOINT_DAMPING, PASSIVE_STIFFNESS, SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
 from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
 from rtee.errors import ConfigError, ModelError
@@ -162,7 +162,7 @@ def _add_joint(
         type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
         axis=joint.axis,
         armature=options.armature * unit,
-        damping=options.joint_damping * unit,
+        damping=JOINT_DAMPING * unit,
     )
     role = hand.joints[hand.joint_index(joint.name)].role
     if role is JointRole.ACTUATOR:
@@ -172,7 +172,7 @@ def _add_joint(
         return
     if role is JointRole.PASSIVE:
         resting = float(hand.transmission.joints(hand.rest)[hand.joint_index(joint.name)])
-        added.stiffness = [options.passive_stiffness * unit, 0.0, 0.0]
+        added.stiffness = [PASSIVE_STIFFNESS * unit, 0.0, 0.0]
         added.springref = resting
     elif not on_spring(hand, joint.name):
         return
@@ -280,7 +280,7 @@ def _add_links(
                     continue
                 meshes_done = True
             geom = add_shape(spec, body, shape, f"{name}/{index}", lambda n=name: triangles(n))  # type: ignore[misc]
-            geom.density = options.density
+            geom.density = DENSITY
             make_hard(geom, hand_friction(options.friction, tip=name in hand.tip_links))
             # The group that MuJoCo's viewers hide by default: collision shapes.
             geom.group = 3

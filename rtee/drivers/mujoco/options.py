@@ -6,6 +6,22 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+DENSITY = 1000.0
+"""Density of links without mass [kg/m³]: that of water, near that of plastics and hollow metal."""
+
+JOINT_DAMPING = 5e-3
+"""Damping of every joint [N·m·s/rad]: enough to end the swing of a light link within a moment."""
+
+JOINT_FRICTION = 0.01
+"""Dry friction of every actuator's joint [effort limit]: less than the gears of hands have."""
+
+PASSIVE_STIFFNESS = 0.05
+"""Least stiffness of passive joints [N·m/rad]: a return spring; more where the weight of the links
+needs it."""
+
+MISSING_EFFORT = 10.0
+"""Effort limit of actuators that have none [N·m | 0.01 N]: more than any finger needs."""
+
 
 class SimOptions(BaseModel):
     """Options of the `mujoco` driver in hand.yaml.
@@ -16,17 +32,11 @@ class SimOptions(BaseModel):
         gravity: Gravity along the world's z axis [m/s²].
         friction: Friction of every contact of the hand, mainly with objects; by default 1.0 at
             fingertips and 0.8 elsewhere.
-        density: Density for links without mass [kg/m³].
         stiffness: Position error at which an actuator of unknown gain exerts its full effort [rad],
             or, for a prismatic one, a hundredth of it [m].
         bandwidth: Bandwidth of a servo [Hz], where its inertia is not known.
         armature: Least inertia of motor and gear seen at a joint [kg·m²]; a thousand times as many
             kg at a prismatic one.
-        joint_damping: Damping of every joint [N·m·s/rad].
-        joint_friction: Dry friction of every actuator's joint, as a fraction of its effort limit.
-        passive_stiffness: Least stiffness of passive joints [N·m/rad]; more where the weight of
-            their links needs it.
-        missing_effort: Effort limit of actuators that have none [N·m | 0.01 N].
         object: An object to grasp: ``box:0.05x0.05x0.1``, ``cylinder:0.03x0.1``, ``sphere:0.03``,
             ``capsule:0.02x0.1`` (length with its caps), ``drill``, or the path of a mesh; empty
             for none.
@@ -49,14 +59,9 @@ class SimOptions(BaseModel):
     timestep: float | None = Field(default=None, gt=0, le=0.01)
     gravity: float = Field(default=-9.81, ge=-100, le=100)
     friction: float | None = Field(default=None, ge=0, le=10)
-    density: float = Field(default=1000.0, gt=0, le=20000)
     stiffness: float = Field(default=0.05, gt=0, le=1)
     bandwidth: float = Field(default=15.0, gt=0, le=100)
     armature: float = Field(default=5e-4, gt=0, le=1)
-    joint_damping: float = Field(default=5e-3, ge=0, le=10)
-    joint_friction: float = Field(default=0.01, ge=0, le=1)
-    passive_stiffness: float = Field(default=0.05, ge=0, le=100)
-    missing_effort: float = Field(default=10.0, gt=0)
     object: str = ""
     object_mass: float = Field(default=0.1, gt=0, le=100)
     object_scale: float = Field(default=1.0, ge=0.1, le=10)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.options import JOINT_DAMPING, JOINT_FRICTION, MISSING_EFFORT, SimOptions
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
 from rtee.types import ActuatorSpec, JointKind
@@ -78,7 +78,7 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
     derived = []
     limit = actuator.effort
     if not 0.0 < limit < math.inf:
-        limit = options.missing_effort * (_LINEAR_EFFORT if slide else 1.0)
+        limit = MISSING_EFFORT * (_LINEAR_EFFORT if slide else 1.0)
         derived.append("effort limit")
     kp = known.kp
     if kp is None:
@@ -99,11 +99,11 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
         derived.append("armature")
     damping = known.damping
     if damping is None:
-        damping = options.joint_damping * unit
+        damping = JOINT_DAMPING * unit
         derived.append("damping")
     friction = known.dry_friction
     if friction is None:
-        friction = options.joint_friction * limit
+        friction = JOINT_FRICTION * limit
         derived.append("dry friction")
     return Servo(
         actuator.name, limit, kp, known.kd, known.ki or 0.0, armature, damping, friction,

@@ -75,7 +75,6 @@ class XBot2Options(DeviceOptions):
             HERI II. ``effort`` closes and opens with the effort limit, and holds by position at the
             reference.
         rate: Rate at which the server publishes [Hz].
-        band: In effort control, the largest error that causes no motion, as a share of the range.
         deadline: Longest time to wait for an answer or the first state [s].
     """
 
@@ -86,7 +85,6 @@ class XBot2Options(DeviceOptions):
     joints: dict[str, JointOptions] = Field(default_factory=dict)
     control: Literal["position", "limited", "effort"] = "position"
     rate: Positive = 100.0
-    band: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
     deadline: Positive = 1.0
 
     @field_validator("address")
@@ -99,6 +97,10 @@ class XBot2Options(DeviceOptions):
 
 _STALE = 0.3
 """Age at which a state counts as lost [s]: thirty periods at the server's usual rate."""
+
+_BAND = 0.02
+"""In effort control, the largest error that causes no motion [range]: a smaller one is within the
+play of the grippers' transmissions."""
 
 _NO_EFFORT = (
     "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
@@ -307,7 +309,7 @@ class XBot2Driver(Driver):
         actuator = self.spec.actuators[i]
         here = self._reported[i].to_si(self._state.position[self._index[i]])
         error = float(reference.position[i]) - here
-        if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
+        if abs(error) <= _BAND * (actuator.upper - actuator.lower):
             return None
         size = min(float(reference.max_effort[i]), actuator.effort)
         # An infinite effort cannot be sent, so the position is used.
