@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import dataclasses
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rtee.errors import LogError, needing_extra
-from rtee.log.recording import Recording
+from rtee.errors import LogError, needing_extra, suggestion
+from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording, outcome_of
 from rtee.log.sink import reason
-from rtee.log.tables import Table, tables
+from rtee.messages import topics
+from rtee.messages.convert import plain
+from rtee.messages.state import ACTUATOR_COLUMNS
+from rtee.types import Result
 
 _ROWS = 10_000  # rows converted to Python numbers at a time, which take some megabytes
 
@@ -107,3 +112,177 @@ def _write_npz(path: Path, topic_tables: Mapping[str, Table]) -> None:
     }
     with replacing(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
+
+
+Column = NDArray[Any]
+Table = dict[str, Column]
+"""Columns of the same length by name."""
+
+_WIDE = ("position", "velocity", "effort")
+_LARGEST = 2**63 - 1  # largest number of 64 bits with a sign
+
+
+def _series(series: JointSeries) -> Table:
+    table: Table = {"t": series.t, "wall_ns": series.wall}
+    wide: Sequence[str] = _WIDE
+    if isinstance(series, ActuatorSeries):
+        table |= {"tick": series.tick, "monotonic": series.time}
+        wide = ACTUATOR_COLUMNS
+    for quantity in wide:
+        values = getattr(series, quantity)
+        for index, name in enumerate(series.names):
+            table[f"{quantity}.{name}"] = values[:, index]
+    return table
+
+
+def _text(value: object) -> str:
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={item}" for key, item in value.items())
+    if isinstance(value, (tuple, list)):
+        return " ".join(map(str, value))
+    return "" if value is None else str(value)
+
+
+def _column(values: Sequence[Any]) -> Column:
+    # Before integers, since a bool is an int in Python.
+    if all(isinstance(value, bool) for value in values):
+        return np.array(values, dtype=bool)
+    if all(isinstance(value, int) for value in values):
+        # Counters and numbers of ticks are unsigned 64-bit integers.
+        large = any(value > _LARGEST for value in values)
+        return np.array(values, dtype=np.uint64 if large else np.int64)
+    numbers = [value for value in values if value is not None]
+    if numbers and all(isinstance(value, (int, float)) for value in numbers):
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return np.array([_text(value) for value in values], dtype=np.str_)
+
+
+def _times(entries: Sequence[Entry[Any]]) -> Table:
+    return {
+        "t": np.array([entry.t for entry in entries], dtype=np.float64),
+        "wall_ns": np.array([entry.wall for entry in entries], dtype=np.int64),
+    }
+
+
+def _entries(entries: Sequence[Entry[Any]]) -> Table:
+    table = _times(entries)
+    if not entries:
+        return table
+    for field in dataclasses.fields(entries[0].value):
+        table[field.name] = _column([getattr(entry.value, field.name) for entry in entries])
+    return table
+
+
+def _results(entries: Sequence[Entry[Result]]) -> Table:
+    table = _entries(entries)
+    table["outcome"] = np.array([outcome_of(entry.value) for entry in entries], dtype=np.str_)
+    return table
+
+
+def _commands(recording: Recording) -> Table:
+    """Return one table for all kinds of commands, with the fields of their message."""
+    names = ("kind", "text", "values", "tick", "stamp")
+    records = [entry.value for entry in recording.commands]
+    rows = [(*plain(each.command), each.tick, each.stamp) for each in records]
+    columns = {name: _column([row[i] for row in rows]) for i, name in enumerate(names)}
+    return _times(recording.commands) | columns
+
+
+def _stream_samples(recording: Recording) -> Table:
+    """Return a table with a column for each name that any sample has; ``NaN``: it is not in it."""
+    samples = [entry.value.command for entry in recording.stream_samples]
+    table = _times(recording.stream_samples)
+    for name in ("stream", "stamp", "arrival"):
+        table[name] = _column([getattr(sample, name) for sample in samples])
+    for kind in ("targets", "velocity", "positions", "velocities"):
+        values = [getattr(sample, kind) for sample in samples]
+        for name in dict.fromkeys(name for each in values for name in each):
+            table[f"{kind}.{name}"] = np.array([each.get(name, np.nan) for each in values])
+    return table
+
+
+def _plans(recording: Recording) -> Table:
+    """Return a table with a row for each motion of a plan, and a column for each actuator."""
+    actuators = recording.actuator_states.names or recording.metadata.get("actuators", "").split()
+    rows = [(each, leg) for each in recording.plans for leg in each.value.legs]
+    table = _times([entry for entry, _ in rows])
+    table["goal_id"] = _column([entry.value.goal.goal_id for entry, _ in rows])
+    for name in ("action", "elements", "timeout"):
+        table[name] = _column([getattr(entry.value, name) for entry, _ in rows])
+    for name in ("name", "before", "after"):
+        table[name] = _column([getattr(leg, name) for _, leg in rows])
+    for index in sorted({index for _, leg in rows for index in leg.targets}):
+        column = [leg.targets.get(index, np.nan) for _, leg in rows]
+        table[f"target.{actuators[index]}"] = np.array(column)
+    return table
+
+
+def _channels(recording: Recording) -> Table:
+    rows = [
+        (t, name, index, float(value))
+        for name, channel in recording.channels.items()
+        for t, values in zip(channel.t.tolist(), channel.values, strict=True)
+        for index, value in enumerate(values.tolist())
+    ]
+    # Channels change at different times, but a table is sorted by time.
+    rows.sort(key=lambda row: row[0])
+    return {
+        "t": np.array([row[0] for row in rows], dtype=np.float64),
+        "channel": np.array([row[1] for row in rows], dtype=np.str_),
+        "index": np.array([row[2] for row in rows], dtype=np.int64),
+        "value": np.array([row[3] for row in rows], dtype=np.float64),
+    }
+
+
+def _touch(recording: Recording) -> Table:
+    """Return a table with a row for each sensor and reading: the sum and the taxels."""
+    rows = [
+        (float(each.t[k]), device, sensor.name, sensor.unit, bool(each.stale[k]), i, k, each)
+        for device, each in recording.touch.items()
+        for k in range(len(each))
+        for i, sensor in enumerate(each.sensors)
+    ]
+    rows.sort(key=lambda row: row[0])
+    texts = {"device": 1, "sensor": 2, "unit": 3}
+    table: Table = {"t": np.array([row[0] for row in rows], dtype=np.float64)}
+    table |= {name: np.array([row[i] for row in rows], dtype=np.str_) for name, i in texts.items()}
+    table["stale"] = np.array([row[4] for row in rows], dtype=bool)
+    table["total"] = np.array([each.totals[k, i] for *_, i, k, each in rows], dtype=np.float64)
+    taxels = (each.state(k).of(name).tolist() for _, _, name, _, _, _, k, each in rows)
+    texts_of_taxels = [" ".join(f"{value:g}" for value in values) for values in taxels]
+    table["taxels"] = np.array(texts_of_taxels, dtype=np.str_)
+    return table
+
+
+_MAKERS: Mapping[str, Callable[[Recording], Table]] = {
+    topics.JOINT_STATES: lambda recording: _series(recording.joint_states),
+    topics.ACTUATOR_STATES: lambda recording: _series(recording.actuator_states),
+    topics.REFERENCE: lambda recording: _series(recording.reference),
+    topics.CHANNELS: _channels,
+    topics.TOUCH: _touch,
+    topics.GOALS: lambda recording: _entries(recording.goals),
+    topics.PLANS: _plans,
+    topics.COMMANDS: _commands,
+    topics.STREAM_SAMPLES: _stream_samples,
+    topics.GRIP: lambda recording: _entries(recording.grip),
+    topics.FEEDBACK: lambda recording: _entries(recording.feedback),
+    topics.RESULTS: lambda recording: _results(recording.results),
+    topics.EVENTS: lambda recording: _entries(recording.events),
+    topics.DEVICE_STATUS: lambda recording: _entries(recording.device_status),
+    topics.LOOP_STATISTICS: lambda recording: _entries(recording.loop_statistics),
+}
+
+TABLES = tuple(_MAKERS)
+"""Topics that can be converted to a table."""
+
+
+def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
+    """Return the topics of a recording that have messages, or ``only`` some, as tables.
+
+    Raises `LogError` if a topic does not exist.
+    """
+    for name in only:
+        if name not in _MAKERS:
+            raise LogError(f"unknown topic '{name}'; {suggestion(name, _MAKERS)}")
+    chosen = {name: make(recording) for name, make in _MAKERS.items() if not only or name in only}
+    return {name: table for name, table in chosen.items() if len(table["t"])}

@@ -31,7 +31,7 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Entry, Recorder, Recording, read
 from rtee.log.check import check
-from rtee.log.tables import tables
+from rtee.log.export import tables
 from rtee.loop import contact_rules
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop

@@ -38,7 +38,7 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Recording, read
 from rtee.log.dataclass_json import to_json
-from rtee.log.export import Format, export
+from rtee.log.export import TABLES, Format, export, tables
 from rtee.log.figure import MOST_POINTS, By, figure, thinned
 from rtee.log.file_index import index_file
 from rtee.log.info import info
@@ -46,7 +46,6 @@ from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
 from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
-from rtee.log.tables import TABLES, tables
 from rtee.loop.settings import LoopSettings
 from rtee.types import Event, Goal
 
