@@ -89,15 +89,20 @@ def approve() -> None:
     For hands whose gate is "approve"; nothing else answers for you.
     """
     import anyio
+    import anyio.to_thread
 
     from rtee.remote.approval import answer_all, listening
 
     _check_terminal("approve")
 
+    async def ask(question: str) -> bool:
+        # Not left when it is too late, since what is typed next would be taken for the answer.
+        return await anyio.to_thread.run_sync(typer.confirm, question)
+
     async def main() -> None:
         async with listening() as listener:
             print("waiting for questions; Ctrl-C ends", flush=True)
-            await answer_all(listener, lambda question: typer.confirm(question))
+            await answer_all(listener, ask)
 
     anyio.run(main)
 

@@ -16,6 +16,7 @@ from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.gui.access import Access, Role
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
+from rtee.gui.panels.approval import Approval
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
 from rtee.gui.wording import WRAPS
@@ -49,7 +50,11 @@ def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
 
 
 class App:
-    """One page of the GUI, open in any number of browser windows; its banner has a `message`."""
+    """One page of the GUI, open in any number of browser windows; its banner has a `message`.
+
+    Attributes:
+        approval: What answers the questions of agents.
+    """
 
     def __init__(
         self,
@@ -69,6 +74,7 @@ class App:
         self._endpoint = endpoint
         self._wanted = hand
         self._bridge = Bridge(server, visitors)
+        self.approval = Approval(self._bridge)
         server.gui.configure_theme(
             control_width="medium",
             show_logo=False,
@@ -108,6 +114,7 @@ class App:
         """Show hands until cancelled."""
         async with anyio.create_task_group() as group:
             group.start_soon(self._keep_offering)
+            group.start_soon(self.approval.run)
             await self._keep_showing()
 
     async def _keep_offering(self) -> None:

@@ -1,7 +1,8 @@
-"""A person's yes to a motion, given in a terminal: a Unix socket that the protocol does not reach.
+"""A person's yes to a motion, in a terminal or the GUI: a Unix socket that agents do not reach.
 
-The terminal listens, and each server of an agent connects to it with one question at a time. The
-socket is in the user's runtime folder; nothing that an agent can ask of its server opens it.
+The terminal or the GUI listens, and each server of an agent connects to it with one question at a
+time. The socket is in the user's runtime folder; nothing that an agent can ask of its server opens
+it.
 """
 
 from __future__ import annotations
@@ -9,12 +10,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Final
 
 import anyio
-import anyio.to_thread
 from anyio.abc import SocketListener, SocketStream
 
 from rtee.errors import ConfigError, GoalRejected, foreign
@@ -45,8 +45,8 @@ async def approve(question: str) -> None:
                 answer = await stream.receive(_LONGEST)
     except (OSError, anyio.EndOfStream, anyio.BrokenResourceError):
         raise GoalRejected(
-            "the gate is 'approve', and nobody is there to approve; a person types "
-            "'rtee agent approve' in a terminal"
+            "the gate is 'approve', and nobody is there to approve; a person opens the GUI, or "
+            "types 'rtee agent approve' in a terminal"
         ) from None
     except TimeoutError:
         raise GoalRejected(f"nobody has approved it within {WITHIN:g} s") from None
@@ -56,15 +56,16 @@ async def approve(question: str) -> None:
 
 @contextlib.asynccontextmanager
 async def listening() -> AsyncIterator[SocketListener]:
-    """Listen for questions, in this terminal alone.
+    """Listen for questions, in this process alone.
 
     Raises:
-        ConfigError: if another terminal listens, or the runtime folder cannot be trusted.
+        ConfigError: if another terminal, or the GUI, listens, or the runtime folder cannot be
+            trusted.
     """
     path = _path()
     with contextlib.suppress(OSError):
         await (await anyio.connect_unix(path)).aclose()
-        raise ConfigError("another terminal approves already", path=path)
+        raise ConfigError("another terminal, or the GUI, approves already", path=path)
     with contextlib.suppress(FileNotFoundError):
         os.unlink(path)
     async with await anyio.create_unix_listener(path, mode=0o600) as listener:
@@ -74,15 +75,26 @@ async def listening() -> AsyncIterator[SocketListener]:
             path.unlink(missing_ok=True)
 
 
-async def answer_all(listener: SocketListener, ask: Callable[[str], bool]) -> None:
-    """Answer questions, one after the other, until cancelled; ``ask`` is called in a thread."""
+async def answer_all(listener: SocketListener, ask: Callable[[str], Awaitable[bool]]) -> None:
+    """Answer questions, one after the other, until cancelled.
+
+    Args:
+        listener: From `listening`.
+        ask: Asks a person; cancelled when whoever wanted to know has given up.
+    """
     one = anyio.Lock()
 
     async def answer(stream: SocketStream) -> None:
-        async with stream, one:
+        async with stream, one, anyio.create_task_group() as group:
             with contextlib.suppress(anyio.EndOfStream, anyio.BrokenResourceError, ValueError):
                 question = foreign(str(json.loads(await stream.receive(2 * _LONGEST))))
-                said = await anyio.to_thread.run_sync(ask, question, abandon_on_cancel=True)
-                await stream.send(b"yes\n" if said else b"no\n")
+                group.start_soon(leave_with, stream, group.cancel_scope)
+                await stream.send(b"yes\n" if await ask(question) else b"no\n")
+            group.cancel_scope.cancel()
+
+    async def leave_with(stream: SocketStream, scope: anyio.CancelScope) -> None:
+        with contextlib.suppress(anyio.EndOfStream, anyio.BrokenResourceError):
+            await stream.receive(1)
+        scope.cancel()
 
     await listener.serve(answer)

@@ -201,7 +201,7 @@ async def test_after_a_stop_agents_are_out_until_a_person_lets_them_in(
 async def test_a_person_approves(hand: Hand, library: ActionLibrary, yes: bool) -> None:
     asked: list[str] = []
 
-    def answer(question: str) -> bool:
+    async def answer(question: str) -> bool:
         asked.append(question)
         return yes
 

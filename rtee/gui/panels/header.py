@@ -63,7 +63,14 @@ class Header:
             hint="Bring the devices out of their fault; moves only one that must be homed first",
             visible=False,
         )
+        self._admit = gui.add_button(
+            "Let agents in",
+            icon=viser.Icon.ROBOT,
+            hint="Let language models move the hand again, as far as their gate lets them",
+            visible=False,
+        )
         self._stop.on_click(bridge.clicked(self._do_stop))
+        self._admit.on_click(bridge.clicked(hand.admit_agents))
         self._open.on_click(bridge.clicked(hand.open))
         self._recover.on_click(bridge.clicked(hand.recover))
         # The same as commands, which have keys and work while any tab is open.
@@ -74,7 +81,7 @@ class Header:
         ]
         # Anybody who sees a hand do harm must be able to stop it.
         bridge.leave_to_everybody(self._stop, self._commands[0])
-        bridge.need(Role.OPERATOR, self._open, self._recover, *self._commands[1:])
+        bridge.need(Role.OPERATOR, self._open, self._recover, self._admit, *self._commands[1:])
         self._commands[0].on_trigger(bridge.clicked(self._do_stop))
         self._commands[1].on_trigger(bridge.clicked(hand.open))
         self._commands[2].on_trigger(bridge.clicked(hand.cancel))
@@ -101,12 +108,15 @@ class Header:
             lines.append("<b>Jog is on</b> (tab Make): nobody else can move the hand")
         if not self._bridge.may(Role.MAINTAINER):
             lines.append(f"this GUI's certificate: <b>{self._bridge.role.name.lower()}</b>")
+        if status.agents_out:
+            lines.append(f"agents are out: {escape(status.agents_out)}")
         if status.recording_trouble:
             lines.append(f"recording: {escape(status.recording_trouble)}")
         self._put(lines)
         faulty = any(device.lifecycle is Lifecycle.FAULT for device in status.devices)
-        if self._recover.visible != faulty:
-            self._recover.visible = faulty
+        for button, wanted in ((self._recover, faulty), (self._admit, bool(status.agents_out))):
+            if button.visible != wanted:  # viser sends each assignment to all windows
+                button.visible = wanted
 
     def _put(self, lines: list[str]) -> None:
         body = "<br>".join(lines)
@@ -116,5 +126,6 @@ class Header:
 
     def remove(self) -> None:
         """Remove everything."""
-        for handle in (self._stop, self._open, self._state, self._recover, *self._commands):
+        buttons = (self._stop, self._open, self._recover, self._admit)
+        for handle in (*buttons, self._state, *self._commands):
             handle.remove()

@@ -1,0 +1,73 @@
+"""Questions of agents, which a person answers in the page; see `rtee mcp`."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Final
+
+import anyio
+
+from rtee.errors import ConfigError
+from rtee.gui.bridge import Bridge
+from rtee.gui.colours import GOOD, rgb
+from rtee.gui.wording import WRAPS
+from rtee.remote.approval import answer_all, listening
+
+_LOOK_EVERY: Final = 0.5
+"""Time between two looks for an operator's window [s]: a question waits for two minutes."""
+
+
+class Approval:
+    """Shows one question after the other, with a button for yes and one for no.
+
+    As long as an operator has the page open, and no terminal approves.
+
+    Attributes:
+        listens: Whether questions come here.
+    """
+
+    def __init__(self, bridge: Bridge) -> None:
+        self._bridge = bridge
+        self.listens = False
+
+    async def run(self) -> None:
+        """Answer until cancelled."""
+        while True:
+            await anyio.sleep(_LOOK_EVERY)
+            if self._bridge.attended:
+                try:
+                    await self._answer()
+                except ConfigError:  # a terminal approves
+                    continue
+
+    async def _answer(self) -> None:
+        async with listening() as listener, anyio.create_task_group() as group:
+            group.start_soon(answer_all, listener, self.ask)
+            self.listens = True
+            while self._bridge.attended:  # noqa: ASYNC110 - viser tells no task of it
+                await anyio.sleep(_LOOK_EVERY)
+            self.listens = False
+            group.cancel_scope.cancel()
+
+    async def ask(self, question: str) -> bool:
+        """Show a question until it is answered; cancelled, it is taken away."""
+        gui, answered, said = self._bridge.server.gui, anyio.Event(), False
+
+        async def answer(yes: bool) -> None:
+            nonlocal said
+            said = yes
+            answered.set()
+
+        folder = gui.add_folder("An agent asks", order=-0.5)
+        with folder:
+            style = f"padding:0 0.75em;{WRAPS}"
+            gui.add_html(f'<div role="alert" style="{style}">{escape(question)}</div>')
+            yes = gui.add_button("Do it", color=rgb(GOOD), hint="Let the agent do this, once")
+            no = gui.add_button("No", hint="The agent is told that a person has said no")
+        yes.on_click(self._bridge.clicked(lambda: answer(True)))
+        no.on_click(self._bridge.clicked(lambda: answer(False)))
+        try:
+            await answered.wait()
+        finally:
+            folder.remove()
+        return said
