@@ -128,7 +128,7 @@ class HeadlessHand(Generic[P]):
             for observer in self.observers:
                 observer.on_event(Event(RUN_BEGINS, "simulation", text, self.time))
         # A recorded command: a check of the recording starts its controller in the same way.
-        self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
+        self.apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
 
     @property
@@ -147,7 +147,8 @@ class HeadlessHand(Generic[P]):
             if describe is not None and thing is not None:
                 describe(thing, self.time)
 
-    def _apply(self, command: Command) -> None:
+    def apply(self, command: Command) -> None:
+        """Give a command to the controller, with the next tick."""
         for observer in self.observers:
             observer.on_command(CommandRecord(self.ticks, self.time, command))
         self._due.append(command)

@@ -64,17 +64,17 @@ def test_a_gripper_opens_as_far_as_the_nearest_tips() -> None:
 @pytest.mark.parametrize("side", [*Side])
 def test_frames_and_sides_do_not_matter(side: Side) -> None:
     points = HUMAN.points((0.2, 0.5, 0.3, 0.6, 0.1))
-    there = held(Retargeter.of("schunk_svh"), points, 0.0)
+    there = held(Retargeter.of("leap_hand"), points, 0.0)
     turn = np.linalg.qr(np.array([[1.0, 2.0, 3.0], [0.0, 1.0, -1.0], [2.0, 0.0, 1.0]]))[0]
     mirror = -1.0 if (np.linalg.det(turn) < 0.0) == (side is Side.RIGHT) else 1.0
     moved = mirror * points @ turn.T + 0.3
-    again = held(Retargeter.of("schunk_svh", side=side), moved, 0.0)
+    again = held(Retargeter.of("leap_hand", side=side), moved, 0.0)
     assert again == pytest.approx(there, abs=1e-6)
 
 
 def test_layouts_say_the_same() -> None:
     points = HUMAN.points((0.2, 0.5, 0.3, 0.6, 0.1))
-    there = held(Retargeter.of("schunk_svh"), points, 0.0, frames=3)
+    there = held(Retargeter.of("leap_hand"), points, 0.0, frames=3)
     for layout in (LAYOUTS["webxr"], LAYOUTS["manus"], LAYOUTS["mano"], LAYOUTS["leap"]):
         given = np.zeros((layout.count, 3))
         for row, part in enumerate(layout.order):
@@ -82,7 +82,7 @@ def test_layouts_say_the_same() -> None:
         if layout.name == "leap":
             # The wrist is not among its points, but the mean of the metacarpals' ends.
             given[[4, 9, 14, 19]] = 1e3 * points[0]
-        again = held(Retargeter.of("schunk_svh", layout=layout), given, 0.0, frames=3)
+        again = held(Retargeter.of("leap_hand", layout=layout), given, 0.0, frames=3)
         assert again == pytest.approx(there, abs=1e-9)
 
 
@@ -108,7 +108,7 @@ WITH_NAN[7, 1] = np.nan
     ],
 )
 def test_bad_points_move_nothing(points: object, stamp: float, said: str) -> None:
-    retargeter = Retargeter.of("schunk_svh")
+    retargeter = Retargeter.of("leap_hand")
     before = held(retargeter, HUMAN.points((0.3,) * 5), 0.0)
     with pytest.raises(TrackingError, match=said):
         retargeter.step(points, stamp)
@@ -116,14 +116,14 @@ def test_bad_points_move_nothing(points: object, stamp: float, said: str) -> Non
 
 
 def test_a_hand_of_the_other_side_is_refused() -> None:
-    retargeter = Retargeter.of("schunk_svh")
+    retargeter = Retargeter.of("leap_hand")
     with pytest.raises(TrackingError, match="left hand"):
         retargeter.step(BACKWARDS, 0.0)
-    Retargeter.of("schunk_svh", side="left").step(BACKWARDS, 0.0)
+    Retargeter.of("leap_hand", side="left").step(BACKWARDS, 0.0)
 
 
 def test_outliers_are_dropped_and_a_lost_hand_is_held() -> None:
-    retargeter = Retargeter.of("schunk_svh")
+    retargeter = Retargeter.of("leap_hand")
     before = held(retargeter, HUMAN.points((0.3,) * 5), 0.0)
     wrong = HUMAN.points((0.3,) * 5)
     wrong[8] += 0.3
