@@ -1,7 +1,7 @@
 """Measure how fast hands are as environments of Gymnasium, on one core.
 
-Run: python benchmarks/gym.py. Each does episodes of random targets with a sphere of 60 mm; the time is the processor's of the
-calling thread, without that of building.
+Each does episodes of random targets with a sphere of 60 mm; the time is the processor's of the
+calling thread, without that of building. Run: python benchmarks/gym.py
 """
 
 from __future__ import annotations
