@@ -321,8 +321,9 @@ class Hand:
 
 @dataclass
 class Stop:
-    """A stop, and what was answered; `confirmed` is ``None`` without an answer."""
+    """A stop, sent at a time [s], and what was answered: ``None`` without an answer."""
 
+    at: float
     during: frozenset[str]
     confirmed: bool | None
     took: float
@@ -335,6 +336,7 @@ class Trouble:
         self.hand, self.device = hand, device
         self.random = random.Random(seed)
         self.stops: list[Stop] = []
+        self._begun = time.monotonic()
         self.caused: Counter[str] = Counter()
         self.goals: Counter[str] = Counter()
         self._now: set[str] = set()
@@ -472,7 +474,8 @@ class Trouble:
             began = time.monotonic()
             confirmed = await anyio.to_thread.run_sync(self._stop)
             during = frozenset(self._lately)
-            self.stops.append(Stop(during, confirmed, time.monotonic() - began))
+            took = time.monotonic() - began
+            self.stops.append(Stop(began - self._begun, during, confirmed, took))
 
     def _stop(self) -> bool | None:
         # Where it listens as long as it lives; a killed one is not announced any more.
@@ -570,6 +573,11 @@ def print_stops(trouble: Trouble) -> None:
     possible = [s for s in trouble.stops if not s.during & {*SILENT, *MUTE}]
     done = sum(stop.confirmed is True for stop in possible)
     print(f"\nStops that could be confirmed: **{done} of {len(possible)}**.\n")
+    for stop in possible:
+        if stop.confirmed is not True:
+            answer = "no answer" if stop.confirmed is None else "not confirmed"
+            during = ", ".join(sorted(stop.during)) or "nothing"
+            print(f"- {answer}, {1e3 * stop.took:.0f} ms, {stop.at:.0f} s, during: {during}")
 
 
 def print_lives(lives: list[Life], model: Model) -> None:
