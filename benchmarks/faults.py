@@ -32,6 +32,7 @@ import re
 import resource
 import shutil
 import signal
+import socket
 import statistics
 import subprocess
 import sys
@@ -77,7 +78,7 @@ SMALL = 4096
 DISK = 2**30
 """Size of the file system for the recordings [bytes]: several times what they need."""
 
-LONG = 4
+LONG = 8
 """Rounds of the other faults between two kills, so that a process lives for minutes."""
 
 WARM = 75.0
@@ -215,10 +216,19 @@ class Life:
 
 
 class Device:
-    """The emulated device."""
+    """The emulated device.
 
-    def __init__(self, driver: str, port: Path) -> None:
-        self._words = [sys.executable, "-c", LOSSY, "emulate", driver, "--link", str(port)]
+    The bytes of its serial line go through a socket: those of a pseudo-terminal pass through
+    threads of the kernel that have no precedence, and come up to half a second late on a busy
+    computer.
+    """
+
+    def __init__(self, driver: str) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self.port = f"socket://127.0.0.1:{port}"
+        self._words = [sys.executable, "-c", LOSSY, "emulate", driver, "--tcp", str(port), "--raw"]
         self.plug()
 
     def plug(self) -> None:
@@ -236,7 +246,7 @@ class Device:
 class Hand:
     """The hand, as `rtee run` runs it."""
 
-    def __init__(self, folder: Path, name: str, port: Path, rate: float, *, disk: bool) -> None:
+    def __init__(self, folder: Path, name: str, port: str, rate: float, *, disk: bool) -> None:
         self.name, self.logs, self._folder, self._disk = name, folder / "logs", folder, disk
         self._words = [
             sys.executable,
@@ -500,6 +510,7 @@ class Judged:
         lost: Time before the kill that is missing [s]; ``None``: it was not killed.
         holes: Times without ticks, though it ran and could record.
         damage: Sentences about damage.
+        odd: Sentences about holes and steps.
         back: Ticks whose recorded wall-clock time is before that of the one before.
         beyond: References beyond a limit that were not measured either.
         fast: Steps of references beyond the velocity that do not end at a measurement.
@@ -510,6 +521,7 @@ class Judged:
     lost: float | None
     holes: int
     damage: list[str]
+    odd: list[str]
     back: int
     beyond: int
     fast: int
@@ -528,15 +540,23 @@ def judged(life: Life, model: Model) -> Judged:
             recover(path, in_place=True)
         recordings.append(read(path))
         damage += recordings[-1].damage
+    odd: list[str] = []
     back, beyond, fast, jump = 0, 0, 0, 0.0
     for number, recording in enumerate(recordings):
         measured, sent = recording.actuator_states.position, recording.reference.position
         back += int((np.diff(recording.actuator_states.wall) < 0).sum())
         seconds = np.diff(recording.reference.t)[:, None]
         steps = np.abs(np.diff(sent, axis=0)) > SLACK * fastest * seconds + 1e-9
-        for i in range(len(lower)):
-            landed = np.round(sent[1:, i][steps[:, i]], 6)
-            fast += int((~np.isin(landed, np.round(measured[:, i], 6))).sum())
+        for i, name in enumerate(recording.reference.names):
+            landed = np.flatnonzero(steps[:, i])
+            known = np.isin(np.round(sent[landed + 1, i], 6), np.round(measured[:, i], 6))
+            fast += int((~known).sum())
+            odd += [
+                f"{name} steps from {sent[at, i]:.6f} to {sent[at + 1, i]:.6f}, measured at"
+                f" {measured[at + 1, i]:.6f}, within {seconds[at, 0]:.4f} s, at"
+                f" {recording.actuator_states.time[at + 1] - life.begun:.3f} s of {life.begun:.0f}"
+                for at in landed[~known]
+            ]
             outside = sent[:, i][(sent[:, i] < lower[i] - 1e-9) | (sent[:, i] > upper[i] + 1e-9)]
             # It stays where it began, at a measurement, until somebody moves it.
             beyond += int((~np.isin(np.round(outside, 6), np.round(measured[:, i], 6))).sum())
@@ -550,10 +570,12 @@ def judged(life: Life, model: Model) -> Judged:
     holes = 0
     for at in np.flatnonzero(np.diff(times) > 1.0):
         begin, end = float(times[at]), float(times[at + 1])
-        holes += not any(a - 1.0 <= begin and end <= b + 1.0 for a, b in life.gaps)
+        if not any(a - 1.0 <= begin and end <= b + 1.0 for a, b in life.gaps):
+            holes += 1
+            odd.append(f"no ticks for {end - begin:.3f} s, at {begin - life.begun:.3f} s of a life")
     last = float(times[-1]) if len(times) else life.begun
     lost = None if life.ended is None else life.ended - last
-    return Judged(len(times), lost, holes, damage, back, beyond, fast, jump)
+    return Judged(len(times), lost, holes, damage, odd, back, beyond, fast, jump)
 
 
 def print_stops(trouble: Trouble) -> None:
@@ -611,7 +633,7 @@ def print_lives(lives: list[Life], model: Model) -> None:
     table.row("steps beyond the velocity, not to a measurement", sum(f.fast for f in found))
     jump = max(each.jump for each in found)
     table.row("first reference of a process to the measurement, most", f"{100 * jump:.2f} %")
-    for sentence in sorted({text for each in found for text in each.damage})[:5]:
+    for sentence in sorted({text for each in found for text in [*each.damage, *each.odd]})[:20]:
         print(f"\n- {sentence}")
 
 
@@ -651,8 +673,8 @@ async def measure_on(
 ) -> None:
     """Run everything in a folder, and print."""
     model = load_hand(name)
-    device = Device(prepared(folder, name), folder / "port")
-    hand = Hand(folder, name, folder / "port", rate, disk=disk)
+    device = Device(prepared(folder, name))
+    hand = Hand(folder, name, device.port, rate, disk=disk)
     own_first = Size.of(device.process.pid)
     async with troubled(hand, device) as trouble:
         await trouble.cause(seconds, kills)
