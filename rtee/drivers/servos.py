@@ -343,7 +343,7 @@ class ServoDriver(Driver, Generic[L]):
         check_present(self.spec.name, self.line.port, expected, models, self._model)
         for name, servo in self._servos.items():
             self._check_model(name, servo, models[servo.id] or 0)
-        for number in models:
+        for number in self.ids:
             stored = await link.data(number, 0, self.STORED)
             torque = await link.values(self.TORQUE, [number])
             self.found[number] = self._as_found(number, stored, torque[number] == POWERED)
@@ -484,11 +484,13 @@ class ServoDriver(Driver, Generic[L]):
         # From here on, missing torque is no fault.
         self.active = False
         if self.connection.is_open:
-            link = self.connection.link
-            with link.unhurried():
-                kept = await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0))
-            for number in kept:
-                raise FrameError(self.line.port, f"servo {number} keeps its torque")
+            with self.connection.link.unhurried():
+                await self._release()
+
+    async def _release(self) -> None:
+        link = self.connection.link
+        for number in await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0)):
+            raise FrameError(self.line.port, f"servo {number} keeps its torque")
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -642,9 +644,10 @@ class ServoDriver(Driver, Generic[L]):
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Write gains of the position controllers of all servos."""
         link = self.connection.link
-        for name, value in gains.items():
-            count = min(max(round(value), 0), self.MOST_GAIN)
-            await link.set_all(self.GAINS[name], dict.fromkeys(self.ids, count))
+        with link.unhurried():
+            for name, value in gains.items():
+                count = min(max(round(value), 0), self.MOST_GAIN)
+                await link.set_all(self.GAINS[name], dict.fromkeys(self.ids, count))
 
     # --- stop --------------------------------------------------------------------------------
 
@@ -652,21 +655,22 @@ class ServoDriver(Driver, Generic[L]):
         """Hold the measured posture; servos without torque stay without."""
         # It must not raise, not even before the line is open.
         with contextlib.suppress(RteeError, OSError):
-            link = self.connection.link
             # The new goals end every grip, so no actuator is left alone any more.
             self._attached.begin()
-            with link.unhurried():
-                powered = self.ids
-                if not self.active:
-                    # A goal would enable the torque of some servos.
-                    torque = await link.values(self.TORQUE, self.ids)
-                    powered = [n for n, value in torque.items() if value == POWERED]
-                await patiently(partial(self._hold, powered, self.standstill.instead))
+            powered = self.ids
+            if not self.active:
+                # A goal would enable the torque of some servos.
+                read = partial(self.connection.link.values, self.TORQUE, self.ids)
+                powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
+            # In the cycle's deadline: an answer that is lost must not use up a stop's time.
+            await patiently(partial(self._hold, powered, self.standstill.instead))
 
     async def disable(self) -> None:
         """Disable the torque; the fingers go limp."""
+        self.active = False
         with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+            # In the cycle's deadline, as a stop.
+            await patiently(self._release)
 
     # --- calibration -------------------------------------------------------------------------
 
