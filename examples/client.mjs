@@ -233,7 +233,7 @@ class Session {
 const endpointOf = (hand) => {
   const { RTEE_RUNTIME_DIR: given, XDG_RUNTIME_DIR: user } = process.env;
   const own = given || (user ? join(user, "rtee") : join(tmpdir(), `rtee-${process.getuid()}`));
-  for (const folder of given ? [own] : ["/run/rtee", own]) {
+  for (const folder of given ? [own] : [own, "/run/rtee"]) {
     try {
       return JSON.parse(readFileSync(join(folder, `${hand}.json`), "utf8")).endpoints[0];
     } catch {} // not there, or just ending

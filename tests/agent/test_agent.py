@@ -30,7 +30,7 @@ from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.config_schema import AgentSettings, Gate
 from rtee.hand.model import Hand
 from rtee.remote.agent_limits import Limits
-from rtee.remote.agents import AGENT
+from rtee.remote.agents import AGENT, is_agent
 from rtee.remote.approval import answer_all, listening
 from rtee.testing.running import StartHand
 
@@ -222,6 +222,11 @@ async def test_what_cannot_be_simulated_is_not_done(hand: Hand, library: ActionL
         text = await agent.refused("do", **TRIG)
         assert "it cannot be played in simulation first: " in text
         assert served.watcher.goals == []
+
+
+def test_an_agent_is_known_by_its_name() -> None:
+    names = ("rtee-mcp-12-ab", "ann.rtee-mcp-12-ab", "rtee-do-12-ab", "ann-rtee-mcp-12", "rtee-mcp")
+    assert [is_agent(name) for name in names] == [True, True, False, False, False]
 
 
 def test_the_command_line_only_narrows_hand_yaml() -> None:
