@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from rtee.log import read
-from rtee.log.recording import Recording, outcome_of
+from rtee.log.recording import Recording
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LOGS = REPOSITORY / "logs" / "demo"
@@ -129,10 +129,10 @@ def emulated() -> None:
         grasp, opened = (entry.value for entry in recording.results[-2:])
         print(f"  {hand:<14} {newest(hand)}")
         print(
-            f"    {grasp.action:<11}{outcome_of(grasp)} by {', '.join(grasp.grasped_fingers)} "
+            f"    {grasp.action:<11}{grasp.outcome} by {', '.join(grasp.grasped_fingers)} "
             f"after {grasp.duration:.2f} s; {held(recording)}"
         )
-        print(f"    {opened.action:<11}{outcome_of(opened)} after {opened.duration:.2f} s")
+        print(f"    {opened.action:<11}{opened.outcome} after {opened.duration:.2f} s")
 
 
 def held(recording: Recording) -> str:

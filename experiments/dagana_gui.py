@@ -53,7 +53,7 @@ class Step:
 STEPS = (
     Step("Trig", 60, "reached", 0.6),
     Step("Grasp", 80, "reached", 0.8),
-    Step("PinchTight", 100, "grasped", None),
+    Step("PinchTight", 100, "held", None),
 )
 """After each the person presses Open."""
 
@@ -189,7 +189,7 @@ class _Person:
         intensity.fill(str(step.intensity))
         intensity.press("Enter")
         page.get_by_role("button", name="Do", exact=True).first.click()
-        word = page.get_by_text(re.compile(r"^(reached|grasped|stalled|timed out|aborted)"))
+        word = page.get_by_text(re.compile(r"^(reached|held|stalled|timed out|aborted)"))
         try:
             word.locator("visible=true").first.wait_for()
         except NotThere as error:

@@ -14,7 +14,6 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import Surroundings
-from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
@@ -189,7 +188,7 @@ def use(
     most = int(np.argmax(trigger))
     forces = simulation.contact_forces
     return Use(
-        outcome_of(result),
+        result.outcome,
         result.succeeded,
         _first(time, released > 0.0),
         _first(time, trigger > 1.0),

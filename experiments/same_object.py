@@ -16,7 +16,6 @@ import numpy as np
 from experiments.common import Outcome, main, plot_of, recording, strip
 from experiments.wires import on_the_wire, wired
 from rtee.log import read
-from rtee.log.recording import outcome_of
 from rtee.loop.plan import OPEN
 from rtee.trials.pictures import Stills
 from rtee.trials.stance import Stance, standing
@@ -218,9 +217,9 @@ async def _on_wire(gripper: Gripper, folder: Path, outcome: Outcome) -> None:
         kept = "grasp_lost" not in hand.events
         opened = await hand.do(Goal(OPEN, goal_id="open"))
     name = f"{gripper.name} on its wire"
-    outcome.check(grasp.grasped and kept, f"{name}: grasps and keeps it", outcome_of(grasp))
+    outcome.check(grasp.grasped and kept, f"{name}: grasps and keeps it", grasp.outcome)
     outcome.below(f"{name}: moves in {HOLD:g} s by", moved, STILL, "rad", ".4f")
-    outcome.check(opened.reached, f"{name}: opens", outcome_of(opened))
+    outcome.check(opened.reached, f"{name}: opens", opened.outcome)
 
 
 if __name__ == "__main__":

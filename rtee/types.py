@@ -252,6 +252,44 @@ class OnContact(StrEnum):
     """The finger holds until enough fingers touch, then all build up the force together."""
 
 
+class Aim(StrEnum):
+    """What a goal is for, which decides whether it has succeeded."""
+
+    POSTURE = "posture"
+    OBJECT = "object"
+    CONTACT = "contact"
+
+
+class Outcome(StrEnum):
+    """How a goal ended, in one word."""
+
+    HELD = "held"
+    """The hand holds an object; of the width that was asked for, if one was."""
+    WRONG_WIDTH = "wrong_width"
+    """It holds an object of another width."""
+    UNKNOWN = "unknown"
+    """Whether it holds something thin, or nothing, cannot be told."""
+    EMPTY = "empty"
+    """It has closed and holds, or has touched, nothing."""
+    TOUCHED = "touched"
+    """A finger that reacts to contacts has touched something."""
+    REACHED = "reached"
+    """The measured posture is within the tolerance."""
+    STALLED = "stalled"
+    """The hand stopped short of the posture, and holds nothing."""
+    CANCELLED = "cancelled"
+    """It was cancelled; the hand holds the measured posture."""
+    PREEMPTED = "preempted"
+    """A new goal replaced it."""
+    TIMED_OUT = "timed_out"
+    """It took longer than its timeout."""
+    ABORTED = "aborted"
+    """It could not continue; `Result.reason` says why."""
+
+
+_SUCCESS = frozenset({Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED})
+
+
 def new_goal_id() -> str:
     """Return a unique identifier for a goal."""
     return os.urandom(8).hex()
@@ -308,6 +346,14 @@ class Goal:
     touch: bool = False
     max_force: float | None = None
 
+    @property
+    def aim(self) -> Aim:
+        """What the goal is for."""
+        if self.touch:
+            return Aim.CONTACT
+        holds = self.grasp or OnContact.SQUEEZE in self.on_contact.values()
+        return Aim.OBJECT if holds else Aim.POSTURE
+
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
@@ -330,7 +376,9 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The result of a goal; its flags are independent of one another.
+    """The result of a goal: one word, `outcome`, and flags that are independent of one another.
+
+    It has no truth value: ``if hand.do(...)`` would not tell which of them is meant.
 
     Attributes:
         goal_id: The goal.
@@ -359,6 +407,7 @@ class Result:
         touched: Fingers with a reaction to contacts that touched something.
         unknown: Whether it cannot be told if something thin is held, or nothing: the fingertips are
             as near to one another as those of the empty hand.
+        aim: What the goal was for.
     """
 
     goal_id: str
@@ -383,11 +432,32 @@ class Result:
     within: bool | None = None
     touched: tuple[str, ...] = ()
     unknown: bool = False
+    aim: Aim = Aim.POSTURE
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the goal ended: what ended it early comes before what it has found till then."""
+        for early in (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT):
+            if getattr(self, early):
+                return early
+        if self.unknown:
+            return Outcome.UNKNOWN
+        if self.aim is not Aim.CONTACT and self.grasped:
+            return Outcome.WRONG_WIDTH if self.within is False else Outcome.HELD
+        if self.aim is not Aim.OBJECT and self.touched:
+            return Outcome.TOUCHED
+        if self.reached:
+            return Outcome.REACHED if self.aim is Aim.POSTURE else Outcome.EMPTY
+        return Outcome.EMPTY if self.aim is Aim.CONTACT else Outcome.STALLED
 
     @property
     def succeeded(self) -> bool:
-        """Whether the goal was reached, or the hand holds an object."""
-        return self.reached or self.grasped
+        """Whether the outcome is ``held``, ``touched`` or ``reached``."""
+        return self.outcome in _SUCCESS
+
+    def __bool__(self) -> bool:
+        """Raise `TypeError`: a result has no truth value."""
+        raise TypeError("a result is neither true nor false; ask its 'succeeded' or its 'outcome'")
 
 
 @dataclass(frozen=True, slots=True)

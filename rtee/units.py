@@ -92,10 +92,6 @@ class AngleUnit(StrEnum):
     RADIAN = "radian"
 
 
-MAY_BE_NOTHING: Final = "closed on something thin, or on nothing: that cannot be told"
-"""How people are told of `rtee.types.Result.unknown`."""
-
-
 def grip_words(result: Result) -> str:
     """Return the opening of a result in words, and its force with error and source."""
     words = f"{1e3 * (result.opening or 0.0):.1f} mm"

@@ -64,12 +64,8 @@ def result(each: Result) -> dict[str, Any]:
     told = (
         "action",
         "elements",
-        "reached",
-        "stalled",
-        "grasped",
+        "outcome",
         "grasped_fingers",
-        "within",
-        "unknown",
     )
     return {
         **{name: getattr(each, name) for name in told},

@@ -65,7 +65,7 @@ def to_json(values: Any, indent: int | None = None) -> str:
 
 def result_json(result: Result) -> str:
     """Return the result of a goal as a JSON object."""
-    return to_json(asdict(result) | {"succeeded": result.succeeded})
+    return to_json(asdict(result) | {"outcome": result.outcome, "succeeded": result.succeeded})
 
 
 def _plain(values: Any) -> Any:

@@ -121,9 +121,7 @@ def do(
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
-    # Fingers that were to stop on contact have succeeded by touching.
-    touched = bool(result.touched) and "squeeze" not in words.values()
-    raise typer.Exit(0 if result.succeeded or touched else 1)
+    raise typer.Exit(0 if result.succeeded else 1)
 
 
 def open_(

@@ -17,6 +17,7 @@ from rtee.cli._common import (
 from rtee.cli._online import result_json, with_hand
 from rtee.cli.do import follow
 from rtee.remote.words import sentence
+from rtee.types import Outcome
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
@@ -95,12 +96,10 @@ def grasp(
     else:
         print(sentence(result, result.elements))
         # The exit status alone would not say why it is a failure.
-        if result.grasped and result.within is False:
+        if result.outcome is Outcome.WRONG_WIDTH:
             least, most = (1e3 * (wanted + each) for each in (-within[0], within[1]))
             print(f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked")
-        elif not (result.grasped or result.unknown):
-            print("nothing is held")
-    raise typer.Exit(0 if result.within else 1)
+    raise typer.Exit(0 if result.succeeded else 1)
 
 
 def touch(
@@ -134,6 +133,4 @@ def touch(
         print(result_json(result))
     else:
         print(sentence(result, result.elements))
-        if not result.touched:
-            print("nothing was touched")
-    raise typer.Exit(0 if result.touched else 1)
+    raise typer.Exit(0 if result.succeeded else 1)

@@ -15,8 +15,14 @@ from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray
 from rtee.touch import TouchSensor, TouchState
+from rtee.types import Outcome
 
-_OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
+_OUTCOMES: dict[str, str] = {
+    Outcome.REACHED: "#009e73",
+    Outcome.HELD: "#009e73",
+    Outcome.TOUCHED: "#009e73",
+    Outcome.ABORTED: "#d55e00",
+}
 """Colours of the bars of a timeline by outcome of the action."""
 
 _OTHER = "#e69f00"

@@ -11,38 +11,18 @@ import viser
 from rtee.actions.types import ActionReference
 from rtee.gui.colours import BAD, GOOD, WARN, line_colour, line_dash
 from rtee.hand.names import common_prefix
+from rtee.remote.words import ending
 from rtee.sample import MEASURED
-from rtee.types import Result
-from rtee.units import MAY_BE_NOTHING, grip_words
+from rtee.types import Outcome, Result
 
 NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
 
 
-def outcome(result: Result, *, width: bool = False) -> tuple[str, str]:
-    """Return the outcome of a goal, maybe for an object of some width: a sentence, its colour."""
-    at = "" if result.opening is None else f" at {grip_words(result)}"
-    if width and result.grasped and result.within is False:
-        return f"something of another width is held{at}", WARN
-    if width and result.reached and not result.grasped:
-        return f"nothing is held{at}", WARN
-    if result.unknown:
-        return f"{MAY_BE_NOTHING}{at}", WARN
-    if result.grasped:
-        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}{at}", GOOD
-    if result.touched and not (result.preempted or result.cancelled or result.aborted):
-        return f"touched with {', '.join(result.touched)}{at}", GOOD
-    if result.reached:
-        return f"reached{at}", GOOD
-    for ended, words in (
-        (result.preempted, "replaced by another goal"),
-        (result.cancelled, "cancelled"),
-        (result.timed_out, "timed out"),
-        (result.stalled, "stalled"),
-    ):
-        if ended:
-            return words, WARN
-    return f"aborted: {result.reason}", BAD
+def outcome(result: Result) -> tuple[str, str]:
+    """Return the outcome of a goal: a sentence, and its colour."""
+    bad = result.outcome is Outcome.ABORTED
+    return ending(result), GOOD if result.succeeded else BAD if bad else WARN
 
 
 def described(use: ActionReference) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, needing_extra, suggestion
-from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording, outcome_of
+from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
 from rtee.log.sink import reason
 from rtee.messages import topics
 from rtee.messages.convert import plain
@@ -175,7 +175,7 @@ def _entries(entries: Sequence[Entry[Any]]) -> Table:
 
 def _results(entries: Sequence[Entry[Result]]) -> Table:
     table = _entries(entries)
-    table["outcome"] = np.array([outcome_of(entry.value) for entry in entries], dtype=np.str_)
+    table["outcome"] = np.array([entry.value.outcome for entry in entries], dtype=np.str_)
     return table
 
 

@@ -188,8 +188,8 @@ class Span:
         start: Time of its start since the recording's start [s].
         end: Time of its end [s]; the recording's end if it was still running. If its result was
             lost on a full disk, the start of the next one.
-        outcome: ``reached``, ``grasped``, ``stalled``, ``preempted``, ``cancelled``,
-            ``timed_out``, ``aborted``, ``running``, or ``unknown``.
+        outcome: That of the result, `rtee.types.Outcome`; ``running`` until there is one, or
+            ``unknown``.
         goal_id: The goal.
         inner: The inner actions of a timed action.
     """
@@ -200,15 +200,6 @@ class Span:
     outcome: str
     goal_id: str
     inner: tuple[Span, ...] = ()
-
-
-def outcome_of(result: Result) -> str:
-    """Return the word that best describes the outcome of a goal."""
-    # Several may be true; the reason for the end takes precedence over the progress.
-    for word in ("aborted", "cancelled", "preempted", "timed_out", "grasped", "reached", "stalled"):
-        if getattr(result, word):
-            return word
-    return "ended"
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,7 +324,7 @@ class Recording:
             name = " ".join((action, *goal.value.elements))
             ended = results.get(goal.value.goal_id)
             end = ended.t if ended else after
-            outcome = outcome_of(ended.value) if ended else left
+            outcome = ended.value.outcome if ended else left
             progress = feedback.get(goal.value.goal_id, [])
             inner = tuple(_inner_spans(progress, goal.value.goal_id, end, outcome))
             spans.append(Span(name, goal.t, end, outcome, goal.value.goal_id, inner))

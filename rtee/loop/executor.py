@@ -256,6 +256,7 @@ class Executor:
                 ),
                 touched=() if unknown else self._reflexes.touched,
                 unknown=unknown,
+                aim=plan.goal.aim,
                 **self._grip_values(run, measured, grasped, aborted),
             )
         )

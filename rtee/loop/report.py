@@ -13,9 +13,6 @@ from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, Result
 log = logging.getLogger(__name__)
 
 
-_ENDS = ("reached", "stalled", "grasped", "preempted", "cancelled", "timed_out", "aborted")
-
-
 class Tally(Observer):
     """Counts how the goals of a hand ended."""
 
@@ -24,18 +21,12 @@ class Tally(Observer):
 
     def on_result(self, result: Result) -> None:
         """Count a result."""
-        self.ends["goals"] += 1
-        for flag in _ENDS:
-            self.ends[flag] += getattr(result, flag)
+        self.ends[result.outcome] += 1
 
     def text(self) -> str:
         """Return the counts in words."""
-        goals = self.ends["goals"]
-        parts = [
-            f"{count} {name.replace('_', ' ')}"
-            for name, count in self.ends.items()
-            if count and name != "goals"
-        ]
+        goals = self.ends.total()
+        parts = [f"{count} {outcome.replace('_', ' ')}" for outcome, count in self.ends.items()]
         return f"{goals} goal{'s' * (goals != 1)}" + (f" ({', '.join(parts)})" if parts else "")
 
 

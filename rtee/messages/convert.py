@@ -29,6 +29,7 @@ from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.object_description import ObjectDescription, ObjectPart
 from rtee.types import (
+    Aim,
     DeviceStatus,
     Event,
     Feedback,
@@ -53,6 +54,8 @@ def _number(name: str) -> As:
 
 # The word comes from the network and may have any length.
 _ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' is none of stop, hold, squeeze")
+
+_AIM = word("aim", Aim, "aim '{:.50}' is none of posture, object, contact")
 
 GOAL = Codec(
     "rtee_msgs/msg/Goal",
@@ -95,6 +98,8 @@ RESULT = Codec(
         lambda number: None if number < 0 else number == 1,
     ),
     touched=field("touched", tuple),
+    # Recordings of before have none.
+    aim=As({"aim": str}, lambda text: _AIM.unpack(text or Aim.POSTURE)),
 )
 EVENT = Codec("rtee_msgs/msg/Event", Event, stamp=field("time"))
 DEVICE_STATUS = Codec(

@@ -1,39 +1,49 @@
-"""The result of a goal as a sentence for people."""
+"""The result of a goal in words for people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
-from rtee.types import Result
-from rtee.units import MAY_BE_NOTHING, grip_words
+from rtee.types import Aim, Outcome, Result
+from rtee.units import grip_words
+
+_WORDS: Final = {
+    Outcome.HELD: "held",
+    Outcome.WRONG_WIDTH: "held, but of another width",
+    Outcome.UNKNOWN: "closed on something thin, or on nothing: that cannot be told",
+    Outcome.TOUCHED: "touched",
+    Outcome.REACHED: "reached",
+    Outcome.STALLED: "stalled",
+    Outcome.PREEMPTED: "pre-empted by another goal",
+    Outcome.CANCELLED: "cancelled",
+    Outcome.TIMED_OUT: "timed out",
+    Outcome.ABORTED: "aborted",
+}
+
+
+def ending(result: Result) -> str:
+    """Return the outcome of a goal in words: fingers, reason, opening and force."""
+    outcome = result.outcome
+    if outcome is Outcome.EMPTY:
+        words = "nothing was touched" if result.aim is Aim.CONTACT else "nothing is held"
+    else:
+        words = _WORDS[outcome]
+    if outcome in (Outcome.HELD, Outcome.WRONG_WIDTH):
+        words += _by(result.grasped_fingers)
+    elif outcome is Outcome.TOUCHED:
+        words += _by(result.touched)
+    elif result.grasped:
+        words += ", held" + _by(result.grasped_fingers)
+    if result.reason:
+        words += f": {result.reason}"
+    return words if result.opening is None else f"{words} at {grip_words(result)}"
 
 
 def sentence(result: Result, elements: Sequence[str] = ()) -> str:
     """Return the result of a goal with some elements as a sentence."""
-    why = f": {result.reason}" if result.reason else ""
-    ends = [
-        words
-        for true, words in (
-            (result.reached, "reached"),
-            (result.grasped, "grasped" + _by(result.grasped_fingers)),
-            (bool(result.touched) and not result.grasped, "touched" + _by(result.touched)),
-            (result.unknown, MAY_BE_NOTHING),
-            (
-                result.stalled and not (result.grasped or result.touched or result.unknown),
-                "stalled",
-            ),
-            (result.preempted, "pre-empted by another goal"),
-            (result.cancelled, f"cancelled{why}"),
-            (result.timed_out, "timed out"),
-            (result.aborted, f"aborted{why}"),
-        )
-        if true
-    ]
-    how = ", ".join(ends) or "ended"
     name = " ".join((result.action, *elements))
-    if result.opening is not None:
-        how += f" at {grip_words(result)}"
-    return f"{name}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
+    return f"{name}: {ending(result)} (error {result.error:.3g}, {result.duration:.2f} s)"
 
 
 def _by(fingers: tuple[str, ...]) -> str:

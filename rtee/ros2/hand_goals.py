@@ -6,43 +6,35 @@ from collections.abc import Callable
 from typing import Any
 
 from rtee.remote.running_goal import RunningGoal
+from rtee.remote.words import ending
 from rtee.ros2.action_server import ActionServer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome
 from rtee.ros2.face import Part
 from rtee.ros2.message import Message
 from rtee.types import Feedback, Result
-from rtee.units import MAY_BE_NOTHING
+from rtee.types import Outcome as End
 
 
-def state_of(result: Result, touch: bool = False) -> GoalState:
-    """Return the final state of an action's goal for the result of the hand's.
-
-    This succeeds if the posture was reached or an object is held; one to touch if a finger touched
-    something.
-    """
-    if result.cancelled:
-        return GoalState.CANCELED
-    ended = result.preempted or result.aborted or result.timed_out
-    if not ended and (result.touched if touch else result.succeeded):
+def state_of(result: Result) -> GoalState:
+    """Return the final state of an action's goal for the result of the hand's."""
+    if result.succeeded:
         return GoalState.SUCCEEDED
-    return GoalState.ABORTED
+    return GoalState.CANCELED if result.outcome is End.CANCELLED else GoalState.ABORTED
 
 
-def reason_of(result: Result, touch: bool = False) -> str:
-    """Return the reason for an abortion as a sentence, else ``""``; arguments as `state_of`."""
-    if state_of(result, touch) is not GoalState.ABORTED:
+def reason_of(result: Result) -> str:
+    """Return the reason for an abortion as a sentence, else ``""``."""
+    if state_of(result) is not GoalState.ABORTED:
         return ""
-    if result.preempted:
-        return "a new goal replaced it"
-    if result.reason:
-        return result.reason
-    if result.timed_out:
-        return f"it took longer than its timeout, {result.duration:.3g} s"
-    if result.unknown:
-        return MAY_BE_NOTHING
-    if touch:
-        return "nothing was touched"
-    return f"the hand stopped short of it by {result.error:.3g} rad or m, and holds nothing"
+    match result.outcome:
+        case End.PREEMPTED:
+            return "a new goal replaced it"
+        case End.TIMED_OUT:
+            return f"it took longer than its timeout, {result.duration:.3g} s"
+        case End.STALLED:
+            short = f"the hand stopped short of it by {result.error:.3g} rad or m"
+            return f"{short}, and holds nothing"
+    return result.reason or ending(result)
 
 
 class ActionPart(Part):
@@ -81,10 +73,9 @@ class HandJob:
                 goal.feedback(**self._feedback(feedback))
 
         result = await self._running.result(publish)
-        touch = self._running.goal.touch
-        if state_of(result, touch) is GoalState.SUCCEEDED and (why := self._failed(result)):
+        if result.succeeded and (why := self._failed(result)):
             return Outcome(GoalState.ABORTED, self._result(result), why)
-        return Outcome(state_of(result, touch), self._result(result), reason_of(result, touch))
+        return Outcome(state_of(result), self._result(result), reason_of(result))
 
     async def cancel(self) -> None:
         """Have the hand brake and hold its posture; raise a `RemoteError` if it refuses."""

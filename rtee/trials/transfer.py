@@ -16,7 +16,6 @@ from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
-from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
@@ -311,7 +310,7 @@ class _Run:
         headless.wait(0.2)
         self._tell("approach")
         grasp = Goal(transfer.action, transfer.elements, goal_id=f"grasp-{headless.ticks}")
-        self._outcome = outcome_of(headless.do(grasp))
+        self._outcome = headless.do(grasp).outcome
         headless.wait(_SETTLE)
         self._tell("grasp")
         # A hand that felt for the object closes elsewhere than where the approach ended.

@@ -9,7 +9,6 @@ import numpy as np
 
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ActionError, SimulationUnstable
-from rtee.log.recording import outcome_of
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
@@ -104,7 +103,7 @@ class TrialRun:
             goal_id=f"trial-{self._number}",
         )
         try:
-            outcome = outcome_of(headless.do(goal))
+            outcome = headless.do(goal).outcome
         except ActionError as error:
             return self._ended("", str(error), outcome="")
         headless.wait(_SETTLE)

@@ -330,7 +330,7 @@ async def test_a_conversation(rtee_hand: StartHand) -> None:
         assert hand.state().positions == pytest.approx(position, abs=1e-3)
         (recording,) = (await agent.done("recordings"))["recordings"]
         told = await agent.done("recording", name=recording)
-        assert [goal["ended"] for goal in told["goals"]] == ["grasped"]
+        assert [goal["ended"] for goal in told["goals"]] == ["held"]
         assert "result" in (await agent.done("events"))["happened"][-1]
         plan = await client.call_tool("grasp_plan", {"object": "box:0.03x0.03x0.05"})
         best = json.loads(plan.content[0].text)["grasps"][0]  # type: ignore[union-attr]

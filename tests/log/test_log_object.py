@@ -89,7 +89,7 @@ def test_pictures_are_made_before_the_grasp_and_after_it(file: Path, tmp_path: P
     pytest.importorskip("coal")
     recording = read(file)
     captions = [caption for caption, _ in moments(recording)]
-    assert captions == ["before", "Grasp: grasped", "at the end"]
+    assert captions == ["before", "Grasp: held", "at the end"]
     assert write_pictures(recording, tmp_path / "strip.png")
     with Image.open(tmp_path / "strip.png") as strip:
         width = strip.width // 3

@@ -70,7 +70,7 @@ def test_info_counts_what_is_there(story: Path) -> None:
     document = json.loads(json.dumps(found.as_dict()))
     assert document["hand"] == "claw"
     assert document["start"] == "2023-11-14T22:13:20.000+00:00"
-    assert [goal["outcome"] for goal in document["goals"]] == ["reached", "grasped"]
+    assert [goal["outcome"] for goal in document["goals"]] == ["reached", "held"]
     assert document["events"][0]["text"] == "look here"
 
 
@@ -95,7 +95,7 @@ def test_every_topic_is_a_table(recording: Recording) -> None:
     states_table = found["actuator_states"]
     assert states_table["position.second"][30] == tick(30).position[1]
     assert states_table["tick"].tolist() == list(range(200))
-    assert found["results"]["outcome"].tolist() == ["reached", "grasped"]
+    assert found["results"]["outcome"].tolist() == ["reached", "held"]
     assert np.isnan(found["goals"]["timeout"][0])
     assert found["goals"]["effort"].tolist() == ["first=1.5", ""]
     with pytest.raises(LogError, match="did you mean 'results'"):
@@ -150,9 +150,9 @@ def test_a_plot_shows_states_references_efforts_spans_and_marks(recording: Recor
     assert drawing.effort_label.startswith("effort")
     assert [band.text for band in drawing.bands] == [
         "Trig one",
-        "drill (grasped)",
+        "drill (held)",
         "close",
-        "pull (grasped)",
+        "pull (held)",
     ]
     assert [label.text for label in drawing.labels][-1] == "look here"
     assert len(drawing.marks) == 1
@@ -250,7 +250,7 @@ def test_pictures_and_pages_stand_alone(recording: Recording, tmp_path: Path) ->
     hostile = replace(drawing, title="<script>alert(1)</script>")
     write_html(hostile, tmp_path / "plot.html")
     page = (tmp_path / "plot.html").read_text()
-    assert "drill (grasped)" in page
+    assert "drill (held)" in page
     assert "<script>alert(1)" not in page
     assert not re.findall(r'<(?:script|link)[^>]+(?:src|href)="http', page)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plot.html", "plot.png"]
@@ -311,7 +311,7 @@ def test_log_info(story: Path) -> None:
     assert status == 0
     assert "hand claw, 100 Hz" in out
     assert "/claw/joint_states" in out
-    assert "grasped" in out
+    assert "held" in out
     assert "mark: look here" in out
     status, out = run("info", story, "--json")
     assert json.loads(out)["hand"] == "claw"

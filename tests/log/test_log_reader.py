@@ -101,10 +101,10 @@ def test_spans_tell_what_ran_when(story: Path) -> None:
     first, second = read(story).spans
     assert (first.name, first.outcome, first.inner) == ("Trig one", "reached", ())
     assert (first.start, first.end) == (pytest.approx(0.2), pytest.approx(0.69))
-    assert (second.name, second.outcome) == ("drill", "grasped")
+    assert (second.name, second.outcome) == ("drill", "held")
     assert [(span.name, span.outcome) for span in second.inner] == [
         ("close", "reached"),
-        ("pull", "grasped"),
+        ("pull", "held"),
     ]
     assert second.inner[0].end == second.inner[1].start == pytest.approx(1.2)
 

@@ -30,7 +30,7 @@ from rtee.ros2.grasp_action import goal_of
 from rtee.ros2.grip_actions import Command, is_stalled, joint_goal, joint_of
 from rtee.ros2.hand_goals import reason_of, state_of
 from rtee.ros2.serving import Shown
-from rtee.types import Result, Stage
+from rtee.types import Aim, Result, Stage
 
 from .facing import Robot, a_hand_in_ros, facing
 from .facing import robot as robot_of
@@ -452,21 +452,21 @@ def test_the_action_that_moves_a_joint(library: ActionLibrary, hand: Hand) -> No
 
 
 @pytest.mark.parametrize(
-    ("result", "touch", "state", "reason"),
+    ("result", "state", "reason"),
     [
-        (Result("1", "a", reached=True), False, GoalState.SUCCEEDED, ""),
-        (Result("1", "a", stalled=True, grasped=True), False, GoalState.SUCCEEDED, ""),
-        (Result("1", "a", stalled=True), False, GoalState.ABORTED, "holds nothing"),
-        (Result("1", "a", touched=("thumb",)), True, GoalState.SUCCEEDED, ""),
-        (Result("1", "a", reached=True), True, GoalState.ABORTED, "nothing was touched"),
-        (Result("1", "a", cancelled=True, reached=True), False, GoalState.CANCELED, ""),
-        (Result("1", "a", preempted=True), False, GoalState.ABORTED, "a new goal"),
-        (Result("1", "a", timed_out=True, duration=3.0), False, GoalState.ABORTED, "3 s"),
-        (Result("1", "a", aborted=True, reason="a fault"), False, GoalState.ABORTED, "a fault"),
+        (Result("1", "a", reached=True), GoalState.SUCCEEDED, ""),
+        (Result("1", "a", stalled=True, grasped=True), GoalState.SUCCEEDED, ""),
+        (Result("1", "a", stalled=True), GoalState.ABORTED, "holds nothing"),
+        (Result("1", "a", touched=("thumb",), aim=Aim.CONTACT), GoalState.SUCCEEDED, ""),
+        (Result("1", "a", reached=True, aim=Aim.CONTACT), GoalState.ABORTED, "nothing was touched"),
+        (Result("1", "a", cancelled=True, reached=True), GoalState.CANCELED, ""),
+        (Result("1", "a", preempted=True), GoalState.ABORTED, "a new goal"),
+        (Result("1", "a", timed_out=True, duration=3.0), GoalState.ABORTED, "3 s"),
+        (Result("1", "a", aborted=True, reason="a fault"), GoalState.ABORTED, "a fault"),
     ],
 )
-def test_how_goals_end(result: Result, touch: bool, state: GoalState, reason: str) -> None:
-    assert state_of(result, touch) is state
-    told = reason_of(result, touch)
+def test_how_goals_end(result: Result, state: GoalState, reason: str) -> None:
+    assert state_of(result) is state
+    told = reason_of(result)
     assert reason in told
     assert bool(told) is (state is GoalState.ABORTED)

@@ -62,7 +62,7 @@ def held() -> TrialResult:
 
 def test_a_gripper_holds_a_ball(held: TrialResult) -> None:
     assert held.held, held.reason
-    assert held.outcome == "grasped"
+    assert held.outcome == "held"
     assert held.slip < 0.01
     assert dict(held.forces)["finger_1"] == pytest.approx(dict(held.forces)["finger_2"], rel=0.1)
     assert held.peak >= max(force for _, force in held.forces) * 0.9
@@ -291,7 +291,7 @@ def test_a_trial_is_recorded_and_pictured(tmp_path: Path) -> None:
         assert len(strip.convert("RGB").getcolors(1 << 24)) > 100
     recording = read(next((tmp_path / "l").glob("*.mcap")))
     assert recording.finished
-    assert [span.outcome for span in recording.spans] == ["grasped"]
+    assert [span.outcome for span in recording.spans] == ["held"]
     assert any("contact_force" in name for name in recording.channels)
 
 

@@ -258,5 +258,4 @@ class HoldingPanel:
                 float(self._speed.value) / 1e3 or None,
                 None if fingers == _ANY else fingers.split(_JOINED),
             ),
-            width=True,
         )

@@ -53,8 +53,8 @@ class Execution:
         name, elements = key_of(action)
         await self.follow(self._hand.start(name, *elements, **options))
 
-    async def follow(self, start: Awaitable[RunningGoal], *, width: bool = False) -> None:
-        """Send a goal, maybe for an object of some width, and show its progress and result."""
+    async def follow(self, start: Awaitable[RunningGoal]) -> None:
+        """Send a goal, and show its progress and result."""
         self._reset()
         # The goal that this one replaces ends before the hand answers; its result is not shown.
         before, self._goal_id = self._goal_id, ""
@@ -67,7 +67,7 @@ class Execution:
         self._goal_id = running.goal.goal_id
         result = await running.result(self._progress)
         if result.goal_id == self._goal_id:
-            self._end(result, width=width)
+            self._end(result)
 
     def _reset(self) -> None:
         self._bar.value = 0.0
@@ -88,14 +88,14 @@ class Execution:
         """Show nothing any more; the card removes the controls, but the goal may go on."""
         self._removed = True
 
-    def _end(self, result: Result, *, width: bool) -> None:
+    def _end(self, result: Result) -> None:
         if self._removed:
             return
-        if result.reached or result.grasped:
+        if result.succeeded:
             self._bar.value = 100.0
             for bar in self._inner.values():
                 bar.value = 100.0
-        self._say(*outcome(result, width=width))
+        self._say(*outcome(result))
 
     def _say(self, text: str, colour: str) -> None:
         if self._removed:

@@ -45,7 +45,7 @@ def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")
     window.button("Do", card).click()
-    window.says("grasped with finger_1, finger_2", card)
+    window.says("held by finger_1, finger_2", card)
     window.tab("View")
     with_both = window.picture()
     without = _toggled(window, window.field("Pressure"), with_both)
@@ -101,7 +101,7 @@ def test_an_object_is_held_by_its_width_and_a_force(
         window.type("Force [N]", "30", panel)
         window.choose("Fingers", "finger_1 + finger_2", panel)
         window.button("Grasp", panel).click()
-        held = window.says(re.compile(r"grasped with finger_1, finger_2 at [\d.]+ mm"), panel)
+        held = window.says(re.compile(r"held by finger_1, finger_2 at [\d.]+ mm"), panel)
         state = hand.state()
         assert state.force == pytest.approx(30.0, rel=0.25)
         assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)
@@ -180,7 +180,7 @@ def test_hands_one_after_the_other_leave_nothing_behind(any_window: Window, hand
 def test_the_object_and_forces_are_seen(squeezer: Window) -> None:
     window = squeezer
     window.button("Do", window.folder("Grasp")).click()
-    window.says("grasped with finger_1, finger_2", window.folder("Grasp"))
+    window.says("held by finger_1, finger_2", window.folder("Grasp"))
     window.tab("View")
     window.says(re.compile(r"\d\.\d N"))
     with_both = window.picture()

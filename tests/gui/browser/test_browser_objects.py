@@ -32,7 +32,7 @@ def grasp(window: Window) -> None:
     window.tab("Actions")
     card = window.folder("Grasp", unfold=True)
     window.button("Do", card).click()
-    window.says("grasped with finger_1, finger_2", card)
+    window.says("held by finger_1, finger_2", card)
 
 
 def toggle(window: Window, label: str) -> None:
