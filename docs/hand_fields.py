@@ -48,8 +48,11 @@ def _sections(
 
 
 def _resolved(schema: dict[str, Any], field: dict[str, Any]) -> dict[str, Any]:
-    reference = field.get("$ref")
-    if reference is None:
+    # A section that may be left out is one of two alternatives.
+    for choice in (field, *field.get("anyOf", ())):
+        if (reference := choice.get("$ref")) is not None:
+            break
+    else:
         return field
     found: dict[str, Any] = schema["$defs"][reference.rpartition("/")[2]]
     return found

@@ -14,7 +14,7 @@ from rtee.cli.define import Replace
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.planning.objects import GraspObject
-    from rtee.planning.result import GraspPlan, Ranking
+    from rtee.planning.result import Matrix, Ranking
 
 _CHECKED = 3
 """Number of the best grasps that --check tries in dynamics: each takes seconds."""
@@ -147,11 +147,10 @@ def _show(ranking: Ranking, top: int) -> None:
     ).show()
     first = ranking.plans[0]
     print(f"\n{first.label}: " + "; ".join(first.reasons))
-    x, y, z, roll, pitch, yaw = _pose(first)
-    print(
-        f"the object in the hand's base frame: x {x * 1e3:z.0f} mm, y {y * 1e3:z.0f} mm, "
-        f"z {z * 1e3:z.0f} mm; roll {roll:z.0f}°, pitch {pitch:z.0f}°, yaw {yaw:z.0f}°"
-    )
+    print(f"the object in the hand's base frame: {_words(first.pose)}")
+    if first.flange_pose is not None and first.pre_flange_pose is not None:
+        at, before = _words(first.flange_pose), _words(first.pre_flange_pose)
+        print(f"the flange '{ranking.flange}' in the object's frame: {at}; it comes from {before}")
     if first.action:
         words = " ".join((first.action, *first.elements))
         effort = f" --effort {first.effort:.0%}" if first.effort < 1.0 else ""
@@ -160,12 +159,19 @@ def _show(ranking: Ranking, top: int) -> None:
         print("composed for this object; --save NAME stores it as an action of the hand")
 
 
-def _pose(plan: GraspPlan) -> tuple[float, float, float, float, float, float]:
-    """Return position [m] and roll, pitch and yaw [°] of the object in the hand's base frame."""
-    (a, _, _, x), (b, _, _, y), (c, d, e, z), _ = plan.pose
-    # Rotations about x, then y, then z of the base; rounding may bring the sine beyond 1.
-    roll, pitch, yaw = math.atan2(d, e), math.asin(max(-1.0, min(1.0, -c))), math.atan2(b, a)
-    return x, y, z, math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
+def _words(pose: Matrix) -> str:
+    """Return a pose in words: position [mm], roll, pitch and yaw [°]."""
+    import numpy as np
+
+    from rtee.hand.frames import angles
+
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = pose
+    turn = np.array([[a, b, c], [d, e, f], [g, h, i]])
+    roll, pitch, yaw = (math.degrees(angle) for angle in angles(turn))
+    return (
+        f"x {x * 1e3:z.0f} mm, y {y * 1e3:z.0f} mm, z {z * 1e3:z.0f} mm; "
+        f"roll {roll:z.0f}°, pitch {pitch:z.0f}°, yaw {yaw:z.0f}°"
+    )
 
 
 def _save(library: ActionLibrary, name: str, ranking: Ranking, replace: bool, quiet: bool) -> None:

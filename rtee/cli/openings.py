@@ -12,6 +12,7 @@ from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.actions.openings import Opening
+    from rtee.planning.result import Point
 
 
 def openings(
@@ -34,9 +35,9 @@ def openings(
     if as_json:
         import json
 
-        print(json.dumps({"hand": library.hand.name, "openings": [_plain(o) for o in valid]}))
+        print(json.dumps(_document(library, valid)))
     else:
-        _show(library.hand.name, valid)
+        _show(library, valid)
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     raise typer.Exit(0 if valid and not notes else 1)
@@ -76,6 +77,40 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
     return valid, list(notes)
 
 
+def tool_centres(library: ActionLibrary, table: Opening) -> tuple[Point, Point]:
+    """Return where the fingertips meet an object, in the flange's frame [m].
+
+    First at the widest opening, then at the narrowest. The hand's place on the flange must be
+    known. Raises `MissingExtra` without the extra ``extract``, and `ModelError` if a mesh is
+    missing or cannot be read.
+    """
+    from rtee.errors import needing_extra
+
+    with needing_extra("tool centre points", "extract"):
+        from rtee.planning.gripper_poses import grasp_frame
+        from rtee.planning.tips import Fingertips
+    from rtee.hand.flange import base_in_flange
+
+    flange = library.hand.flange
+    assert flange is not None  # noqa: S101 - said above
+    tips, action = Fingertips(library.hand), library.find(table.action, table.elements)
+    ends = (float(table.intensity[0]), float(table.intensity[-1]))
+    mounted = base_in_flange(flange)
+    frames = [mounted @ grasp_frame(tips, action, table, intensity) for intensity in ends]
+    widest, narrowest = ((float(f[0, 3]), float(f[1, 3]), float(f[2, 3])) for f in frames)
+    return widest, narrowest
+
+
+def _document(library: ActionLibrary, valid: list[Opening]) -> dict[str, Any]:
+    flange, openings = library.hand.flange, [_plain(table) for table in valid]
+    document: dict[str, Any] = {"hand": library.hand.name, "openings": openings}
+    if flange is not None:
+        document["flange"] = flange.frame
+        for table, plain in zip(valid, openings, strict=True):
+            plain["tcp_widest"], plain["tcp_narrowest"] = tool_centres(library, table)
+    return document
+
+
 def _plain(table: Opening) -> dict[str, Any]:
     return {
         "action": table.action,
@@ -89,21 +124,25 @@ def _plain(table: Opening) -> dict[str, Any]:
     }
 
 
-def _show(hand: str, valid: list[Opening]) -> None:
+def _show(library: ActionLibrary, valid: list[Opening]) -> None:
     from rtee.cli._table import Column, Row, Table
 
     if not valid:
         return
-    rows = [
-        Row(
-            (
-                table.label,
-                f"{table.widest * 1e3:.1f} to {table.narrowest * 1e3:.1f}",
-                " | ".join(", ".join(side) for side in table.sides),
-                table.note,
-            )
-        )
-        for table in valid
-    ]
-    columns = (Column("action"), Column("opening mm", True), Column("sides"), Column("note"))
-    Table(columns, tuple(rows), f"Openings of {hand}").show()
+    flange = library.hand.flange
+    columns = [Column("action"), Column("opening mm", True), Column("sides"), Column("note")]
+    if flange is not None:
+        columns.insert(2, Column(f"TCP in {flange.frame} mm"))
+    rows = []
+    for table in valid:
+        cells = [
+            table.label,
+            f"{table.widest * 1e3:.1f} to {table.narrowest * 1e3:.1f}",
+            " | ".join(", ".join(side) for side in table.sides),
+            table.note,
+        ]
+        if flange is not None:
+            ends = tool_centres(library, table)
+            cells.insert(2, " to ".join(" ".join(f"{1e3 * v:z.1f}" for v in end) for end in ends))
+        rows.append(Row(tuple(cells)))
+    Table(tuple(columns), tuple(rows), f"Openings of {library.hand.name}").show()

@@ -17,6 +17,7 @@ from rtee.hand.config_schema import (
     AgentSettings,
     DefaultLimits,
     DeviceSection,
+    FlangeSection,
     LogSection,
     LoopSection,
     Outside,
@@ -112,6 +113,9 @@ class HandConfig(Section):
     payload: Annotated[float, Gt(0)] | None = None
     """Largest mass that its data sheet lets it hold by friction [kg]; trials of heavier objects say
     that they do not fit."""
+    flange: FlangeSection | None = None
+    """Where the hand sits on an arm; with it, planned grasps and openings are also given for the
+    arm's flange."""
     profile: ProfileSettings = ProfileSettings()
     """How references move between set-points."""
     loop: LoopSection = LoopSection()

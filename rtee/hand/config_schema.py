@@ -476,6 +476,25 @@ Cells = Annotated[int, Interval(ge=1, le=100)]
 
 
 @dataclass(frozen=True, slots=True)
+class FlangeSection(Section):
+    """Where the hand sits on an arm: the pose of its base frame in that of the arm's flange."""
+
+    frame: str = "flange"
+    """The flange's frame, as the arm calls it, such as ``tool0``."""
+    xyz: Vector = (0.0, 0.0, 0.0)
+    """Origin of the hand's base frame in the flange's [m], such as the height of an adapter."""
+    rpy: Vector = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the hand's base frame in the flange's [rad]."""
+
+    def __post_init__(self) -> None:
+        """Check the name, which becomes one in ROS and in messages."""
+        if not re.fullmatch(r"/?[A-Za-z_][\w/-]*", self.frame, re.ASCII):
+            raise ValueError(
+                "'frame' should be the name of a frame: letters, digits, '_', '-', '/'"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class TouchSection(Section):
     """Where a touch sensor is on the hand, and what its values mean."""
 

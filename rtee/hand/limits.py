@@ -13,6 +13,7 @@ from rtee.hand.config_schema import (
     ActuatorDynamics,
     ActuatorLimits,
     DefaultLimits,
+    FlangeSection,
     PositionRange,
     TouchSection,
 )
@@ -60,6 +61,7 @@ class Overrides:
         default_dynamics: Dynamics of all actuators, for values not in ``dynamics``.
         tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
         touch: Placement of touch sensors, by name.
+        flange: Where the hand sits on an arm.
         clearance: Distance that clear poses keep from other links [m].
         payload: Largest mass that the hand may hold [kg].
         openings: Pairs of intensity and opening [m] measured on the real hand, by action.
@@ -78,6 +80,7 @@ class Overrides:
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
     tip_friction: Mapping[str, float] = field(default_factory=dict)
     touch: Mapping[str, TouchSection] = field(default_factory=dict)
+    flange: FlangeSection | None = None
     clearance: float = CLEARANCE
     payload: float = math.inf
     openings: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)

@@ -143,6 +143,7 @@ def load_configured(
         default_dynamics=config.dynamics.defaults,
         tip_friction=config.tip_friction,
         touch=config.touch,
+        flange=config.flange,
         clearance=config.clearance,
         payload=math.inf if config.payload is None else config.payload,
         openings={name: tuple(pairs) for name, pairs in config.openings.items()},
@@ -320,6 +321,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ),
         tip_friction=_tip_friction(fingers, overrides, urdf),
         touch=_touch(overrides, urdf),
+        flange=overrides.flange,
     )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
-from rtee.hand.config_schema import ActuatorDynamics, TouchSection
+from rtee.hand.config_schema import ActuatorDynamics, FlangeSection, TouchSection
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
 from rtee.sample import FloatArray
@@ -114,6 +114,7 @@ class Hand:
         openings: Pairs of intensity and opening [m] measured on the real hand, by action.
         tip_friction: Coefficient of friction of fingertips, by finger; unknown for missing ones.
         touch: Placement of touch sensors in hand.yaml, by name.
+        flange: Where the hand sits on an arm; ``None`` if unknown.
     """
 
     name: str
@@ -136,6 +137,7 @@ class Hand:
     )
     tip_friction: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     touch: Mapping[str, TouchSection] = field(default_factory=dict, kw_only=True)
+    flange: FlangeSection | None = field(default=None, kw_only=True)
 
     @cached_property
     def lower(self) -> FloatArray:

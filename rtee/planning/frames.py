@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 
 from rtee.errors import ConfigError
+from rtee.hand.flange import flange_with
+from rtee.hand.model import Hand
 from rtee.planning.result import Matrix
 from rtee.sample import FloatArray
 
@@ -43,6 +45,11 @@ def checked_pose(pose: object, what: str) -> FloatArray:
     left, _, right = np.linalg.svd(turn)
     found[:3, :3], found[3] = left @ right, (0.0, 0.0, 0.0, 1.0)
     return found
+
+
+def flange_rows(hand: Hand, base: FloatArray) -> Matrix | None:
+    """Return the pose of the arm's flange for one of the hand's base; ``None``: not known."""
+    return None if hand.flange is None else rows(flange_with(hand.flange, base))
 
 
 def checked_direction(values: Sequence[float]) -> FloatArray:

@@ -27,7 +27,14 @@ from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay
 from rtee.planning.collisions import Collisions
-from rtee.planning.frames import checked_direction, checked_pose, direction_of, retreated, rows
+from rtee.planning.frames import (
+    checked_direction,
+    checked_pose,
+    direction_of,
+    flange_rows,
+    retreated,
+    rows,
+)
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import ReachedGrasp
 from rtee.planning.tips import Fingertips
@@ -227,6 +234,8 @@ def reach_gripper_pose(
         pre_grasp=_positions(hand, action, opening, before),
         palm_pose=rows(palm),
         pre_palm_pose=rows(retreated(palm, way, retreat)),
+        flange_pose=flange_rows(hand, palm),
+        pre_flange_pose=flange_rows(hand, retreated(palm, way, retreat)),
         action=action.name,
         elements=action.elements,
         intensity=at,

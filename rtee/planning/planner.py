@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 from rtee.actions.naming import label
 from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
+from rtee.hand.flange import base_in_flange, flange_with
 from rtee.hand.model import Hand
 from rtee.planning.approaches import GAP, Candidate
 from rtee.planning.closing import ActionWay, Closing, Closure
@@ -172,6 +174,7 @@ class Planner:
             tuple(plans),
             tuple(rejected),
             tuple(notes),
+            "" if self.hand.flange is None else self.hand.flange.frame,
         )
 
     def best(self, actions: Sequence[Action], most: int = _MOST) -> tuple[int, GraspPlan] | None:
@@ -302,7 +305,7 @@ class Planner:
         preshape, opening, clearance = self._before(grasp)
         x, y, z = (float(v) for v in candidate.way)
         kind = kind_of(action)
-        return GraspPlan(
+        plan = GraspPlan(
             action=action.name,
             elements=action.elements,
             kind=str(kind),
@@ -322,6 +325,24 @@ class Planner:
             way=(round(x, 4), round(y, 4), round(z, 4)),
             contacts=contacts,
             reasons=self._reasons(candidate, opening, contacts, times, ball, clearance),
+        )
+        return self._mounted(plan, candidate.pose, candidate.way, points)
+
+    def _mounted(
+        self, plan: GraspPlan, pose: FloatArray, way: FloatArray, points: FloatArray
+    ) -> GraspPlan:
+        """Return a plan with what an arm needs, if it is known where the hand sits on it."""
+        flange = self.hand.flange
+        if flange is None:
+            return plan
+        before = pose.copy()
+        before[:3, 3] += way
+        x, y, z = (base_in_flange(flange) @ [*points.mean(axis=0), 1.0])[:3].round(5) + 0.0
+        return dataclasses.replace(
+            plan,
+            flange_pose=_rows(flange_with(flange, _inverse(pose))),
+            pre_flange_pose=_rows(flange_with(flange, _inverse(before))),
+            tcp=(float(x), float(y), float(z)),
         )
 
     def _intensity(self, closing: Closing, closure: Closure) -> float:
@@ -411,6 +432,10 @@ _ALONE: Final = frozenset({PrimitiveKind.TRIG, PrimitiveKind.TIP_FLEX, Primitive
 _OPPOSED: Final = 0.05
 """How much more score makes one of these better than an action of opposed fingers, whose opening
 and force are known and can be asked for."""
+
+
+def _inverse(pose: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(pose), np.float64)
 
 
 def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:

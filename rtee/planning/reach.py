@@ -21,7 +21,14 @@ from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay
 from rtee.planning.collisions import Collisions
-from rtee.planning.frames import checked_direction, checked_pose, direction_of, retreated, rows
+from rtee.planning.frames import (
+    checked_direction,
+    checked_pose,
+    direction_of,
+    flange_rows,
+    retreated,
+    rows,
+)
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import ReachedGrasp, Residual, WantedContact
 from rtee.planning.result import Point
@@ -152,6 +159,8 @@ def reach_contacts(
         pre_grasp=_by_name(hand, before, involved),
         palm_pose=rows(base),
         pre_palm_pose=rows(retreated(base, way, retreat)),
+        flange_pose=flange_rows(hand, base),
+        pre_flange_pose=flange_rows(hand, retreated(base, way, retreat)),
         residuals=tuple(
             Residual(r.finger, _point(base[:3, :3] @ r.point + base[:3, 3]), r.distance, r.angle)
             for r in residuals

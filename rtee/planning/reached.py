@@ -77,6 +77,9 @@ class ReachedGrasp:
         palm_pose: Pose ``(4, 4)`` of the hand's base link for it, row by row, in the planner's
             frame.
         pre_palm_pose: Where the palm comes from along the approach.
+        flange_pose: The pose of the arm's flange for it, in the planner's frame; ``None`` where
+            hand.yaml does not say where the hand sits.
+        pre_flange_pose: Where the flange comes from.
         residuals: One for each contact that was wanted.
         action: The action, where a width was wanted; empty for contacts.
         elements: Its elements.
@@ -100,6 +103,8 @@ class ReachedGrasp:
     pre_intensity: float = 0.0
     width: float = 0.0
     collisions: tuple[Collision, ...] = ()
+    flange_pose: Matrix | None = None
+    pre_flange_pose: Matrix | None = None
 
 
 def to_document(reached: ReachedGrasp) -> dict[str, Any]:

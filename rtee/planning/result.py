@@ -75,6 +75,10 @@ class GraspPlan:
         contacts: Where the hand touches.
         reasons: Why it has its rank, one sentence each.
         check: How it ended in dynamics, if it was tried there.
+        flange_pose: Pose of the arm's flange ``(4, 4)`` in the object's frame before the hand
+            closes, row by row [m]; ``None`` where hand.yaml does not say where the hand sits.
+        pre_flange_pose: Where the flange comes from, likewise.
+        tcp: The middle of the contacts ``(3,)`` in the flange's frame [m], likewise.
     """
 
     action: str
@@ -97,6 +101,9 @@ class GraspPlan:
     contacts: tuple[Contact, ...]
     reasons: tuple[str, ...]
     check: Check | None = None
+    flange_pose: Matrix | None = None
+    pre_flange_pose: Matrix | None = None
+    tcp: Point | None = None
 
     @property
     def label(self) -> str:
@@ -124,6 +131,7 @@ class Ranking:
         plans: The grasps, one for each action that can hold the object.
         rejected: The other actions, and why not.
         notes: What was assumed, one sentence each.
+        flange: The frame of the arm's flange; empty where hand.yaml does not say.
     """
 
     hand: str
@@ -134,6 +142,7 @@ class Ranking:
     plans: tuple[GraspPlan, ...]
     rejected: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    flange: str = ""
 
 
 def written(part: ActionReference) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import subprocess
 import threading
@@ -17,6 +18,8 @@ from rtee.actions.build import full_posture, generic
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference, Primitive, PrimitiveKind
 from rtee.errors import ConfigError, ModelError, UserError
+from rtee.hand.config_schema import FlangeSection
+from rtee.hand.frames import origin
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
@@ -356,6 +359,28 @@ def test_a_jaw_of_the_body_and_a_claw_hold_a_ball() -> None:
     assert {contact.finger for contact in best.contacts} == {"", "finger_2"}
     assert best.opening > 0.05
     assert best.load > 3.0
+
+
+def test_a_plan_for_the_arms_flange(jaws: Hand, library: ActionLibrary) -> None:
+    ball = read_object("sphere:0.015")
+    plan = plan_grasps(jaws, library, ball).plans[0]
+    assert (plan.flange_pose, plan.pre_flange_pose, plan.tcp) == (None, None, None)
+    flange = FlangeSection("tool0", (0.0, 0.0, 0.02), (0.0, 0.0, math.pi / 2))
+    mounted = dataclasses.replace(jaws, flange=flange)
+    ranking = plan_grasps(mounted, ActionLibrary(mounted, list(library)), ball)
+    first = ranking.plans[0]
+    assert (ranking.flange, first.label) == ("tool0", plan.label)
+    # The object as seen from the hand is the object as seen from the flange, and back.
+    base_in_flange = origin(flange.xyz, flange.rpy)
+    flange_in_object = np.array(first.flange_pose)
+    object_in_base = np.array(first.pose)
+    assert flange_in_object @ base_in_flange @ object_in_base == pytest.approx(np.eye(4), abs=1e-5)
+    away = np.linalg.inv(np.array(first.pre_flange_pose) @ base_in_flange)[:3, 3]
+    assert away - object_in_base[:3, 3] == pytest.approx(np.array(first.way), abs=1e-5)
+    middle = np.mean([contact.point for contact in first.contacts], axis=0)
+    turned = [-middle[1], middle[0], middle[2] + 0.02]
+    assert first.tcp == pytest.approx(turned, abs=1e-4)
+    assert from_document(json.loads(json.dumps(to_document(ranking)))) == ranking
 
 
 def test_a_pinch_comes_before_a_finger_alone(jaws: Hand, library: ActionLibrary) -> None:

@@ -14,8 +14,11 @@ from hypothesis import strategies as st
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Generic, Posture
+from rtee.cli.openings import tool_centres
 from rtee.errors import ConfigError
 from rtee.extract.openings import opening_of
+from rtee.hand.config_schema import FlangeSection
+from rtee.hand.frames import origin
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
@@ -255,6 +258,24 @@ def test_a_parallel_gripper_is_placed_to_a_tenth_of_a_millimetre(gripper: Made) 
         inside = np.linalg.inv(palm) @ np.array([-0.005, y, 0.0, 1.0])
         distances = [gripper.tips.near(f, inside[:3])[0] for f in gripper.tips.fingers]
         assert min(map(abs, distances)) < 1e-4
+
+
+def test_what_is_reached_is_given_for_the_flange(gripper: Made) -> None:
+    flange = FlangeSection("tool0", (0.0, 0.0, 0.02))
+    hand = replace(gripper.hand, flange=flange)
+    library = ActionLibrary(hand, list(gripper.library), gripper.library.folder)
+    actions = with_openings(library, library.openings)
+    found = reach_gripper_pose(hand, actions, GripperPose(POSE, 0.04), tips=gripper.tips)
+    for at, palm in (
+        (found.flange_pose, found.palm_pose),
+        (found.pre_flange_pose, found.pre_palm_pose),
+    ):
+        assert np.array(at) @ origin(flange.xyz, flange.rpy) == pytest.approx(np.array(palm))
+    # Where the fingertips meet: at the end of a grasp of this width, where the gripper's are.
+    table = library.openings.of(library.find("Grasp", ()))
+    widest, narrowest = tool_centres(library, table)
+    there = np.linalg.inv(np.array(found.flange_pose)) @ POSE[:, 3]
+    assert widest[2] < there[2] < narrowest[2]
 
 
 def graspnet(width: float = 0.04, depth: float = 0.02) -> list[float]:
