@@ -98,6 +98,8 @@ def _said_below(path: str) -> str:
     module, _, name = path.rpartition(".")
     body = ast.parse(inspect.getsource(importlib.import_module(module))).body
     for statement, after in pairwise(body):
+        if isinstance(statement, ast.ImportFrom) and name in [a.name for a in statement.names]:
+            return _said_below(f"{statement.module}.{name}")
         targets = getattr(statement, "targets", [getattr(statement, "target", None)])
         names = [target.id for target in targets if isinstance(target, ast.Name)]
         if name in names and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):

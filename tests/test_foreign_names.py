@@ -158,11 +158,12 @@ def test_what_a_xacro_makes_is_read_as_any_other(name: str, tmp_path: Path) -> N
 def test_devices_and_messages_cannot_write_lines(name: str) -> None:
     identity = Capabilities(identity={name: name}).identity
     writer = Writer(b"\0\1\0\0")
-    writer.strings([name])
+    writer.length(1)
+    writer.string(name)
     event = Event("said", "device", name, 0.0)
-    from rtee.messages import decode_event, encode_event
+    from rtee.messages import EVENT
 
-    said = decode_event(encode_event(event)).text
+    said = EVENT.decode(EVENT.encode(event)).text
     for text in (*identity, *identity.values(), *Reader(writer.done()).strings(), said):
         assert text == foreign(name)
         assert text.isprintable()

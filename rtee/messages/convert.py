@@ -77,12 +77,14 @@ GOAL = Codec(
     max_force=_number("max_force"),
     stage=word("stage", Stage, "stage '{}' is none of both, pre_grasp, grasp"),
 )
+"""Goals in CDR."""
 FEEDBACK = Codec(
     "rtee_msgs/msg/Feedback",
     Feedback,
     stamp=field("time"),
     inner_progress=mapping("inner_name", "inner_progress"),
 )
+"""Feedback in CDR."""
 RESULT = Codec(
     "rtee_msgs/msg/Result",
     Result,
@@ -101,7 +103,9 @@ RESULT = Codec(
     # Recordings of before have none.
     aim=As({"aim": str}, lambda text: _AIM.unpack(text or Aim.POSTURE)),
 )
+"""Results of goals in CDR."""
 EVENT = Codec("rtee_msgs/msg/Event", Event, stamp=field("time"))
+"""Events in CDR."""
 DEVICE_STATUS = Codec(
     "rtee_msgs/msg/DeviceStatus",
     DeviceStatus,
@@ -111,7 +115,9 @@ DEVICE_STATUS = Codec(
     gains=field("gain", tuple),
     gain_values=field("gain_value", tuple),
 )
+"""Statuses of devices in CDR."""
 LOOP_STATISTICS = Codec("rtee_msgs/msg/LoopStatistics", LoopStatistics)
+"""Statistics of the loop in CDR."""
 
 
 def _part_fields(parts: Sequence[ObjectPart]) -> list[dict[str, Any]]:
@@ -238,6 +244,7 @@ COMMAND = Codec(
         lambda kind, text, names, values: typed(kind, text, paired("value", names, values)),
     ),
 )
+"""Recorded commands in CDR."""
 
 
 def _sample(**fields: Any) -> StreamSample:

@@ -17,7 +17,7 @@ from rtee import monotonic
 from rtee.errors import GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
-from rtee.messages import decode_goal
+from rtee.messages import GOAL
 from rtee.messages.codec import paired
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.agents import Agents
@@ -71,7 +71,7 @@ class CommandHandlers:
         name = request.request.name
         if name == "sample":
             raise RequestRejected("samples of a stream must be published, not queried")
-        goal = decode_goal(request.question) if name == "do" else None
+        goal = GOAL.decode(request.question) if name == "do" else None
         if goal is None:
             request.check()
         elif goal.client != request.client:

@@ -13,7 +13,7 @@ from typing import Any, TypedDict, Unpack
 import anyio
 
 from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
-from rtee.messages import encode_goal
+from rtee.messages import GOAL
 from rtee.remote.goal_values import check_types, reactions, sizes
 from rtee.remote.link import ANSWER_WITHIN, Link
 from rtee.remote.planner import HandInfo
@@ -108,7 +108,7 @@ class GoalClient:
         # not before the goal is registered.
         if goal.goal_id in self._running:
             raise GoalRejected(f"a goal '{goal.goal_id}' of this client runs already")
-        answer = self._link.send("do", encode_goal(goal), within=_ACCEPTED_WITHIN)
+        answer = self._link.send("do", GOAL.encode(goal), within=_ACCEPTED_WITHIN)
         running = self._running.add(RunningGoal(goal, partial(self.cancel, goal.goal_id)))
         try:
             try:

@@ -15,7 +15,7 @@ import anyio
 
 from rtee.commands import StreamStatus
 from rtee.errors import MessageError, NotReady
-from rtee.messages import decode_event, decode_feedback, decode_result, topics
+from rtee.messages import EVENT, FEEDBACK, RESULT, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
 from rtee.messages.touch import TOUCH, reply_of, touch_of
@@ -108,7 +108,7 @@ class Monitoring:
         link.on_gone(self._on_gone)
 
     def _on_event(self, data: bytes) -> None:
-        event = decode_event(data)
+        event = EVENT.decode(data)
         for queue in tuple(self._event_queues):
             _put(queue, event)
 
@@ -218,7 +218,7 @@ class Monitoring:
         Raises:
             NoHand: if the hand goes.
         """
-        return self._messages(topics.FEEDBACK, decode_feedback)
+        return self._messages(topics.FEEDBACK, FEEDBACK.decode)
 
     def results(self) -> AsyncIterator[Result]:
         """Iterate over the results of all clients' goals until the hand goes.
@@ -226,7 +226,7 @@ class Monitoring:
         Raises:
             NoHand: if the hand goes.
         """
-        return self._messages(topics.RESULTS, decode_result)
+        return self._messages(topics.RESULTS, RESULT.decode)
 
     async def _messages(self, topic: str, decode: Callable[[bytes], T]) -> AsyncGenerator[T]:
         queue = self._queue()

@@ -24,13 +24,13 @@ from rtee.loop.grip import Grip, grip_at
 from rtee.loop.observer import Observer
 from rtee.loop.plan import Plan
 from rtee.messages import (
+    DEVICE_STATUS,
+    EVENT,
+    FEEDBACK,
+    GOAL,
+    LOOP_STATISTICS,
+    RESULT,
     JointStateEncoder,
-    encode_device_status,
-    encode_event,
-    encode_feedback,
-    encode_goal,
-    encode_loop_statistics,
-    encode_result,
     topics,
 )
 from rtee.messages.requests import STATES
@@ -238,7 +238,7 @@ class Publisher(Observer):
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
         """Publish that a goal begins."""
-        self._put(topics.GOALS, encode_goal, goal, time=stamp)
+        self._put(topics.GOALS, GOAL.encode, goal, time=stamp)
 
     def on_plan(self, plan: Plan, stamp: float) -> None:
         """Keep the plan's grip, by which states report opening and force."""
@@ -246,23 +246,23 @@ class Publisher(Observer):
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Publish a goal's progress."""
-        self._put(topics.FEEDBACK, encode_feedback, feedback)
+        self._put(topics.FEEDBACK, FEEDBACK.encode, feedback)
 
     def on_result(self, result: Result) -> None:
         """Publish the result of a goal."""
         # Before the result is published: a client that reads it may begin a goal at once.
         self._goals.ended(result)
-        self._put(topics.RESULTS, encode_result, result, time=monotonic.now())
+        self._put(topics.RESULTS, RESULT.encode, result, time=monotonic.now())
 
     def on_event(self, event: Event) -> None:
         """Publish an event."""
         if event.kind == STREAM_ENDED:
             # Before the event is published, as for results.
             self._lease.ended(event.source)
-        self._put(topics.EVENTS, encode_event, event)
+        self._put(topics.EVENTS, EVENT.encode, event)
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
         """Publish the status of the devices and the statistics of the clock."""
         for status in statuses:
-            self._put(topics.DEVICE_STATUS, encode_device_status, status)
-        self._put(topics.LOOP_STATISTICS, encode_loop_statistics, statistics)
+            self._put(topics.DEVICE_STATUS, DEVICE_STATUS.encode, status)
+        self._put(topics.LOOP_STATISTICS, LOOP_STATISTICS.encode, statistics)

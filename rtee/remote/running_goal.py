@@ -8,8 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Literal
 
 from rtee.errors import NoHand, RemoteError, RequestRejected, RteeError, TooManyRequests
-from rtee.messages import decode_feedback, decode_result, topics
-from rtee.messages.convert import RESULT
+from rtee.messages import FEEDBACK, RESULT, topics
 from rtee.remote.link import ANSWER_WITHIN, Link
 from rtee.types import Feedback, Goal, Result
 
@@ -145,7 +144,7 @@ class RunningGoals:
 
     def _on_feedback(self, data: bytes) -> None:
         if self._running:  # without goals of this client, messages need not be decoded
-            feedback = decode_feedback(data)
+            feedback = FEEDBACK.decode(data)
             running = self._running.get(feedback.goal_id)
             if running is not None:
                 running.heard = self._loop.time()
@@ -153,7 +152,7 @@ class RunningGoals:
 
     def _on_result(self, data: bytes) -> None:
         if self._running:
-            result = decode_result(data)
+            result = RESULT.decode(data)
             self._end(result.goal_id, result)
 
     def _end(self, goal_id: str, how: Result | Exception) -> None:

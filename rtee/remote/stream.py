@@ -17,7 +17,7 @@ import anyio
 from rtee import monotonic
 from rtee.commands import STREAM_ENDED, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected, RemoteError, RequestRejected
-from rtee.messages import decode_event, topics
+from rtee.messages import EVENT, topics
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.link import Link
 
@@ -108,7 +108,7 @@ class StreamClient:
 
     def _on_event(self, data: bytes) -> None:
         if self._open:
-            event = decode_event(data)
+            event = EVENT.decode(data)
             if event.kind == STREAM_ENDED and event.source in self._open:
                 self._open[event.source].ended = event.text
 

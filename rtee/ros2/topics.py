@@ -16,13 +16,7 @@ from rtee.hand.frames import JointFrames
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Hand
 from rtee.loop.measured import TIP_FORCE, tip_forces
-from rtee.messages import (
-    JointStateEncoder,
-    encode_event,
-    encode_feedback,
-    encode_result,
-    encode_string,
-)
+from rtee.messages import EVENT, FEEDBACK, RESULT, JointStateEncoder, encode_string
 from rtee.messages.layout import TransformsEncoder
 from rtee.messages.state import State
 from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, measured_at, sensors_fields
@@ -144,9 +138,9 @@ class Topics(Part):
         """Publish until the hand ends."""
         hand = self._face.hand
         async with anyio.create_task_group() as group:
-            group.start_soon(self._relay, hand.feedback(), self._feedback, encode_feedback)
-            group.start_soon(self._relay, hand.results(), self._results, encode_result)
-            group.start_soon(self._relay, hand.events(), self._events, encode_event)
+            group.start_soon(self._relay, hand.feedback(), self._feedback, FEEDBACK.encode)
+            group.start_soon(self._relay, hand.results(), self._results, RESULT.encode)
+            group.start_soon(self._relay, hand.events(), self._events, EVENT.encode)
             group.start_soon(self._touch.run)
             while True:
                 with anyio.CancelScope() as self._again:

@@ -20,7 +20,7 @@ from rtee.hand.model import Hand
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings
-from rtee.messages import encode_device_status, encode_event
+from rtee.messages import DEVICE_STATUS, EVENT
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading
 from rtee.types import Goal, Lifecycle, Reference
@@ -203,10 +203,10 @@ async def test_a_bad_driver_costs_its_device_alone(hand: Hand, what: str) -> Non
         assert status["good"].errors == 0
         # All that is said of it can be published, and there is not more than people can read.
         for each in status.values():
-            encode_device_status(each)
+            DEVICE_STATUS.encode(each)
         about = [event for event in watcher.events if event.source == "bad"]
         for event in about:
-            encode_event(event)
+            EVENT.encode(event)
             assert event.text.isprintable()
             assert len(event.text) < 2000
         assert len(about) < 40

@@ -21,7 +21,7 @@ from rtee.loop.measured import Measured
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.tip_levers import TipLevers
-from rtee.messages import decode_goal, decode_result, encode_goal, encode_result
+from rtee.messages import GOAL, RESULT
 from rtee.types import Event, Goal, OnContact, Result
 
 INDEX, THUMB = 0, 2
@@ -331,10 +331,10 @@ def test_what_cannot_be_is_refused(small: Hand, goal: Goal, reason: str) -> None
 
 def test_goals_and_results_cross_the_network() -> None:
     goal = Goal("a", on_contact={"": OnContact.HOLD, "thumb": OnContact.STOP}, max_force=3.0)
-    assert decode_goal(encode_goal(goal)) == goal
-    assert decode_goal(encode_goal(Goal("a", touch=True))).touch
+    assert GOAL.decode(GOAL.encode(goal)) == goal
+    assert GOAL.decode(GOAL.encode(Goal("a", touch=True))).touch
     result = Result("1", "a", touched=("thumb", "index"))
-    assert decode_result(encode_result(result)).touched == ("thumb", "index")
+    assert RESULT.decode(RESULT.encode(result)).touched == ("thumb", "index")
 
 
 @pytest.mark.parametrize("bent", [0.0, 0.5, 1.2])

@@ -97,19 +97,19 @@ STATUS = DeviceStatus(
 STATISTICS = LoopStatistics(1000.0, 999.9, 10, 1, *[x / 8 for x in range(8)], dropped=4)
 
 PAIRS: list[tuple[Callable[..., bytes], Callable[[bytes], Any], Any]] = [
-    (messages.encode_goal, messages.decode_goal, GOAL),
-    (messages.encode_goal, messages.decode_goal, replace(GOAL, kind=None, timeout=None, effort={})),
-    (messages.encode_feedback, messages.decode_feedback, FEEDBACK),
-    (messages.encode_feedback, messages.decode_feedback, Feedback("1", 1.0)),
-    (messages.encode_result, messages.decode_result, RESULT),
-    (messages.encode_event, messages.decode_event, EVENT),
+    (convert.GOAL.encode, convert.GOAL.decode, GOAL),
+    (convert.GOAL.encode, convert.GOAL.decode, replace(GOAL, kind=None, timeout=None, effort={})),
+    (convert.FEEDBACK.encode, convert.FEEDBACK.decode, FEEDBACK),
+    (convert.FEEDBACK.encode, convert.FEEDBACK.decode, Feedback("1", 1.0)),
+    (convert.RESULT.encode, convert.RESULT.decode, RESULT),
+    (convert.EVENT.encode, convert.EVENT.decode, EVENT),
     *(
-        (messages.encode_command, messages.decode_command, CommandRecord(7, 12.25, command))
+        (convert.COMMAND.encode, convert.COMMAND.decode, CommandRecord(7, 12.25, command))
         for command in COMMANDS
     ),
-    (messages.encode_device_status, messages.decode_device_status, STATUS),
-    (messages.encode_device_status, messages.decode_device_status, replace(STATUS, age=math.inf)),
-    (messages.encode_loop_statistics, messages.decode_loop_statistics, STATISTICS),
+    (convert.DEVICE_STATUS.encode, convert.DEVICE_STATUS.decode, STATUS),
+    (convert.DEVICE_STATUS.encode, convert.DEVICE_STATUS.decode, replace(STATUS, age=math.inf)),
+    (convert.LOOP_STATISTICS.encode, convert.LOOP_STATISTICS.decode, STATISTICS),
     (messages.encode_string, messages.decode_string, "<robot/>"),
 ]
 
@@ -138,7 +138,7 @@ def test_what_is_no_command_is_said(
 
 def test_stamps_are_kept() -> None:
     fields = message_type("rtee_msgs/Goal").decode(
-        messages.encode_goal(GOAL, time=7.25, wall=1_700_000_000_123_456_789)
+        convert.GOAL.encode(GOAL, time=7.25, wall=1_700_000_000_123_456_789)
     )
     assert fields["time"] == 7.25
     assert wall_ns(fields) == 1_700_000_000_123_456_789
@@ -149,16 +149,16 @@ def test_stamps_are_kept() -> None:
 )
 def test_a_goal_is_written_and_read_as_its_definition_says(goal: Goal) -> None:
     kind = message_type("rtee_msgs/Goal")
-    data = messages.encode_goal(goal, time=7.25, wall=1_700_000_000_123_456_789)
+    data = convert.GOAL.encode(goal, time=7.25, wall=1_700_000_000_123_456_789)
     fields = kind.decode(data)
     assert kind.encode(fields) == data
-    assert convert.GOAL.of(fields) == messages.decode_goal(data) == goal
+    assert convert.GOAL.of(fields) == convert.GOAL.decode(data) == goal
 
 
 @pytest.mark.parametrize("wrong", [{"intensity": "much"}, {"effort": None}, {"elements": "index"}])
 def test_a_goal_with_a_value_of_the_wrong_kind_is_no_message(wrong: dict[str, Any]) -> None:
     with pytest.raises(MessageError):
-        messages.encode_goal(replace(GOAL, **wrong))
+        convert.GOAL.encode(replace(GOAL, **wrong))
 
 
 def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
@@ -170,27 +170,27 @@ def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
     ("decode", "data", "text"),
     [
         (
-            messages.decode_goal,
-            _with("rtee_msgs/Goal", messages.encode_goal(GOAL), stage="half"),
+            convert.GOAL.decode,
+            _with("rtee_msgs/Goal", convert.GOAL.encode(GOAL), stage="half"),
             "stage 'half' is none of",
         ),
         (
-            messages.decode_goal,
-            _with("rtee_msgs/Goal", messages.encode_goal(GOAL), effort=[]),
+            convert.GOAL.decode,
+            _with("rtee_msgs/Goal", convert.GOAL.encode(GOAL), effort=[]),
             "effort: 1 names for 0 values",
         ),
         (
-            messages.decode_feedback,
-            _with("rtee_msgs/Feedback", messages.encode_feedback(FEEDBACK), inner_name=["a", "a"]),
+            convert.FEEDBACK.decode,
+            _with("rtee_msgs/Feedback", convert.FEEDBACK.encode(FEEDBACK), inner_name=["a", "a"]),
             "a name occurs twice",
         ),
         (
-            messages.decode_device_status,
-            _with("rtee_msgs/DeviceStatus", messages.encode_device_status(STATUS), lifecycle="?"),
+            convert.DEVICE_STATUS.decode,
+            _with("rtee_msgs/DeviceStatus", convert.DEVICE_STATUS.encode(STATUS), lifecycle="?"),
             "unknown lifecycle",
         ),
-        (messages.decode_result, b"\x00\x01\x00\x00" + b"\xff" * 40, "sequence|string|bytes"),
-        (messages.decode_event, b"", "CDR header"),
+        (convert.RESULT.decode, b"\x00\x01\x00\x00" + b"\xff" * 40, "sequence|string|bytes"),
+        (convert.EVENT.decode, b"", "CDR header"),
     ],
 )
 def test_what_makes_no_sense_is_refused(
@@ -204,7 +204,7 @@ def test_what_makes_no_sense_is_refused(
 def test_a_status_written_before_devices_told_their_gains_is_read(text: str) -> None:
     status = replace(STATUS, gains=(), message=text)
     kind = message_type("rtee_msgs/DeviceStatus")
-    fields = kind.decode(messages.encode_device_status(status))
+    fields = kind.decode(convert.DEVICE_STATUS.encode(status))
     del fields["gain"], fields["gain_value"]
     definition, rule, nested = kind.schema.partition("=" * 80)
     without = "".join(line for line in definition.splitlines(True) if " gain" not in line)

@@ -16,7 +16,7 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import LeaseHeld, RequestRejected
 from rtee.hand.model import Hand
-from rtee.messages import encode_event, encode_goal, encode_result, message_type
+from rtee.messages import EVENT, GOAL, RESULT, message_type
 from rtee.messages.identity import Signer
 from rtee.messages.requests import HERE, REQUESTS, inbox_key
 from rtee.remote.client import RemoteHand
@@ -121,7 +121,7 @@ async def test_nobody_moves_the_hand_under_the_name_of_its_holder(
         assert holder == victim.client
         forged = Signer(holder)
         forged.secret = bytes(32)
-        goal = encode_goal(Goal("fist", client=holder))
+        goal = GOAL.encode(Goal("fist", client=holder))
         unsigned = "needs the attachment '<number> <client> <signature>'"
         for name in ("release", "cancel", "hold", "recover", "acquire"):
             question = fields_for(name, holder)
@@ -143,13 +143,13 @@ async def test_a_recorded_request_cannot_be_sent_again(
     async with serving(hand, library) as served, rtee.connect("small") as victim:
         bad = await intruder(served, mode, intruders)
         signer = victim._link._signer
-        goal = encode_goal(Goal("Trig", ("index",), intensity=0.1, client=victim.client))
+        goal = GOAL.encode(Goal("Trig", ("index",), intensity=0.1, client=victim.client))
         proof = signer.attachment(signer.number(), "do", goal)
         assert await in_thread(bad.ask, "do", goal, proof) == [""], "once it is good"
         await until(lambda: len(served.watcher.results) == 1)
         assert "larger than those before" in (await in_thread(bad.ask, "do", goal, proof))[0]
         # Neither for another request, nor with another question.
-        other = encode_goal(Goal("fist", client=victim.client))
+        other = GOAL.encode(Goal("fist", client=victim.client))
         number = signer.number()
         question = fields_for("hold", victim.client)
         proof = signer.attachment(number, "hold", question)
@@ -236,13 +236,13 @@ async def test_nobody_answers_or_speaks_for_the_hand(
         async with rtee.connect(endpoint=served.server.endpoint) as victim:
             events = victim.events()
             running = await victim.start("Trig", "index", intensity=0.3, speed=0.5)
-            forged = encode_result(Result(running.goal.goal_id, "Trig", reason="forged"))
+            forged = RESULT.encode(Result(running.goal.goal_id, "Trig", reason="forged"))
             for topic, data in (
                 ("results", forged),
-                ("events", encode_event(Event("stop", "x", "a lie", 0.0))),
+                ("events", EVENT.encode(Event("stop", "x", "a lie", 0.0))),
                 ("feedback", b"junk"),
                 (f"answers/{victim.client}", b"junk"),
-                ("goals", encode_goal(Goal("fist"))),
+                ("goals", GOAL.encode(Goal("fist"))),
                 ("joint_states", b"junk"),
             ):
                 await in_thread(partial(bad.session.put, f"rtee/small/{topic}", data))

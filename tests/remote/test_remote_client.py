@@ -13,7 +13,7 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
-from rtee.messages import encode_event
+from rtee.messages import EVENT
 from rtee.remote.server import Server
 from rtee.remote.session import direct
 from rtee.types import Event, Feedback, Lifecycle
@@ -424,7 +424,7 @@ async def test_what_came_before_a_hand_goes_is_told(hand: Hand, library: ActionL
     async with serving(hand, library), rtee.connect("small") as remote:
         events = remote.events()
         for text in ("first", "last"):
-            remote._monitoring._on_event(encode_event(Event("note", "sim", text, 0.0), wall=0))
+            remote._monitoring._on_event(EVENT.encode(Event("note", "sim", text, 0.0), wall=0))
         remote._link._on_gone()  # before anybody had a chance to look
         assert [(await anext(events)).text for _ in range(2)] == ["first", "last"]
         with pytest.raises(NoHand, match="has gone"):
