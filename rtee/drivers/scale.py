@@ -1,4 +1,4 @@
-"""From a device's counts to SI units and back."""
+"""From a device's counts to SI units and back: straight lines, and those of a gripper's fingers."""
 
 from __future__ import annotations
 
@@ -30,6 +30,11 @@ class LinearScale:
         share = (raw - self.raw[0]) / (self.raw[1] - self.raw[0])
         return self.si[0] + share * (self.si[1] - self.si[0])
 
+    def within(self, raw: float) -> float:
+        """Return the SI value of a device's value, limited to what the device accepts."""
+        low, high = sorted(self.ends or self.raw)
+        return self.to_si(min(max(raw, low), high))
+
     def to_raw(self, si: float) -> float:
         """Return the device's value for an SI value, neither rounded nor limited."""
         share = (si - self.si[0]) / (self.si[1] - self.si[0])
@@ -40,3 +45,35 @@ class LinearScale:
         # Limited before rounding, since an infinite value cannot be rounded.
         low, high = sorted(self.ends or self.raw)
         return round(min(max(self.to_raw(si), low), high))
+
+
+class FingerScale:
+    """The counts of a gripper whose speed and force are those of its fingertips.
+
+    At the actuator they follow by virtual work: force times change of width is effort times change
+    of position.
+
+    Args:
+        position: Counts of the position to [rad | m].
+        lever: Change of the width by the actuator's position [m/rad | 1].
+        counts: Least and greatest count of speed and force.
+        speeds: Slowest and fastest fingertip [m/s].
+        forces: Weakest and strongest grip [N].
+
+    Attributes:
+        position: Counts to [rad | m].
+        velocity: Counts to [rad/s | m/s].
+        effort: Counts to [N·m | N].
+    """
+
+    def __init__(
+        self,
+        position: LinearScale,
+        lever: float,
+        counts: tuple[float, float],
+        speeds: tuple[float, float],
+        forces: tuple[float, float],
+    ) -> None:
+        self.position = position
+        self.velocity = LinearScale(counts, (speeds[0] / lever, speeds[1] / lever))
+        self.effort = LinearScale(counts, (forces[0] * lever, forces[1] * lever))

@@ -240,7 +240,7 @@ class InspireRh56Driver(Driver):
             # ``None`` until every area has been read once.
             self._touch = await self._tactile.read(self.connection.link) or self._touch
         both = tuple(zip(self._motors, self._scales, strict=True))
-        position = [scale.angle(report.angles[motor]) for motor, scale in both]
+        position = [scale.position.within(report.angles[motor]) for motor, scale in both]
         # For `move`, which compares references with it while a grip is kept.
         self._here = np.array(position)
         return ActuatorState.measured(
@@ -340,7 +340,7 @@ class InspireRh56Driver(Driver):
             # In the cycle's deadline: an answer that is lost must not use up a stop's time.
             report = await patiently(self._measured)
             both = tuple(zip(self._motors, self._scales, strict=True))
-            here = [scale.angle(report.angles[motor]) for motor, scale in both]
+            here = [scale.position.within(report.angles[motor]) for motor, scale in both]
             angles = list(report.angles)
             for i, position in self.standstill.instead(here).items():
                 motor, scale = both[i]

@@ -96,10 +96,6 @@ class Scale:
         self._sign = -1.0 if reverse else 1.0
         self._fastest = (upper - lower) / travel_time
 
-    def angle(self, count: int) -> float:
-        """Return the position [rad] of an angle count, limited to the ends of the travel."""
-        return self.position.to_si(min(max(count, 0), OPEN))
-
     def effort(self, grams: float) -> float:
         """Return the effort [N·m] of a measured force."""
         return self._sign * self._force.newtons(grams) * self._force.arm

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from rtee.drivers.registers import at, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
-from rtee.drivers.scale import LinearScale
+from rtee.drivers.scale import FingerScale, LinearScale
 
 _CURRENT = 0.01
 """Motor current per count of gCU [A]."""
@@ -61,6 +61,21 @@ class Model:
     speed: tuple[float, float]
     force: tuple[float, float]
     gap: float | None = None
+
+    def scale(
+        self, opened: float, closed: float, open_count: int = 3, closed_count: int = 230
+    ) -> FingerScale:
+        """Return the scale: the position is linear in the counts, gPO and rPR, speed and force too.
+
+        Args:
+            opened: Position of the actuator when fully open [rad | m].
+            closed: Position of the actuator when fully closed [rad | m].
+            open_count: gPO when fully open.
+            closed_count: gPO when fully closed.
+        """
+        position = LinearScale((open_count, closed_count), (opened, closed), ends=COUNTS)
+        lever = self.stroke / abs(closed - opened)
+        return FingerScale(position, lever, COUNTS, self.speed, self.force)
 
 
 MODELS: dict[str, Model] = {
@@ -121,39 +136,3 @@ class Status(RobotiqStatus):
     def current(self) -> float:
         """Motor current [A]."""
         return self.raw_current * _CURRENT
-
-
-class Scale:
-    """Converts between counts and the actuator's units.
-
-    Position is linear in the counts between the fully open and the fully closed gripper. Speed and
-    force are those of the fingertips; at the actuator they follow from the virtual work of the
-    linear width, so that force times change of width is effort times change of position.
-
-    Args:
-        model: The gripper.
-        opened: Position of the actuator when fully open [rad | m].
-        closed: Position of the actuator when fully closed [rad | m].
-
-    Attributes:
-        open_count: gPO when fully open.
-        closed_count: gPO when fully closed.
-        position: gPO or rPR to [rad | m].
-        velocity: rSP to [rad/s | m/s].
-        effort: rFR to [N·m | N].
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        opened: float,
-        closed: float,
-        open_count: int = 3,
-        closed_count: int = 230,
-    ) -> None:
-        self.open_count, self.closed_count = open_count, closed_count
-        self.position = LinearScale((open_count, closed_count), (opened, closed), ends=COUNTS)
-        width = model.stroke / abs(closed - opened)  # [m/rad | 1]
-        (slow, fast), (weak, strong) = model.speed, model.force
-        self.velocity = LinearScale(COUNTS, (slow / width, fast / width))
-        self.effort = LinearScale(COUNTS, (weak * width, strong * width))

@@ -15,7 +15,7 @@ from rtee.drivers.deadlines import time_limit
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
-from rtee.drivers.robotiq_2f.codec import FAULTS, MODELS, Command, Grasp, Scale, Status
+from rtee.drivers.robotiq_2f.codec import FAULTS, MODELS, Command, Grasp, Status
 from rtee.drivers.robotiq_common import (
     INPUT,
     OUTPUT,
@@ -27,6 +27,7 @@ from rtee.drivers.robotiq_common import (
     RobotiqStatus,
 )
 from rtee.drivers.robotiq_driver import RobotiqDriver
+from rtee.drivers.scale import FingerScale
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import BusError, CalibrationError, HandshakeError
 from rtee.sample import ActuatorState, FloatArray
@@ -107,10 +108,9 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)
 
-    def _scaled(self, open_count: int, closed_count: int) -> Scale:
+    def _scaled(self, open_count: int, closed_count: int) -> FingerScale:
         actuator, closed = self.spec.actuators[0], self.options.closed_position
-        return Scale(
-            MODELS[self.options.model],
+        return MODELS[self.options.model].scale(
             actuator.lower,
             actuator.upper if closed is None else closed,
             open_count,
@@ -186,17 +186,18 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         could have reached. Right after a new request, gOBJ may still be that of the previous one.
         """
         before, self._requested = self._requested, status.requested
+        opened, closed = self.scale.position.raw
         contact = False
         if status.going:
             if status.grasp is Grasp.CONTACT_CLOSING:
                 # One count short of the end stop: against the stop itself contact is reported too.
-                contact = status.position < self.scale.closed_count - 1
+                contact = status.position < closed - 1
             elif status.grasp is Grasp.CONTACT_OPENING:
-                contact = status.position > self.scale.open_count + 1
+                contact = status.position > opened + 1
         moving = status.going and status.grasp is Grasp.MOVING
         if self._grip.steady(contact, moving, status.position, status.requested):
             return True
-        reachable = min(max(status.requested, self.scale.open_count), self.scale.closed_count)
+        reachable = min(max(status.requested, opened), closed)
         short = reachable - status.position > 2 * SAME and before == status.requested
         return status.going and status.grasp is Grasp.AT_REQUEST and short
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from rtee.drivers.registers import Field, at, each, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
-from rtee.drivers.scale import LinearScale
+from rtee.drivers.scale import FingerScale, LinearScale
 
 AXES = ("a", "b", "c", "scissor")
 """The four motors, in the order of their bytes."""
@@ -148,36 +148,18 @@ FORCE = (15.0, 60.0)
 """Weakest and strongest fingertip [N]."""
 
 
-class Scale:
-    """Converts between the counts of a motor and its joint's units.
-
-    Speed and force are those of the fingertips; at the joint they follow by virtual work from the
-    stroke.
-
-    Attributes:
-        position: The joint's angle [rad] by the counts of gPOx and rPRx.
-        velocity: rSPx to [rad/s].
-        effort: rFRx to [N·m].
-    """
-
-    def __init__(self, position: LinearScale) -> None:
-        self.position = position
-        way = STROKE / 255 / abs(position.gain)  # of the fingertip per angle of the joint [m/rad]
-        self.velocity = LinearScale(COUNTS, (SPEED[0] / way, SPEED[1] / way))
-        self.effort = LinearScale(COUNTS, (FORCE[0] * way, FORCE[1] * way))
-
-    def angle(self, count: float) -> float:
-        """Return the joint's angle for a count, which may lie beyond its end stops [rad]."""
-        low, high = sorted(self.position.ends or self.position.raw)
-        return self.position.to_si(min(max(count, low), high))
+def _scale(position: LinearScale) -> FingerScale:
+    """Return the scale of a motor: gPOx and rPRx to the joint's angle [rad], and rSPx, rFRx."""
+    # The fingertip's way by the angle of the joint.
+    return FingerScale(position, STROKE / 255 / abs(position.gain), COUNTS, SPEED, FORCE)
 
 
 # A finger's first joint turns by the same angle per count all the way: the published driver's 200
 # counts per radian. The scissor turns linearly between its end counts, and no further.
 FINGERS = 3
 """Axes ahead of the scissor, a to c."""
-_FINGER = Scale(LinearScale((0.0, 200.0), (0.0, 1.0), ends=COUNTS))
-_SCISSOR = Scale(LinearScale((15.0, 240.0), (0.192, -0.192)))
+_FINGER = _scale(LinearScale((0.0, 200.0), (0.0, 1.0), ends=COUNTS))
+_SCISSOR = _scale(LinearScale((15.0, 240.0), (0.192, -0.192)))
 
 SCALES = {"fingers": _FINGER, "a": _FINGER, "b": _FINGER, "c": _FINGER, "scissor": _SCISSOR}
 """The scales of the motors, and of all fingers together."""

@@ -189,7 +189,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
 
     def _measured(self, status: Status, stamp: float) -> ActuatorState:
         return ActuatorState.measured(
-            [SCALES[role].angle(self._position(role)) for role in self.roles],
+            [SCALES[role].position.within(self._position(role)) for role in self.roles],
             stamp,
             current=[self._current(role) for role in self.roles],
             grasped=tuple(self._grasped(role) for role in self.roles),

@@ -194,14 +194,14 @@ def test_forces_rise_from_zero_and_come_back(finger: str, grams: float) -> None:
 
 def test_counts_of_positions_speeds_and_limits() -> None:
     bend = scale("index")
-    assert [bend.angle(count) for count in (1000, 0, 500, 1010, -5)] == pytest.approx(
+    assert [bend.position.within(count) for count in (1000, 0, 500, 1010, -5)] == pytest.approx(
         [0.0, 1.47, 0.735, 0.0, 1.47]
     )
     assert bend.position.to_count(2.0) == 0
     assert [bend.speed(v) for v in (math.inf, 4.9, 2.45, 0.0)] == [1000, 1000, 500, 1]
     assert [bend.limit(e) for e in (math.inf, 5.0, 0.3325, 0.0)] == [1000, 1000, 500, 1]
     turned = scale("thumb_rotate", reverse=True)
-    assert turned.angle(1000) == pytest.approx(1.47)
+    assert turned.position.within(1000) == pytest.approx(1.47)
     assert turned.effort(200) < 0.0 < scale("thumb_rotate").effort(200)
 
 

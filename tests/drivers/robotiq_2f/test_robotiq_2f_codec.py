@@ -15,10 +15,10 @@ from rtee.drivers.robotiq_2f.codec import (
     MODELS,
     Command,
     Grasp,
-    Scale,
     Status,
 )
 from rtee.drivers.robotiq_common import Progress
+from rtee.drivers.scale import FingerScale
 from rtee.errors import FrameError
 
 
@@ -136,18 +136,18 @@ def test_any_three_registers_are_a_status_or_refused(words: tuple[int, int, int]
     assert status.to_registers() == (words[0] & 0xF900, *words[1:])
 
 
-def scales() -> list[Scale]:
+def scales() -> list[FingerScale]:
     return [
-        Scale(MODELS["2f_85"], 0.0, 0.82),
-        Scale(MODELS["2f_140"], 0.0, 0.7, open_count=13),
-        Scale(MODELS["hand_e"], 0.0, 0.025),
-        Scale(MODELS["hand_e_c10"], 0.0, 0.025, open_count=0, closed_count=255),
+        MODELS["2f_85"].scale(0.0, 0.82),
+        MODELS["2f_140"].scale(0.0, 0.7, open_count=13),
+        MODELS["hand_e"].scale(0.0, 0.025),
+        MODELS["hand_e_c10"].scale(0.0, 0.025, open_count=0, closed_count=255),
     ]
 
 
 @pytest.mark.parametrize("scale", scales(), ids=list(MODELS))
-def test_every_count_comes_back(scale: Scale) -> None:
-    for count in range(scale.open_count, scale.closed_count + 1):
+def test_every_count_comes_back(scale: FingerScale) -> None:
+    for count in range(int(scale.position.raw[0]), int(scale.position.raw[1]) + 1):
         assert scale.position.to_count(scale.position.to_si(count)) == count
     for count in range(256):
         assert scale.velocity.to_count(scale.velocity.to_si(count)) == count
@@ -155,14 +155,14 @@ def test_every_count_comes_back(scale: Scale) -> None:
 
 
 def test_the_actuator_is_at_its_ends_where_the_gripper_is() -> None:
-    scale = Scale(MODELS["2f_140"], 0.1, 0.7, open_count=13)
+    scale = MODELS["2f_140"].scale(0.1, 0.7, open_count=13)
     assert scale.position.to_si(13) == pytest.approx(0.1)
     assert scale.position.to_si(230) == pytest.approx(0.7)
     assert scale.position.to_count(math.inf) == 255
 
 
 def test_effort_and_velocity_are_those_of_the_fingertips_by_virtual_work() -> None:
-    scale = Scale(MODELS["2f_85"], 0.0, 0.8)
+    scale = MODELS["2f_85"].scale(0.0, 0.8)
     assert scale.effort.to_si(255) == pytest.approx(235.0 * 0.085 / 0.8)
     assert scale.velocity.to_si(255) == pytest.approx(0.150 * 0.8 / 0.085)
     assert scale.effort.to_count(math.inf) == scale.velocity.to_count(math.inf) == 255
@@ -172,7 +172,7 @@ def test_effort_and_velocity_are_those_of_the_fingertips_by_virtual_work() -> No
 @pytest.mark.parametrize(("name", "force"), [("hand_e", 130.0), ("hand_e_c10", 185.0)])
 def test_a_hand_e_slides_each_finger_half_its_stroke(name: str, force: float) -> None:
     """50 mm, 20 to 150 mm/s, both fingers moving: at one of them half the way and speed."""
-    scale = Scale(MODELS[name], 0.0, 0.025, open_count=0, closed_count=255)
+    scale = MODELS[name].scale(0.0, 0.025, open_count=0, closed_count=255)
     assert scale.position.to_si(51) == pytest.approx(0.005)
     assert scale.velocity.si == pytest.approx((0.010, 0.075))
     assert scale.effort.si == pytest.approx((40.0, 2.0 * force))

@@ -11,14 +11,14 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.robotiq_2f.codec import MODELS, Command, Scale
+from rtee.drivers.robotiq_2f.codec import MODELS, Command
 from rtee.drivers.robotiq_2f.driver import Robotiq2FDriver
 from rtee.errors import BusError, ConfigError, DeviceFault, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind, Reference
 from tests.drivers.objects import close_robotiq
 
-SCALE = Scale(MODELS["2f_85"], 0.0, 0.82)
+SCALE = MODELS["2f_85"].scale(0.0, 0.82)
 
 
 def begun_with(emulator: Any) -> list[float]:
@@ -54,7 +54,7 @@ class TestRtu(DriverContract):
 FINGER = actuator(
     "left_finger_joint", 0.0, 0.025, kind=JointKind.PRISMATIC, velocity=0.075, effort=260.0
 )
-HAND_E_SCALE = Scale(MODELS["hand_e"], 0.0, 0.025)
+HAND_E_SCALE = MODELS["hand_e"].scale(0.0, 0.025)
 HAND_E = replace(
     RTU,
     actuators=(FINGER,),

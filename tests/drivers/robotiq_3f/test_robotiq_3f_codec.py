@@ -178,7 +178,7 @@ def test_every_count_comes_back(name: str) -> None:
     scale = SCALES[name]
     low, high = (15, 240) if name == "scissor" else (0, 255)
     for count in range(low, high + 1):
-        assert scale.position.to_count(scale.angle(count)) == count
+        assert scale.position.to_count(scale.position.within(count)) == count
     for count in range(256):
         assert scale.velocity.to_count(scale.velocity.to_si(count)) == count
         assert scale.effort.to_count(scale.effort.to_si(count)) == count
@@ -187,8 +187,8 @@ def test_every_count_comes_back(name: str) -> None:
 
 def test_the_scissor_swings_eleven_degrees_to_either_side() -> None:
     scale = SCALES["scissor"]
-    assert math.degrees(scale.angle(0)) == pytest.approx(11.0, abs=0.01)
-    assert math.degrees(scale.angle(255)) == pytest.approx(-11.0, abs=0.01)
+    assert math.degrees(scale.position.within(0)) == pytest.approx(11.0, abs=0.01)
+    assert math.degrees(scale.position.within(255)) == pytest.approx(-11.0, abs=0.01)
     assert scale.position.to_count(-1.0) == 240
 
 
