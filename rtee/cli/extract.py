@@ -159,9 +159,7 @@ def extract(
         print(json.dumps(describe(model, extraction.primitives, extraction.seconds), indent=2))
     else:
         _show(model, extraction)
-    # `rtee new` and `rtee hands --json` say what was noticed of the model of a configured hand.
-    told = model.notes if folder is None else ()
-    notes = [f"note: {note}" for note in (*told, *extraction.notes)]
+    notes = [f"note: {note}" for note in (*model.notes, *extraction.notes)]
     written = [*targets, *stored, *([report] if report else [])]
     notes += [f"written to {target}" for target in written]
     for note in notes:
