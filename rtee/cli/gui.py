@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from rtee.cli._common import BesideOption, RunningOption, check_files
-
-_NICE = 10
-"""The GUI's nice value: a tenth of an ordinary program's share of a busy processor."""
+from rtee.cli._common import BesideOption, RunningOption, check_files, lower_priority
 
 
 def gui(
@@ -56,7 +50,7 @@ def gui(
         raise ConfigError("--tls-cert and --tls-key go together")
     tls = None if tls_cert is None or tls_key is None else tls_context(tls_cert, tls_key)
     access = Access(host, tls=tls, behind=behind_proxy, observers=observer)
-    _lower_priority()  # before numpy and the network start threads, which inherit it
+    lower_priority()  # before numpy and the network start threads, which inherit it
     from rtee.remote.find import hands_running
 
     if hand is not None or endpoint is not None:
@@ -70,20 +64,6 @@ def gui(
     # Ends with the run that started this command, if one did, even if that is killed.
     page = partial(serve, hand, access=access, port=port, endpoint=endpoint)
     anyio.run(work_beside, beside, page)
-
-
-def _lower_priority() -> None:
-    """Lower the priority of the calling thread and of all threads that it starts.
-
-    On a robot PC the control loop has precedence. Under SCHED_BATCH, the GUI does not preempt
-    another program when it wakes.
-    """
-    with contextlib.suppress(OSError):  # some containers permit neither
-        # `os.nice` adds to the present value; a higher one stays.
-        os.nice(max(0, _NICE - os.nice(0)))
-        # Any other policy was chosen by the user and stays.
-        if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_OTHER:
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 async def _check_running(hand: str | None, endpoint: str | None) -> None:

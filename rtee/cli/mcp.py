@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, RunningOption, complete_running
+from rtee.cli._common import ConnectOption, RunningOption, complete_running, lower_priority
 from rtee.cli._online import with_hand
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import AgentSettings, Gate
@@ -59,6 +59,7 @@ def mcp(
     """
     import anyio
 
+    lower_priority()  # simulations compute, perhaps beside the hand's loop
     with needing_extra("'rtee mcp'", "mcp"):
         from rtee.agent.server import serve
     from rtee.agent.agent import Agent

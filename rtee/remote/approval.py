@@ -23,6 +23,9 @@ from rtee.remote.directory import own_folder
 WITHIN: Final = 120.0
 """Time in which a person answers [s]: long enough to go and look at the hand."""
 
+CALM: Final = 3.0
+"""Time after a no in which nobody is asked again [s]: questions without end make people say yes."""
+
 _LONGEST: Final = 4096
 """Longest question or answer [bytes]: a few sentences."""
 
@@ -85,12 +88,17 @@ async def answer_all(listener: SocketListener, ask: Callable[[str], Awaitable[bo
     one = anyio.Lock()
 
     async def answer(stream: SocketStream) -> None:
-        async with stream, one, anyio.create_task_group() as group:
-            with contextlib.suppress(anyio.EndOfStream, anyio.BrokenResourceError, ValueError):
-                question = foreign(str(json.loads(await stream.receive(2 * _LONGEST))))
-                group.start_soon(leave_with, stream, group.cancel_scope)
-                await stream.send(b"yes\n" if await ask(question) else b"no\n")
-            group.cancel_scope.cancel()
+        async with stream, one:
+            said = True
+            async with anyio.create_task_group() as group:
+                with contextlib.suppress(anyio.EndOfStream, anyio.BrokenResourceError, ValueError):
+                    question = foreign(str(json.loads(await stream.receive(2 * _LONGEST))))
+                    group.start_soon(leave_with, stream, group.cancel_scope)
+                    said = await ask(question)
+                    await stream.send(b"yes\n" if said else b"no\n")
+                group.cancel_scope.cancel()
+            if not said:
+                await anyio.sleep(CALM)
 
     async def leave_with(stream: SocketStream, scope: anyio.CancelScope) -> None:
         with contextlib.suppress(anyio.EndOfStream, anyio.BrokenResourceError):

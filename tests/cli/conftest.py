@@ -8,4 +8,5 @@ import pytest
 @pytest.fixture(autouse=True)
 def same_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave its priority to the process, in which other tests follow."""
-    monkeypatch.setattr("rtee.cli.gui._lower_priority", lambda: None)
+    for command in ("gui", "mcp"):
+        monkeypatch.setattr(f"rtee.cli.{command}.lower_priority", lambda: None)

@@ -14,6 +14,7 @@ import rtee
 from rtee.errors import GoalRejected
 from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
+from rtee.remote import approval
 from rtee.remote.approval import approve
 
 from .test_gui_app import apart, server, shows
@@ -41,6 +42,7 @@ async def test_a_person_answers_in_the_page(
     server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Bridge, "attended", True)
+    monkeypatch.setattr(approval, "CALM", 0.0)
     asked: list[str] = []
 
     async def ask(question: str) -> None:
