@@ -13,7 +13,7 @@ from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table
 
 if TYPE_CHECKING:
-    from rtee.remote.planner import HandInfo
+    from rtee.remote.hand_info import HandInfo
 
 
 def info(

@@ -15,8 +15,8 @@ import anyio
 from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
 from rtee.messages import GOAL
 from rtee.remote.goal_values import check_types, reactions, sizes
+from rtee.remote.hand_info import HandInfo
 from rtee.remote.link import ANSWER_WITHIN, Link
-from rtee.remote.planner import HandInfo
 from rtee.remote.running_goal import RunningGoal, RunningGoals
 from rtee.types import Feedback, Goal, OnContact, Result, Stage
 from rtee.units import FORCE, LENGTH, SPEED, quantity

@@ -11,7 +11,7 @@ from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Finger, Hand
 from rtee.hand.urdf import Urdf
 from rtee.remote.client import RemoteHand
-from rtee.remote.planner import HandInfo
+from rtee.remote.hand_info import HandInfo
 
 
 def _fingers(info: HandInfo, urdf: Urdf) -> tuple[Finger, ...]:

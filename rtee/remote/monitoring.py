@@ -20,8 +20,8 @@ from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
 from rtee.messages.touch import TOUCH, reply_of, touch_of
 from rtee.object_description import ObjectDescription
+from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
-from rtee.remote.planner import HandInfo, info_of
 from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Lifecycle, LoopStatistics, Result
 

@@ -29,11 +29,11 @@ from rtee.remote.actions import action_fields, build_action, group_fields
 from rtee.remote.agents import Agents
 from rtee.remote.goal_records import GoalRecords
 from rtee.remote.grasp_planning import GraspPlanning
+from rtee.remote.hand_info import info_fields
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.openings import opening_fields
-from rtee.remote.planner import info_fields
 from rtee.remote.publishing import Streams
 from rtee.types import Event
 

@@ -10,9 +10,9 @@ from rtee.hand.config_schema import Ros2Settings, ThermalSettings
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
+from rtee.remote.hand_info import HandInfo
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.openings import OpeningRange
-from rtee.remote.planner import HandInfo
 from rtee.ros2.actions import time_fields
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node

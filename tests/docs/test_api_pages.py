@@ -153,7 +153,7 @@ def test_every_type_in_a_public_signature_is_documented() -> None:
 def test_the_signatures_are_really_read() -> None:
     from rtee.drivers.base import Driver
     from rtee.remote.client import RemoteHand
-    from rtee.remote.planner import HandInfo
+    from rtee.remote.hand_info import HandInfo
     from rtee.remote.running_goal import RunningGoal
 
     def of(thing: type) -> set[type]:

@@ -28,8 +28,8 @@ from rtee.gui.wording import described, outcome, short_names, units
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.state import State
+from rtee.remote.hand_info import info_fields, info_of
 from rtee.remote.model import from_info
-from rtee.remote.planner import info_fields, info_of
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
 from rtee.types import DeviceStatus, Lifecycle, Result

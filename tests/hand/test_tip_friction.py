@@ -9,7 +9,7 @@ import pytest
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
 from rtee.hand.urdfread import read_urdf
-from rtee.remote.planner import info_fields, info_of
+from rtee.remote.hand_info import info_fields, info_of
 
 LINK = (
     '<link name="{0}"><collision><geometry><sphere radius="0.01"/></geometry></collision>{1}</link>'

@@ -30,11 +30,11 @@ from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.directory import running, runtime_folder
+from rtee.remote.hand_info import info_fields, info_of
 from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.lease import IDLE, JOGGING, Lease
 from rtee.remote.loop_thread import LoopThread
-from rtee.remote.planner import info_fields, info_of
 
 from .serving import announced
 
