@@ -59,10 +59,12 @@ def gui(
         print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
     with needing_extra("the GUI", "gui"):
         from rtee.gui.app import serve
+    from rtee.cli.landmarks import follow_headset
     from rtee.loop.shutdown_signals import work_beside
 
+    follow = partial(follow_headset, hand=hand, endpoint=endpoint)
     # Ends with the run that started this command, if one did, even if that is killed.
-    page = partial(serve, hand, access=access, port=port, endpoint=endpoint)
+    page = partial(serve, hand, access=access, port=port, endpoint=endpoint, follow=follow)
     anyio.run(work_beside, beside, page)
 
 

@@ -324,3 +324,13 @@ def _answer(
         **(headers or {}),
     }
     return Response(status.value, status.phrase, Headers(fields), body)
+
+
+def page_of(text: str) -> Response:
+    """Return a response with a page of this GUI."""
+    return _answer(http.HTTPStatus.OK, text, "text/html")
+
+
+def only_operators() -> Response:
+    """Return the refusal of what moves the hand to who only watches."""
+    return _refusal(http.HTTPStatus.FORBIDDEN, "You watch: only STOP works here.")

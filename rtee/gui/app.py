@@ -16,6 +16,7 @@ from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.gui.access import Access, Role
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
+from rtee.gui.headset import Follow
 from rtee.gui.panels.approval import Approval
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
@@ -199,13 +200,14 @@ async def serve(
     access: Access,
     port: int = 8080,
     endpoint: str | None = None,
+    follow: Follow | None = None,
 ) -> None:
-    """Serve the GUI of a hand, or of any that runs, until cancelled.
+    """Serve the GUI of a hand, or of any that runs, until cancelled; headsets go to ``follow``.
 
     If the port is in use, takes the next free one, or raises `ConfigError` where a proxy forwards
     to it. Raises `LoopError` if the access checks cannot be added to the installed viser.
     """
-    visitors = Visitors(access)
+    visitors = Visitors(access, follow)
     server = visitors.open_server(port)
     # viser takes the next free port, but the proxy would forward to the program on this one.
     if access.behind_proxy and server.get_port() != port:

@@ -23,8 +23,10 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from rtee.errors import LoopError
-from rtee.gui.access import HEADERS, Access, Role
+from rtee.gui import headset
+from rtee.gui.access import HEADERS, Access, Role, only_operators, page_of
 from rtee.gui.colours import STOP
+from rtee.gui.headset import PAGE, PATH, Follow
 
 PING_PERIOD: Final = 2.0
 """Interval at which a page is asked whether it is still there [s]: a computer that sleeps closes no
@@ -154,9 +156,10 @@ class Visitors:
     ``guarded`` is set once viser has called the wrapper that checks access.
     """
 
-    def __init__(self, access: Access) -> None:
-        """Admit the holders of the tokens of ``access``."""
+    def __init__(self, access: Access, follow: Follow | None = None) -> None:
+        """Admit the holders of the tokens of ``access``; a headset's frames go to ``follow``."""
         self.guarded = False
+        self._follow = follow
         self._access = access
         self._server: viser.ViserServer | None = None
         self._for_everybody: frozenset[str] = frozenset()
@@ -180,7 +183,7 @@ class Visitors:
             options |= {"ping_interval": PING_PERIOD, "ping_timeout": PONG_WITHIN}
             options["close_timeout"] = _CLOSE_WITHIN
             return serve(
-                _in_role(handler),
+                _in_role(handler, self._follow),
                 *args,
                 process_request=self._judged(process_request),
                 create_connection=self._connection_class(),
@@ -250,6 +253,10 @@ class Visitors:
                 return judged
             if isinstance(connection, Visitor):
                 connection.role = judged
+                if self._follow is not None and request.path.partition("?")[0] == PATH:
+                    connection.headset = judged is Role.OPERATOR
+                    if not (connection.headset and request.headers.get_all("Upgrade")):
+                        return page_of(PAGE) if connection.headset else only_operators()
             response = None if process is None else process(connection, request)
             if response is not None:
                 for name, value in HEADERS.items():
@@ -273,17 +280,21 @@ class Visitor(ServerConnection):
 
     visitors: Visitors
     role: Role | None = None
+    headset = False
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that the page may send."""
         while True:
             message = await super().recv(decode)
-            if self.visitors.admits(self.role, message):
+            if self.headset or self.visitors.admits(self.role, message):
                 return message
 
 
-def _in_role(handler: Handler) -> Handler:
+def _in_role(handler: Handler, follow: Follow | None) -> Handler:
     async def handle(connection: ServerConnection) -> None:
+        if follow is not None and getattr(connection, "headset", False):
+            await headset.handle(connection, follow)
+            return
         # viser calls `Visitors._greet` for this connection in this task or a child of it, which
         # inherits the context variable. Without a known role, a page counts as an observer's.
         _role.set(getattr(connection, "role", None) or Role.OBSERVER)
