@@ -225,6 +225,7 @@ def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tri
 
 def _hand_in(model: ReadableModel, srdf: Path | None, subtree: Subtree | None) -> HandModel:
     """Load a hand from its model, with the notes and exclusions that are not in the URDF."""
+    from rtee.hand.candidates import motor_notes
     from rtee.hand.load import load_model
     from rtee.hand.urdfread import read_urdf
     from rtee.hand.whole_robot import check_one_hand
@@ -238,12 +239,15 @@ def _hand_in(model: ReadableModel, srdf: Path | None, subtree: Subtree | None) -
         passive=[joint for joint in model.passive or () if joint in known.joints],
         edits=edits,
     )
+    notes = list(hand.notes)
     if srdf is None:
         check_one_hand(hand)
+        if model.passive is None:
+            notes += motor_notes(hand)
     excluded = (pair for pair in model.excluded if {*pair[:2]} <= known.links.keys())
     return replace(
         hand,
-        notes=(*model.notes, *hand.notes),
+        notes=(*model.notes, *notes),
         disabled_collisions=(*hand.disabled_collisions, *excluded),
     )
 

@@ -264,6 +264,21 @@ def in_words(candidates: Sequence[Candidate]) -> list[str]:
     ]
 
 
+def motor_notes(hand: Hand) -> list[str]:
+    """Return notes on the joints of a hand without SRDF that may have no motor.
+
+    Raises:
+        ModelError: Its URDF cannot be read again.
+    """
+    notes = in_words(passive_candidates(hand))
+    if notes:
+        notes[-1] += (
+            '; such a joint is declared by <passive_joint name="JOINT"/> in the SRDF; '
+            "`rtee new --ask` goes through them all"
+        )
+    return notes
+
+
 def carriers(hand: Hand) -> tuple[str, ...]:
     """Return the actuators that move all fingers as one body, as in a wrist, in the hand's order.
 

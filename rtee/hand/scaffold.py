@@ -15,7 +15,7 @@ from rtee.hand.candidates import (
     OneMotor,
     carriers,
     fixed_jaw,
-    in_words,
+    motor_notes,
     one_motor,
     passive_candidates,
 )
@@ -201,26 +201,19 @@ def _settle(
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
     """Return the joints without a motor according to the user, or notes on likely ones."""
-    candidates = passive_candidates(hand)
-    if ask is not None:
-        chosen = tuple(
-            candidate.joint
-            for candidate in candidates
-            if not ask(
-                f"joint '{candidate.joint}' {candidate.why}. Does it have a motor?",
-                not candidate.likely,
-            )
+    if ask is None:
+        return (), motor_notes(hand)
+    chosen = tuple(
+        candidate.joint
+        for candidate in passive_candidates(hand)
+        if not ask(
+            f"joint '{candidate.joint}' {candidate.why}. Does it have a motor?",
+            not candidate.likely,
         )
-        if len(chosen) == len(hand.actuators):
-            raise ModelError("no joint is left that has a motor", path=hand.urdf.path)
-        return chosen, [f"joint '{joint}' is passive: it has no motor" for joint in chosen]
-    notes = in_words(candidates)
-    if notes:
-        notes[-1] += (
-            '; such a joint is declared by <passive_joint name="JOINT"/> in the SRDF; --ask goes '
-            "through them all"
-        )
-    return (), notes
+    )
+    if len(chosen) == len(hand.actuators):
+        raise ModelError("no joint is left that has a motor", path=hand.urdf.path)
+    return chosen, [f"joint '{joint}' is passive: it has no motor" for joint in chosen]
 
 
 def _one_motor(hand: Hand, ask: Ask | None) -> tuple[OneMotor | None, list[str]]:
