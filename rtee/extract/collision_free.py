@@ -47,11 +47,8 @@ _TRUST_EVALUATIONS: Final = 11
 _SAME: Final = 0.05
 """Difference in every coordinate below which starts count as equal."""
 
-_GOOD: Final = 0.98
+GOOD: Final = 0.98
 """Share of the greatest depth at which a clear pose ends the search for others."""
-
-_POOL: Final = 4
-"""Number of starts kept at minima while constraints are learned: each costs a descent per round."""
 
 _SHORT: Final = 2e-3
 """Distance of a pose moved back before a collision, as a share of the path: some 0.1 mm."""
@@ -76,6 +73,8 @@ class SearchBudget:
 
     Attributes:
         pool: Number of starts.
+        kept: Number of them that are kept at minima while constraints are learned, each of which
+            costs a descent per round.
         attempts: Most poses pushed out of their collisions.
         pushes: Most descents to push a pose out.
         recalibrations: Most steps to improve a pose, each with newly measured allowances.
@@ -86,6 +85,7 @@ class SearchBudget:
     """
 
     pool: int = 12
+    kept: int = 4
     attempts: int = 5
     pushes: int = 10
     recalibrations: int = 8
@@ -118,6 +118,7 @@ class ClearSearch:
         self._budget = budget
         self._constraints = Constraints(function, motion, checker)
         self._uncalibrated: list[FloatArray] = []
+        self._settled_at: dict[bytes, Minimum] = {}
         self._cost_limit = 0
 
     @property
@@ -180,7 +181,7 @@ class ClearSearch:
         pool = list(starts[: self._budget.pool])
         tried: list[FloatArray] = []
         clear: list[FloatArray] = []
-        best, enough = np.inf, _GOOD * min(map(value, pool), default=0.0)
+        best, enough = np.inf, GOOD * min(map(value, pool), default=0.0)
         for number in range(attempts + self._budget.extra_attempts):
             # Extra attempts are only for searches without a clear pose so far.
             if (clear and number >= attempts) or self._out_of_budget:
@@ -189,7 +190,9 @@ class ClearSearch:
                 # Delayed until here, since the last pose found calibrates only further attempts.
                 self._constraints.calibrate(self._uncalibrated.pop())
             minima = self._settled(pool)
-            pool = [minimum.y for minimum in sorted(minima, key=lambda m: m.value)[:_POOL]]
+            pool = [
+                minimum.y for minimum in sorted(minima, key=lambda m: m.value)[: self._budget.kept]
+            ]
             new = [
                 minimum
                 for minimum in distinct(minima)
@@ -220,8 +223,21 @@ class ClearSearch:
         if not self._constraints.learned:
             if not self._budget.settle:
                 return [Minimum(y, self._function.value(y), 1) for y in pool]
-            pool = pool[:_POOL]
-        return [self._descend(COARSE.snap(y), _QUICK) for y in pool]
+            pool = pool[: self._budget.kept]
+        penalised = self._constraints.penalised()
+        return [self._still(y, penalised) or self._settle(y) for y in pool]
+
+    def _still(self, y: FloatArray, penalised: Objective) -> Minimum | None:
+        """Return a pose that is a minimum already, if no constraint has changed its value."""
+        known = self._settled_at.get(y.tobytes())
+        if known is None or MEDIUM.rounded_value(penalised(y)[0]) != known.value:
+            return None
+        return known
+
+    def _settle(self, y: FloatArray) -> Minimum:
+        found = self._descend(COARSE.snap(y), _QUICK)
+        self._settled_at[found.y.tobytes()] = found
+        return found
 
     def _push_out(self, start: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one.

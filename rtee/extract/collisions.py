@@ -495,6 +495,8 @@ class CollisionChecker:
         # The same test as below, of all pairs on all parts at once.
         reach = np.array(speeds) / _PARTS + 2.0 * np.array(margins)
         alive = apart[:-1] + apart[1:] <= reach
+        # Bounds on overlaps tell nothing.
+        alive |= np.minimum(apart[:-1], apart[1:]) <= np.array(margins)
 
         def live(part: tuple[float, float], columns: Iterable[int]) -> list[int]:
             begin, end = (int(t * _PARTS) for t in part)

@@ -6,7 +6,8 @@ exact measurement, so that no result depends on their last digits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -22,6 +23,9 @@ from rtee.types import JointKind
 
 _SLACK: Final = 2e-6
 """Subtracted from every bound [m]: more than the rounding errors of what follows."""
+
+_WORTH: Final = 40
+"""Number of distances that take as long to measure as the bounds of capsules and boxes."""
 
 _ALONG: Final = 1e-10
 """Squared sine of the angle between two axes below which they count as parallel; the error is less
@@ -61,15 +65,17 @@ class _Envelope:
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Joints that are equally far from the base, with the components of vectors first.
+    """Joints that are equally far from the base.
 
     Attributes:
         bodies: Their numbers.
         parents: The numbers of the bodies that they are on.
-        rotations: Their orientation there ``(3, 3, 1, b)``.
-        positions: Their places there ``(3, 1, b)`` [m].
-        axes: Their axes ``(3, 1, b)``.
-        slides: Whether they are prismatic ``(b,)``.
+        rotations: Their orientations there ``(b, 3, 3)``.
+        positions: Their places there ``(b, 3, 1)`` [m].
+        axes: Their axes ``(b, 3, 1)``.
+        across: The matrices of the cross products with the axes ``(b, 3, 3)``.
+        along: The projections on the axes ``(b, 3, 3)``.
+        slides: Whether they are prismatic ``(b, 1, 1)``.
     """
 
     bodies: list[int]
@@ -77,6 +83,8 @@ class _Level:
     rotations: FloatArray
     positions: FloatArray
     axes: FloatArray
+    across: FloatArray
+    along: FloatArray
     slides: NDArray[np.bool_]
 
 
@@ -92,14 +100,18 @@ def _levels(scene: Scene) -> list[_Level]:
         joints = [hand.joints[body - 1] for body in bodies]
         axes = np.array([hand.urdf.joints[joint.name].axis for joint in joints])
         axes /= norms(axes)[:, None]
+        slides = np.array([joint.kind is JointKind.PRISMATIC for joint in joints])
         levels.append(
             _Level(
                 bodies,
                 [parents[body] for body in bodies],
-                np.array([p.rotation for p in placed]).transpose(1, 2, 0)[:, :, None],
-                np.array([p.translation for p in placed]).T[:, None],
-                axes.T[:, None],
-                np.array([joint.kind is JointKind.PRISMATIC for joint in joints]),
+                np.array([p.rotation for p in placed]),
+                np.array([p.translation for p in placed])[:, :, None],
+                axes[:, :, None],
+                # Columns of the cross product's matrix are the products with the unit vectors.
+                cross(axes[:, None, :], np.eye(3)).transpose(0, 2, 1),
+                axes[:, :, None] * axes[:, None, :],
+                slides[:, None, None],
             )
         )
     return levels
@@ -141,7 +153,7 @@ class Envelopes:
         rotations, positions = self._placed(postures)
         least = self._between_balls(rotations, positions, pairs)
         near = np.flatnonzero(least.min(axis=0) < within)
-        if len(near):
+        if len(near) * len(postures) > _WORTH:
             closer = self._between_rods(rotations, positions, pairs[:, near])
             least[:, near] = np.maximum(least[:, near], closer)
         result: FloatArray = least - _SLACK
@@ -149,23 +161,42 @@ class Envelopes:
 
     def _placed(self, postures: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return rotations ``(3, 3, t, l)`` and positions ``(3, t, l)`` of the links' bodies."""
+        rotations, positions = self._bodies_at(postures)
+        rotations, positions = rotations[:, self._bodies], positions[..., 0][:, self._bodies]
+        # Components first: each is one array, which is faster than a last axis of three.
+        return (
+            np.ascontiguousarray(rotations.transpose(2, 3, 0, 1)),
+            np.ascontiguousarray(positions.transpose(2, 0, 1)),
+        )
+
+    def _bodies_at(self, postures: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return rotations ``(t, b, 3, 3)`` and positions ``(t, b, 3, 1)`` of all bodies."""
+        if len(postures) == 1:
+            self._scene.place(postures[0])
+            turns, places = self._scene.bodies()
+            return turns[None], places[None, :, :, None]
         joints = np.array([self._scene.couplings.joints(u) for u in postures])
+        cosines, sines = _each(math.cos, joints), _each(math.sin, joints)
         count = joints.shape[1] + 1
-        rotations = np.empty((3, 3, len(joints), count))
-        positions = np.zeros((3, len(joints), count))
-        rotations[:, :, :, 0] = np.eye(3)[:, :, None]
+        rotations = np.empty((len(joints), count, 3, 3))
+        positions = np.zeros((len(joints), count, 3, 1))
+        rotations[:, 0] = np.eye(3)
         # All joints that are equally far from the base at once.
         for level in self._levels:
-            q = joints[:, [body - 1 for body in level.bodies]]
-            above = rotations[..., level.parents]
-            frames = _product(above, level.rotations)
-            there = positions[..., level.parents] + _applied(above, level.positions)
+            columns = [body - 1 for body in level.bodies]
+            q, cosine, sine = (a[:, columns, None, None] for a in (joints, cosines, sines))
+            above = rotations[:, level.parents]
+            frames = matmul(above, level.rotations)
+            there = positions[:, level.parents] + matmul(above, level.positions)
             if level.slides.any():
-                there += _applied(frames, level.axes * np.where(level.slides, q, 0.0))
-                q = np.where(level.slides, 0.0, q)
-            positions[..., level.bodies] = there
-            rotations[..., level.bodies] = _product(frames, _turned(level.axes, q))
-        return rotations[..., self._bodies], positions[..., self._bodies]
+                there += matmul(frames, level.axes * np.where(level.slides, q, 0.0))
+                cosine = np.where(level.slides, 1.0, cosine)
+                sine = np.where(level.slides, 0.0, sine)
+            # Rodrigues' formula.
+            turn = cosine * np.eye(3) + sine * level.across + (1.0 - cosine) * level.along
+            positions[:, level.bodies] = there
+            rotations[:, level.bodies] = matmul(frames, turn)
+        return rotations, positions
 
     def _between_balls(
         self, rotations: FloatArray, positions: FloatArray, pairs: Ends
@@ -279,9 +310,9 @@ def _balls(scene: Scene, i: int) -> tuple[FloatArray, float]:
     if kind == "sphere":
         points, radius = np.zeros((1, 3)), source.radius
     elif kind == "cylinder":
-        turns = np.arange(_SIDES) * (2.0 * np.pi / _SIDES)
-        wide = source.radius / np.cos(np.pi / _SIDES)
-        ring = np.array([wide * np.cos(turns), wide * np.sin(turns), np.zeros(_SIDES)]).T
+        turns = [2.0 * math.pi * k / _SIDES for k in range(_SIDES)]
+        wide = source.radius / math.cos(math.pi / _SIDES)
+        ring = np.array([(wide * math.cos(a), wide * math.sin(a), 0.0) for a in turns])
         up = np.array([0.0, 0.0, source.length / 2.0])
         points, radius = np.concatenate([ring - up, ring + up]), 0.0
     else:
@@ -290,17 +321,9 @@ def _balls(scene: Scene, i: int) -> tuple[FloatArray, float]:
     return placed, radius
 
 
-def _turned(axes: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return the rotations ``(3, 3, t, b)`` about axes ``(3, 1, b)`` by angles ``(t, b)`` [rad]."""
-    sine, cosine = np.sin(angles), np.cos(angles)
-    x, y, z = axes
-    rest = 1.0 - cosine
-    rows = [
-        [cosine + rest * x * x, rest * x * y - sine * z, rest * x * z + sine * y],
-        [rest * x * y + sine * z, cosine + rest * y * y, rest * y * z - sine * x],
-        [rest * x * z - sine * y, rest * y * z + sine * x, cosine + rest * z * z],
-    ]
-    return np.array(rows)
+def _each(function: Callable[[float], float], values: FloatArray) -> FloatArray:
+    """Return a function of each value, without NumPy's, which depends on the processor."""
+    return np.array([function(v) for v in values.ravel().tolist()]).reshape(values.shape)
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:

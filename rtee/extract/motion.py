@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -52,6 +53,19 @@ class StraightPath:
     def at(self, t: float) -> FloatArray:
         """Return the posture at intensity ``t``, 0 (rest) to 1 (goal)."""
         return from_rest(self.rest, self.goal, t)
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """Shapes on their bodies: rotations ``(c, 3, 3)``, positions ``(c, 3)`` [m] and bounding boxes.
+
+    These have a lowest and a highest corner ``(c, 3)`` [m].
+    """
+
+    rotations: FloatArray
+    positions: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
 class Motion:
@@ -117,45 +131,54 @@ class Motion:
         poses = [self._scene.relative_pose(pair, path.at(t)) for t in stations]
         there = _stacked(poses)
         back = _stacked([pose.inverse() for pose in poses])
-        most = np.zeros(len(stations) - 1)
-        for i in pair.shapes[0]:
-            for j in pair.shapes[1]:
-                for fixed, moving, motion in ((i, j, there), (j, i, back)):
-                    most = np.maximum(most, self._displacements(fixed, moving, motion))
+        couples = [*product(*pair.shapes)]
+        most = self._displacements(couples, there)
+        most = np.maximum(most, self._displacements([(j, i) for i, j in couples], back))
         return np.concatenate([[0.0], np.cumsum(most)])
 
     def _displacements(
-        self, fixed: int, moving: int, motion: tuple[FloatArray, FloatArray]
-    ) -> FloatArray | float:
+        self, couples: Sequence[tuple[int, int]], motion: tuple[FloatArray, FloatArray]
+    ) -> FloatArray:
         """Return the greatest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
-        They are points of the moving shape. Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of
-        its body in that of the fixed one are its motion.
+        They are points of the moving shape, the second of a couple. Rotations ``(s, 3, 3)`` and
+        positions ``(s, 3)`` [m] of its body in that of the fixed one are its motion.
         """
-        shape, other = self._scene.shapes[moving], self._scene.shapes[fixed]
-        outward = other.placement.rotation
-        rotations = matmul(matmul(outward.T, motion[0]), shape.placement.rotation)
-        positions = _sum(motion[0] * shape.placement.translation, axis=2) + motion[1]
-        positions = matmul(positions - other.placement.translation, outward)
+        fixed, moving = (self._placed([couple[k] for couple in couples]) for k in (0, 1))
+        inward = fixed.rotations.transpose(0, 2, 1)[:, None]
+        rotations = matmul(matmul(inward, motion[0]), moving.rotations[:, None])
+        positions = _sum(motion[0] * moving.positions[:, None, None, :], axis=3) + motion[1]
+        positions = matmul(positions - fixed.positions[:, None], fixed.rotations)
         # The bounding box of the other shape's box, in the frame of the shape.
-        low, high = other.box
-        centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
-        halves = _sum(np.abs(rotations) * ((high - low) / 2.0 + _NEAR)[:, None], axis=1)
-        lower, upper = shape.box
-        lower, upper = np.maximum(lower, centres - halves), np.minimum(upper, centres + halves)
-        near = (lower < upper).all(axis=1)
-        # Usually, the two shapes never come near each other.
-        if not near.any():
-            return 0.0
-        corners = np.where(_UPPER, upper[:, None], lower[:, None])
-        turns, steps = np.diff(rotations, axis=0), np.diff(positions, axis=0)[:, None]
-        most = np.zeros(len(steps))
+        middles, sizes = (fixed.high + fixed.low) / 2.0, (fixed.high - fixed.low) / 2.0 + _NEAR
+        centres = _sum(rotations * (middles[:, None] - positions)[..., None], axis=2)
+        halves = _sum(np.abs(rotations) * sizes[:, None, :, None], axis=2)
+        lower = np.maximum(moving.low[:, None], centres - halves)
+        upper = np.minimum(moving.high[:, None], centres + halves)
+        near = (lower < upper).all(axis=2)
+        most = np.zeros(len(motion[0]) - 1)
+        # Usually, few of the shapes come near each other.
+        some = near.any(axis=1)
+        if not some.any():
+            return most
+        rotations, positions, near = rotations[some], positions[some], near[some]
+        corners = np.where(_UPPER, upper[some][:, :, None], lower[some][:, :, None])
+        turns, steps = np.diff(rotations, axis=1), np.diff(positions, axis=1)[:, :, None]
         for ends in (slice(None, -1), slice(1, None)):
-            moved = matmul(corners[ends], turns.transpose(0, 2, 1)) + steps
-            squares = _sum(moved * moved, axis=2).max(axis=1)
-            most = np.maximum(most, np.where(near[ends], squares, 0.0))
+            moved = matmul(corners[:, ends], turns.transpose(0, 1, 3, 2)) + steps
+            squares = _sum(moved * moved, axis=3).max(axis=2)
+            most = np.maximum(most, np.where(near[:, ends], squares, 0.0).max(axis=0))
         result: FloatArray = np.sqrt(most)
         return result
+
+    def _placed(self, shapes: Sequence[int]) -> _Placed:
+        chosen = [self._scene.shapes[i] for i in shapes]
+        return _Placed(
+            np.array([shape.placement.rotation for shape in chosen]),
+            np.array([shape.placement.translation for shape in chosen]),
+            np.array([shape.box[0] for shape in chosen]),
+            np.array([shape.box[1] for shape in chosen]),
+        )
 
     def _bound(self, pair: LinkPair) -> FloatArray:
         """Return the longest lever of every joint on the pair ``(m,)``: metres, 1 if prismatic."""

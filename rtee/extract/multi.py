@@ -10,12 +10,17 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
+from rtee.extract.collision_free import (
+    GOOD,
+    SearchBudget,
+    clear_postures,
+    touching_postures,
+)
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import GoalFunction, MultiPinchGoal, TipEdge, linked, spanning_trees
 from rtee.extract.pairs import LinkPair
 from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
-from rtee.extract.search import FEW, MANY, SEVERAL, Block, Minima, minima
+from rtee.extract.search import SEVERAL, Block, Minima, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
@@ -23,10 +28,21 @@ from rtee.sample import FloatArray
 _MOST_TREES: Final = 4
 """Most spanning trees from which starts are combined; the hands in ``config/`` have no more."""
 
-_BUDGET: Final = SearchBudget(
-    pool=6, attempts=4, pushes=8, recalibrations=6, trust_steps=12, path_rounds=4, extra_attempts=2
+_BUDGETS: Final = tuple(
+    SearchBudget(
+        pool=pool,
+        kept=kept,
+        attempts=attempts,
+        pushes=8,
+        recalibrations=6,
+        trust_steps=12,
+        path_rounds=4,
+        extra_attempts=2,
+    )
+    for pool, kept, attempts in ((6, 4, 4), (10, 6, 6))
 )
-"""Budget for several tips, for which more starts find nothing better."""
+"""Budgets for several tips, the second for pinches whose clear pose is not nearly the deepest: with
+other starts, and more of them."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """The deepest posture ``(n,)`` of each two fingers that pinch tightly."""
@@ -72,10 +88,21 @@ class MultiSearch:
         candidates = [candidate(touching)]
         if not candidates[0].usable:
             starts, motion = [m.y for m in result.explored], self.inspector.motion
-            clear = clear_postures(function, motion, checker, starts, _BUDGET)
-            candidates += [candidate(u) for u in clear[:1]]
+            good = GOOD * candidates[0].evidence.depth
+            for budget in _BUDGETS:
+                clear = clear_postures(function, motion, checker, starts, budget)
+                candidates += [candidate(u) for u in clear[:1]]
+                if any(c.usable and c.evidence.depth >= good for c in candidates):
+                    break
+                # Next from the others, if there are any.
+                starts = starts[budget.kept :] or starts
         kind = PrimitiveKind.MULTI_PINCH_TIGHT
-        return FoundPinch(kind, names, ranked(self._hand, candidates, self.rank))
+        kept = ranked(self._hand, candidates, self.rank)
+        if self.rank == "depth":
+            # The executed one and the deepest.
+            deepest = max(kept, key=lambda c: c.evidence.depth)
+            kept = tuple(c for c in kept if c is kept[0] or c is deepest)
+        return FoundPinch(kind, names, kept)
 
     @property
     def _hand(self) -> Hand:
@@ -84,10 +111,9 @@ class MultiSearch:
     def _minima(self, goal: MultiPinchGoal, space: Space, edges: Sequence[TipEdge]) -> Minima:
         """Return local minima, searched again if bystanders touch at them."""
         scene, warm, blocks = self.inspector.scene, self._warm(space, edges), self._blocks(space)
-        effort = SEVERAL if space.size <= FEW else MANY
         # Few tips are ever in the way; the next round penalises only those that touched.
         while True:
-            result = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
+            result = minima(GoalFunction(scene, goal, space), warm, SEVERAL, blocks)
             learned = False
             for minimum in (*result.explored, *result.polished):
                 # Bystanders may overlap during a descent, but not at its end.

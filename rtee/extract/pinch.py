@@ -8,15 +8,17 @@ from typing import Final
 
 from rtee.actions.types import PrimitiveKind
 from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
-from rtee.extract.descent import descend
+from rtee.extract.descent import Minimum, descend
 from rtee.extract.distance_queries import TOUCH
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import GapGoal, GoalFunction, PinchGoal, SeparationGoal, TipEdge
 from rtee.extract.pairs import LinkPair
+from rtee.extract.polish import polish
 from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
 from rtee.extract.resolution import FINE
-from rtee.extract.search import minima
+from rtee.extract.search import PAIR, minima, nearest
 from rtee.extract.space import Space, make_space, real_limits, widened_limits
+from rtee.hand.halton import halton
 from rtee.hand.model import Finger
 from rtee.sample import FloatArray
 
@@ -25,6 +27,9 @@ _TRIED: Final = 4
 
 _EVALUATIONS: Final = 40
 """Most evaluations of such a descent, each of which measures meshes."""
+
+_HOLLOW: Final = 24
+"""Most places at which the distance of hollow tips is measured, to choose starts from them."""
 
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """Number of postures measured and, if distinct, kept, by rank: the deepest is found soon, but any
@@ -125,9 +130,20 @@ class PinchSearch:
 
     def _closest(self, starts: Sequence[FloatArray]) -> FloatArray:
         """Return the posture as stored with the least distance of the tips' geometry."""
-        gap = self._gap(self._pinch.space)
-        ends = [_descended(gap, y) for y in starts[:_TRIED]]
-        return gap.stored(min(ends, key=gap.value))
+        pinch = self._pinch
+        gap = self._gap(pinch.space)
+        best = min((_descended(gap, y) for y in starts[:_TRIED]), key=lambda m: m.value)
+        if pinch.space.size <= 1:  # whose minima are all known
+            return gap.stored(best.y)
+        # Hollow tips may be near each other where their convex parts are not nearest; elsewhere
+        # these are farther apart than the best, and need no slow measurement.
+        places = [(pinch.value(y), y) for y in halton(pinch.space.size, PAIR.screened)]
+        hollow = sorted((p for p in places if p[0] < best.value), key=lambda place: place[0])
+        further = nearest(gap, [y for _, y in hollow[:_HOLLOW]], _TRIED)
+        best = min((best, *(_descended(gap, y) for y in further)), key=lambda m: m.value)
+        # Distances have kinks, too, where another pair of faces becomes the closest one.
+        end = polish(gap, best.y, evaluations=_EVALUATIONS)
+        return gap.stored(min((best, end), key=lambda m: m.value).y)
 
     def _contacts(self, pinch: GoalFunction, deep: Sequence[FloatArray]) -> list[FloatArray]:
         """Return coordinates at which the tips touch exactly, the deepest first.
@@ -139,15 +155,15 @@ class PinchSearch:
             return [y for y in places if pinch.touching(pinch.space.posture(y))]
 
         gap = self._gap(pinch.space)
-        return touching(deep) or touching([_descended(gap, y) for y in deep[:_TRIED]])
+        return touching(deep) or touching([_descended(gap, y).y for y in deep[:_TRIED]])
 
     def _gap(self, space: Space) -> GoalFunction:
         """Return the goal function of the distance of the tips' original geometry."""
         return GoalFunction(self._scene, GapGoal(self._scene, self._tips), space)
 
 
-def _descended(gap: GoalFunction, start: FloatArray) -> FloatArray:
-    return descend(gap, start, evaluations=_EVALUATIONS, resolution=FINE, enough=0.0).y
+def _descended(gap: GoalFunction, start: FloatArray) -> Minimum:
+    return descend(gap, start, evaluations=_EVALUATIONS, resolution=FINE, enough=0.0)
 
 
 def pinch_search(

@@ -20,6 +20,32 @@ from rtee.sample import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
+class Combining:
+    """Descents from combinations of the deepest minima.
+
+    Attributes:
+        parents: Number of minima that are combined.
+        children: Number of the best combinations from which descents start.
+    """
+
+    parents: int
+    children: int
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """Descents from the deepest minimum with one finger elsewhere.
+
+    Attributes:
+        places: Number of places at which each finger is tried.
+        moved: Number of the best of these poses from which descents start.
+    """
+
+    places: int
+    moved: int
+
+
+@dataclass(frozen=True, slots=True)
 class SearchEffort:
     """Limits of a search.
 
@@ -27,11 +53,8 @@ class SearchEffort:
         screened: Number of points of the low-discrepancy sequence evaluated first.
         starts: Number of the best of them from which descents start.
         quick: Most evaluations of each of these descents.
-        rounds: Number of rounds that combine starts from minima.
-        parents: Number of the deepest minima that they are combined from.
-        children: Number of the best combined starts from which descents start.
-        places: Number of places at which one finger is tried at the deepest minimum.
-        moved: Number of the best of these poses from which descents start.
+        rounds: What follows these descents, stage after stage; of the rounds after the second one
+            only as many as the last one has found a deeper minimum.
         kept: Number of distinct ends that are polished.
         polish: Most evaluations of polishing one of them.
         again: Most further polishings of the deepest end, if the first did not suffice.
@@ -40,23 +63,27 @@ class SearchEffort:
     screened: int = 192
     starts: int = 20
     quick: int = 28
-    rounds: int = 0
-    parents: int = 6
-    children: int = 4
-    places: int = 0
-    moved: int = 2
+    rounds: tuple[tuple[Combining | Moving, ...], ...] = ()
     kept: int = 5
     polish: int = 40
     again: int = 3
 
 
 PAIR: Final = SearchEffort()
-SEVERAL: Final = SearchEffort(screened=32, starts=3, rounds=2, places=16, kept=3, again=2)
-MANY: Final = SearchEffort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=3, polish=60)
-"""Limits for several tips moved by more than `FEW` actuators."""
-
-FEW: Final = 9
-"""Most actuators with which a short descent comes near enough to its minimum."""
+SEVERAL: Final = SearchEffort(
+    screened=32,
+    starts=3,
+    quick=90,
+    rounds=(
+        (Combining(6, 4), Combining(6, 4), Moving(16, 2)),
+        (Combining(10, 12), Moving(48, 6)),
+        (Combining(10, 12), Moving(48, 6)),
+    ),
+    kept=6,
+    polish=60,
+    again=2,
+)
+"""Limits for several tips, whose minima are many and shallow."""
 
 _SAME: Final = 0.02
 """Difference in every coordinate, as a share of its range, below which minima are equal."""
@@ -121,15 +148,19 @@ def minima(
     starts = [*warm, *_screened(function, effort)]
     first = [descend(function, y, evaluations=effort.quick) for y in starts]
     seen: set[bytes] = set()
-    for _ in range(effort.rounds):
-        new = recombined(distinct(first)[: effort.parents], blocks, seen)
-        best = _best(function, new, effort.children)
-        first += [descend(function, y, evaluations=effort.quick) for y in best]
-    if effort.places:
-        new = moved_blocks(distinct(first)[0], blocks, effort.places)
-        # One evaluation each, to choose the starts of descents.
-        best = _best(function, new, effort.moved)
-        first += [descend(function, y, evaluations=effort.quick) for y in best]
+    for number, stages in enumerate(effort.rounds):
+        before = distinct(first)[0]
+        for stage in stages:
+            found = distinct(first)
+            if isinstance(stage, Combining):
+                new, count = recombined(found[: stage.parents], blocks, seen), stage.children
+            else:
+                new, count = moved_blocks(found[0], blocks, stage.places), stage.moved
+            # One evaluation each, to choose the starts of descents.
+            best = nearest(function, new, count)
+            first += [descend(function, y, evaluations=effort.quick) for y in best]
+        if number and distinct(first)[0].value >= before.value:
+            break
     deep = distinct(first)[: effort.kept]
     done = [_polished(function, m, effort.polish) for m in deep]
     deepest = min(done, key=lambda m: m.value)
@@ -155,11 +186,11 @@ def _polished(function: GoalFunction, minimum: Minimum, evaluations: int) -> Min
 def _screened(function: GoalFunction, effort: SearchEffort) -> list[FloatArray]:
     """Return the best of the points of the low-discrepancy sequence and the landmarks."""
     points = halton(function.space.size, max(effort.screened, effort.starts))
-    return _best(function, [*points, *_landmarks(function.space)], effort.starts)
+    return nearest(function, [*points, *_landmarks(function.space)], effort.starts)
 
 
-def _best(function: GoalFunction, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
-    """Return the points with the least values of the function, the best first."""
+def nearest(function: GoalFunction, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
+    """Return the points with the least values of a function, the best first."""
     # Rounded and sorted stably, so that the order does not depend on last digits.
     values = [COARSE.rounded_value(function.value(y)) for y in points]
     return [points[i] for i in np.argsort(values, kind="stable")[:count]]

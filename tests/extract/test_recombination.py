@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from rtee.extract.descent import Minimum, Slope
-from rtee.extract.search import SearchEffort, minima, moved_blocks, recombined
+from rtee.extract.search import (
+    Combining,
+    Moving,
+    SearchEffort,
+    minima,
+    moved_blocks,
+    recombined,
+)
 from rtee.extract.space import Space
 from rtee.sample import FloatArray
 
@@ -67,7 +74,7 @@ def test_a_sum_is_as_deep_as_the_deepest_of_its_terms_that_were_found(
         y = valleys.flat.copy()
         y[block] = valleys.deep[block]
         starts.append(y + 0.02)
-    effort = SearchEffort(screened=1, starts=0, rounds=rounds)
+    effort = SearchEffort(screened=1, starts=0, rounds=((Combining(6, 4),),) * rounds)
     found = minima(cast("Any", valleys), starts, effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)
 
@@ -91,6 +98,7 @@ def test_a_valley_that_no_start_met_is_found_from_the_deepest_minimum(
     valleys = Valleys()
     start = valleys.flat.copy()
     start[BLOCKS[0]] = valleys.deep[BLOCKS[0]]
-    effort = SearchEffort(screened=1, starts=0, places=places)
+    rounds = ((Moving(places, 2),),) if places else ()
+    effort = SearchEffort(screened=1, starts=0, rounds=rounds)
     found = minima(cast("Any", valleys), [start + 0.02], effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)
