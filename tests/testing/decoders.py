@@ -255,7 +255,7 @@ BLOCKS: list[tuple[str, list[bytes], int, Callable[[tuple[int, ...]], object], t
         frames("00 06 00 01 00 01 00 52 00 10 00 10"),
         6,
         linkerhand.Version.from_registers,
-        linkerhand.LinkerFrameError,
+        FrameError,
     ),
     (
         "OnRobot RG state",
