@@ -95,7 +95,7 @@ class GoalClient:
         effort = options.get("effort")
         if isinstance(effort, float | int):
             options["effort"] = await self.effort_limits(effort)
-        return await self.start_goal(_goal(action, elements, self._link.client, options))
+        return await self.start_goal(goal_of(action, elements, self._link.client, options))
 
     async def start_goal(self, goal: Goal) -> RunningGoal:
         """Begin a complete goal and return at once; raises the same errors as `start`.
@@ -370,7 +370,12 @@ class GoalClient:
         return {name: share * known[name] for name in chosen}
 
 
-def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
+def goal_of(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
+    """Return the goal for an action with options, of a client.
+
+    Raises:
+        GoalRejected: if an option makes no sense.
+    """
     values: dict[str, Any] = dict(options)
     values |= sizes(options)
     if "on_contact" in values:

@@ -107,8 +107,7 @@ def main(words: Sequence[str]) -> int:
         while text := await anyio.to_thread.run_sync(file.readline, abandon_on_cancel=True):
             try:
                 what, detail, device = json.loads(text)
-                for wire, emulator in _chosen(pool, loops, device):
-                    wire.call(partial(_DO[what], wire, emulator, detail))
+                act(pool, loops, what, detail, device)
                 answer = None
             except RteeError as error:
                 answer = str(error)
@@ -123,6 +122,18 @@ def main(words: Sequence[str]) -> int:
     except RteeError as error:
         say(f"rtee: {error}")
         return error.exit_status
+
+
+def act(
+    pool: BusPool, loops: Sequence[HandLoop], what: str, detail: str, device: str | None
+) -> None:
+    """Do something to an emulated device, or to all.
+
+    Raises:
+        ConfigError: if the device cannot do that, or is not emulated.
+    """
+    for wire, emulator in _chosen(pool, loops, device):
+        wire.call(partial(_DO[what], wire, emulator, detail))
 
 
 def _chosen(

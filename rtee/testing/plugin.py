@@ -23,6 +23,7 @@ from rtee import monotonic
 
 if TYPE_CHECKING:
     from rtee.testing.running import HandUnderTest, StartHand
+    from rtee.testing.simulated import SimulatedHand, StartSimulatedHand
 
 # Must precede the import: pytest then rewrites its assertions like those of a test file.
 pytest.register_assert_rewrite("rtee.testing.contract")
@@ -72,6 +73,28 @@ def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start
             return stack.enter_context(
                 running_hand(hand, folder=folder, object=object, driver=driver, timeout=timeout)
             )
+
+        yield start
+
+
+@pytest.fixture
+def rtee_simulated_hand() -> Iterator[StartSimulatedHand]:
+    """Start hands on simulated time, in this process; they run until the test ends.
+
+    ``rtee_simulated_hand("robotiq_2f_85", object="50mm")`` returns a
+    `rtee.testing.simulated.SimulatedHand`, ready to move. Nothing listens: hand it to what is under
+    test instead of having that connect.
+    """
+    from rtee.testing.simulated import simulated_hand
+
+    with contextlib.ExitStack() as stack:
+
+        def start(
+            hand: str | Path,
+            *,
+            object: str | None = None,  # noqa: A002 - as on the command line
+        ) -> SimulatedHand:
+            return stack.enter_context(simulated_hand(hand, object=object))
 
         yield start
 

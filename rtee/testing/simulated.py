@@ -1,0 +1,270 @@
+"""A hand with emulated devices on simulated time, in the process of a test.
+
+Drivers, wires, emulators and the loop share a time that passes only while the test waits for the
+hand, as fast as the processor computes: ten seconds take about one of its time, and every deadline
+is exact. Nothing listens: what is under test gets this hand instead of connecting to one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Coroutine, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol, TypeVar, Unpack
+
+import anyio
+
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated_time import SimulatedTimeLoop
+from rtee.drivers.registry import find_driver
+from rtee.errors import GoalRejected, NotReady
+from rtee.loop.clock import Clock
+from rtee.loop.handloop import HandLoop
+from rtee.loop.observer import Observer
+from rtee.loop.tick_driver import drive
+from rtee.prepare import RunOptions, prepare
+from rtee.remote.goal import GoalOptions, goal_of
+from rtee.sample import TickRecord
+from rtee.testing.bench import act
+from rtee.types import DeviceStatus, Event, Goal, Lifecycle, Result
+from rtee.units import FORCE, LENGTH, SPEED, quantity
+
+T = TypeVar("T")
+
+_READY_WITHIN: Final = 120.0
+"""Longest time for connecting and homing [s], simulated: an SVH homes for 30 s."""
+
+_LOOK_EVERY: Final = 0.02
+"""Simulated time between two looks whether all devices are active [s]."""
+
+
+class SimulatedHand(Observer):
+    """A hand on simulated time; `simulated_hand` makes it.
+
+    Its methods are those of `rtee.connect_blocking` as far as it has them, and those of
+    `rtee.testing.running.HandUnderTest`. Time passes while they work, and in `wait`.
+
+    Attributes:
+        name: The hand's name.
+        events: What happened, in order.
+    """
+
+    def __init__(self, hand: str | Path, thing: str | None = None) -> None:
+        """Read a hand; ``thing`` is between its fingers. Raises `UserError` for every mistake."""
+        options = RunOptions(
+            driver="devices", emulated=True, ideal=True, home=True, object_in_hand=thing
+        )
+        prepared = prepare(str(hand), options)
+        self.name = prepared.hand.name
+        self.events: list[Event] = []
+        self._prepared = prepared
+        self._runner = asyncio.Runner(loop_factory=SimulatedTimeLoop)
+        self._pool = BusPool()
+        devices = [
+            (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
+            for pool in [self._pool]
+            for device in prepared.devices
+        ]
+        self._loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
+        self._loop.add_observer(self)
+        self._end = asyncio.Event()
+        self._life: asyncio.Task[None] | None = None
+
+    def on_event(self, event: Event) -> None:
+        """Keep what happened."""
+        self.events.append(event)
+
+    # --- its life
+
+    def begin(self) -> None:
+        """Connect and home the devices; raises `NotReady` if they do not become active."""
+        self._run(self._begin())
+
+    def close(self) -> None:
+        """End the hand, its devices and its time."""
+        with contextlib.closing(self._runner):
+            self._run(self._finish())
+
+    async def _begin(self) -> None:
+        lives = asyncio.Event()
+        self._life = asyncio.create_task(self._live(lives))
+        while not lives.is_set():
+            if self._life.done():
+                await self._life
+            await asyncio.sleep(_LOOK_EVERY)
+
+    async def _finish(self) -> None:
+        self._end.set()
+        if self._life is not None:
+            await self._life
+
+    async def _live(self, lives: asyncio.Event) -> None:
+        async with self._pool, self._loop, anyio.create_task_group() as group:
+            await self._loop.ready()
+            group.start_soon(drive, [self._loop], Clock(self._prepared.settings.rate))
+            with anyio.move_on_after(_READY_WITHIN):
+                while not self._active():  # noqa: ASYNC110 - devices have no event
+                    await asyncio.sleep(_LOOK_EVERY)
+            if not self._active():
+                lacks = [s.name for s in self._loop.statuses() if s.lifecycle != Lifecycle.ACTIVE]
+                group.cancel_scope.cancel()
+                raise NotReady(f"the hand '{self.name}' is not ready: {', '.join(lacks)}")
+            lives.set()
+            await self._end.wait()
+            group.cancel_scope.cancel()
+
+    def _active(self) -> bool:
+        return all(each.lifecycle is Lifecycle.ACTIVE for each in self._loop.statuses())
+
+    def _run(self, work: Coroutine[Any, Any, T]) -> T:
+        return self._runner.run(work)
+
+    # --- goals
+
+    def do(self, action: str, *elements: str, **options: Unpack[GoalOptions]) -> Result:
+        """Do an action and return its result; raises `GoalRejected` if it cannot be done."""
+        effort = options.get("effort")
+        if isinstance(effort, float | int):
+            if not 0.0 < effort <= 1.0:
+                raise GoalRejected(f"an effort for all is above 0 and at most 1, not {effort:g}")
+            limits = {a.name: effort * a.effort for a in self._prepared.hand.actuators}
+            options["effort"] = limits
+        return self.execute(goal_of(action, elements, "test", options))
+
+    def open(self) -> Result:
+        """Go to the rest posture."""
+        return self.do("open")
+
+    def grasp(
+        self,
+        width: float | str,
+        force: float | str | None = None,
+        fingers: Sequence[str] | None = None,
+        *,
+        action: str = "",
+    ) -> Result:
+        """Open wider than an object, close on it and keep a force; see `RemoteHand.grasp`."""
+        return self.execute(
+            Goal(
+                action,
+                tuple(fingers or ()),
+                opening=quantity(width, LENGTH, "width"),
+                force=None if force is None else quantity(force, FORCE, "force"),
+                grasp=True,
+            )
+        )
+
+    def touch(
+        self,
+        fingers: Sequence[str] | None = None,
+        *,
+        action: str = "",
+        speed: float | str | None = None,
+    ) -> Result:
+        """Close slowly until a first contact; see `RemoteHand.touch`."""
+        tip_speed = None if speed is None else quantity(speed, SPEED, "speed")
+        return self.execute(Goal(action, tuple(fingers or ()), tip_speed=tip_speed, touch=True))
+
+    def execute(self, goal: Goal) -> Result:
+        """Execute a complete goal to its end."""
+        return self._run(self._loop.execute(goal))
+
+    def stop(self) -> dict[str, bool]:
+        """Stop all devices; return whether each confirmed it."""
+        return dict(self._run(self._loop.stop()))
+
+    def recover(self, device: str | None = None) -> None:
+        """Bring a device, or all, out of fault or inactivity; raises the error of one that stays.
+
+        Returns when the next ticks have found it.
+        """
+        self._run(self._loop.recover(device))
+        self.wait(_LOOK_EVERY)
+
+    # --- what is known
+
+    def wait(self, seconds: float) -> None:
+        """Let simulated time pass [s]."""
+        self._run(asyncio.sleep(seconds))
+
+    def state(self) -> TickRecord:
+        """Return what was measured at the last tick."""
+        return self._loop.snapshot()
+
+    def status(self) -> list[DeviceStatus]:
+        """Return the status of all devices."""
+        return self._loop.statuses()
+
+    # --- what goes wrong
+
+    def unplug(self, device: str | None = None) -> None:
+        """Unplug the cable of a device, or of all."""
+        self._act("unplug", "", device)
+
+    def plug(self, device: str | None = None) -> None:
+        """Plug the cable of a device in again."""
+        self._act("plug", "", device)
+
+    def place(self, object: str, device: str | None = None) -> None:  # noqa: A002 - as elsewhere
+        """Put an object between the fingers, as for ``rtee run --object``."""
+        self._act("place", object, device)
+
+    def take_away(self, device: str | None = None) -> None:
+        """Pull the object out of the fingers."""
+        self._act("take_away", "", device)
+
+    def fault(self, name: str, device: str | None = None) -> None:
+        """Break a device, as ``rtee emulate --fault``."""
+        self._act("fault", name, device)
+
+    def clear(self, device: str | None = None) -> None:
+        """Mend all faults of a device."""
+        self._act("clear", "", device)
+
+    def _act(self, what: str, detail: str, device: str | None) -> None:
+        async def done() -> None:
+            act(self._pool, [self._loop], what, detail, device)
+
+        self._run(done())
+
+
+class StartSimulatedHand(Protocol):
+    """The type of the fixture ``rtee_simulated_hand``."""
+
+    def __call__(
+        self,
+        hand: str | Path,
+        *,
+        object: str | None = None,  # noqa: A002 - as on the command line
+    ) -> SimulatedHand:
+        """Start a hand; see `simulated_hand`."""
+
+
+@contextlib.contextmanager
+def simulated_hand(
+    hand: str | Path,
+    *,
+    object: str | None = None,  # noqa: A002 - as on the command line
+) -> Iterator[SimulatedHand]:
+    """Run a hand with emulated devices on simulated time for as long as the context lasts.
+
+    Not inside an event loop that runs already.
+
+    Args:
+        hand: Its name, or its folder.
+        object: Object between the fingers, as for ``rtee run --object``.
+
+    Yields:
+        The hand, ready to move.
+
+    Raises:
+        UserError: for every mistake in the hand's files or the options.
+        NotReady: if a device does not become active.
+    """
+    made = SimulatedHand(hand, object)
+    try:
+        made.begin()
+        yield made
+    finally:
+        made.close()

@@ -1,0 +1,36 @@
+"""The fixture `rtee_simulated_hand`: loss and recovery on simulated time."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtee.errors import ConfigError, GoalRejected
+from rtee.testing.simulated import StartSimulatedHand
+
+
+def test_a_part_is_pulled_out_and_the_cable_too(rtee_simulated_hand: StartSimulatedHand) -> None:
+    hand = rtee_simulated_hand("robotiq_2f_85", object="50mm")
+    held = hand.grasp("50mm", "40N")
+    assert (held.grasped, held.within) == (True, True)
+    hand.take_away()
+    hand.wait(2.0)
+    assert "grasp_lost" in [event.kind for event in hand.events]
+    hand.unplug()
+    hand.wait(1.0)
+    assert hand.status()[0].lifecycle == "unconfigured"
+    with pytest.raises(GoalRejected):
+        hand.open()
+    hand.plug("gripper")
+    hand.wait(5.0)
+    hand.recover()
+    assert hand.open().reached
+    with pytest.raises(ConfigError, match="unknown fault 'rust'"):
+        hand.fault("rust")
+
+
+def test_only_simulated_time_passes(rtee_simulated_hand: StartSimulatedHand) -> None:
+    hand = rtee_simulated_hand("robotiq_2f_85")
+    before = hand.state().stamp
+    hand.wait(3.0)
+    assert hand.state().stamp - before == pytest.approx(3.0, abs=0.01)
+    assert hand.do("PinchTight", "finger_1", "finger_2", intensity=0.5, effort=0.5).reached
