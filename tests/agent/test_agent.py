@@ -132,7 +132,7 @@ async def test_hostile_calls_move_nothing(hand: Hand, library: ActionLibrary) ->
                 await agent.client.server.call_tool("do", {**TRIG, key: NAN})
         assert served.watcher.goals == []
         # Afterwards, what may be done is done, with what a person allows.
-        assert (await agent.done("do", **TRIG, effort=0.25))["reached"]
+        assert (await agent.done("do", **TRIG, effort=0.25))["outcome"] == "reached"
         (goal,) = served.watcher.goals
         assert goal.effort == {"near": 0.5, "thumb": 0.75, "push": 10.0}
         assert goal.speed == Limits().speed
@@ -142,7 +142,7 @@ async def test_only_allowed_actions_are_done(hand: Hand, library: ActionLibrary)
     async with both(hand, library, Gate.ACT, actions=frozenset({"open"})) as (served, agent):
         assert "'Trig' is not among what a person allows: open" in await agent.refused("do", **TRIG)
         assert "'grasp' is not" in await agent.refused("grasp", width=0.02, force=1)
-        assert (await agent.done("open"))["reached"]
+        assert (await agent.done("open"))["outcome"] == "reached"
         assert [goal.action for goal in served.watcher.goals] == ["open"]
 
 
@@ -175,7 +175,7 @@ async def test_after_a_stop_agents_are_out_until_a_person_lets_them_in(
     hand: Hand, library: ActionLibrary
 ) -> None:
     async with both(hand, library, Gate.ACT) as (served, agent):
-        assert (await agent.done("do", **TRIG))["reached"]
+        assert (await agent.done("do", **TRIG))["outcome"] == "reached"
         async with rtee.connect("small", client="ann") as person:
             await person.stop()
         assert "agents are out since the hand was stopped by ann" in await agent.refused("open")
@@ -191,10 +191,10 @@ async def test_after_a_stop_agents_are_out_until_a_person_lets_them_in(
         assert served.watcher.goals == []
         async with rtee.connect("small", client="ann") as person:
             await person.admit_agents()
-        assert (await agent.done("open"))["reached"]
+        assert (await agent.done("open"))["outcome"] == "reached"
         assert await served.event("agents_admitted")
     async with both(hand, library, Gate.ACT) as (served, agent):
-        assert (await agent.done("open"))["reached"]
+        assert (await agent.done("open"))["outcome"] == "reached"
 
 
 @pytest.mark.parametrize("yes", [True, False])
@@ -248,7 +248,7 @@ async def test_it_finds_the_hand_again(hand: Hand, library: ActionLibrary) -> No
         assert "the hand 'small' does not run" in await agent.refused("stop")
         for _ in range(2):
             async with serving(hand, library):
-                assert (await agent.done("do", **TRIG))["reached"]
+                assert (await agent.done("do", **TRIG))["outcome"] == "reached"
 
 
 def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -317,7 +317,7 @@ async def test_a_conversation(rtee_hand: StartHand) -> None:
         assert (force["exclusiveMinimum"], force["maximum"]) == (0, 20.0)
         assert (await agent.done("describe"))["limits"]["force"] == 20.0
         held = await agent.done("grasp", width=0.03, force=10)
-        assert held["within"]
+        assert held["outcome"] == "held"
         assert held["opening"] == pytest.approx(0.03, abs=1e-3)
         assert held["force"] == pytest.approx(10.0, abs=0.5)
         assert "box:0.03x0.03x0.03 is held" in held["in_simulation"]["untrusted"]
