@@ -43,6 +43,8 @@ import anyio
 import anyio.to_thread
 import msgspec.msgpack
 from common import Table, command_line
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.connection import Connection
 from witness import child
 
 import rtee
@@ -235,13 +237,20 @@ async def page() -> None:
     server = visitors.open_server(0)
 
     def send() -> None:
-        with window(admitted(access.links(server.get_port())[Visitor.OBSERVER])) as connection:
-            while True:
-                for uuid in list(server.gui._gui_input_handle_from_uuid):
-                    for updates in ({"removed": True}, {"update_cb": []}, {"disabled": True}):
-                        message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates}
-                        connection.send(msgspec.msgpack.encode(message))
-                time.sleep(0.01)
+        visit = admitted(access.links(server.get_port())[Visitor.OBSERVER])
+        while True:
+            # The server may close the connection of who sends so much.
+            with contextlib.suppress(ConnectionClosed, OSError), window(visit) as connection:
+                junk(connection)
+            time.sleep(0.1)
+
+    def junk(connection: Connection) -> None:
+        while True:
+            for uuid in list(server.gui._gui_input_handle_from_uuid):
+                for updates in ({"removed": True}, {"update_cb": []}, {"disabled": True}):
+                    message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates}
+                    connection.send(msgspec.msgpack.encode(message))
+            time.sleep(0.01)
 
     async with anyio.create_task_group() as group:
         group.start_soon(App(server, "small", None, visitors).run)
