@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import pytest
 
+from rtee.actions.build import generic
+from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, GoalRejected
-from rtee.hand.load import load_configured
+from rtee.hand.load import hand_folder, load_configured
 from rtee.trials.rehearsal import Rehearsal, rehearse
 from rtee.types import Goal
 
@@ -35,9 +40,16 @@ def test_what_is_lost_may_not() -> None:
     assert f"{CUBE} is lost" in rehearsal.words
 
 
-def test_a_hand_that_strikes_itself_is_told() -> None:
-    pinch = Goal("MultiPinchTight_3", ("thumb", "ring", "pinky"), speed=0.5)
-    assert "the hand strikes itself with " in played("schunk_svh", pinch).refusal(1000.0)
+def test_a_hand_that_strikes_itself_is_told(tmp_path: Path) -> None:
+    folder = tmp_path / "schunk_svh"
+    shutil.copytree(hand_folder("schunk_svh")[0], folder)
+    hand = load_configured(folder)[0]
+    library = ActionLibrary.load(hand, folder / "actions")
+    # The thumb across the palm, and all fingers closed on it.
+    closed = {each.name: each.farthest for each in hand.actuators if "Spread" not in each.name}
+    library.add(generic(hand, "crash", closed))
+    library.save(folder / "actions")
+    assert "strikes itself with " in played(str(folder), Goal("crash", speed=0.5)).refusal(1000.0)
 
 
 def test_it_begins_where_the_hand_is() -> None:
