@@ -2,8 +2,9 @@
 
 Every hand closes by width and force on objects that it has not been tuned to: boxes and spheres of
 five sizes, three forces, at its own speed and at 20 mm/s, with the fingers' forces measured
-("sensors") and by effort alone; and on nothing, on soft, slippery and heavy things. Four tables:
-the blow and the force, what is said of it, the width, and whether what is said to be held is.
+("sensors") and by effort alone; and on nothing, on soft, slippery and heavy things. Tables: the
+blow, the force and the width; whether what is said to be held is; and for each hand what is said of
+what is held, and of what is not.
 Run: python benchmarks/grasp_truth.py
 """
 
@@ -116,6 +117,7 @@ class Row:
     low: float = math.nan
     high: float = math.nan
     own: float = math.nan
+    gap: float = math.nan
     opening: float | None = None
     force_said: float | None = None
     force_error: float | None = None
@@ -137,6 +139,11 @@ class Row:
             return None
         least, most = self.force_said - self.force_error, self.force_said + self.force_error
         return least <= self.low and self.high <= most
+
+    @property
+    def word(self) -> str:
+        """What the hand says of the object."""
+        return "grasped" if self.said else "unknown" if self.unknown else "not grasped"
 
     @property
     def wider(self) -> float | None:
@@ -176,6 +183,7 @@ def tried(ready: Bench, hand: str, part: str, case: Case) -> Row:
         low=truth.low,
         high=truth.high,
         own=truth.own,
+        gap=truth.gap,
         opening=result.opening,
         force_said=result.force,
         force_error=result.force_error,
@@ -234,6 +242,19 @@ def tables(rows: Sequence[Row]) -> None:
             rate([not (r.said or r.unknown) for r in things if Thing(r.thing).holds]),
             rate([r.unknown for r in some]),
         )
+    print("\nWhat is said of what is held, and of what is not.\n")
+    words = ("grasped", "unknown", "not grasped")
+    table = Table(
+        "hand", "sensors", *(f"{true}: {word}" for true in ("held", "not held") for word in words)
+    )
+    for hand, numb in groups:
+        some = [r for r in done if (r.hand, r.numb) == (hand, numb)]
+        counts = [
+            str(sum(r.held is true and r.word == word for r in some))
+            for true in (True, False)
+            for word in words
+        ]
+        table.row(hand, "no" if numb else "yes", *counts)
 
 
 def main() -> None:

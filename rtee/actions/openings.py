@@ -52,6 +52,10 @@ _STRONGER: Final = 1.5
 _WEAKEST: Final = 1e-3
 """Least force compared [N]; its reciprocal is the largest, since some actuators have no limit."""
 
+_CROWDED: Final = 0.005
+"""Depth from which on two fingers of one side meet before the object is between the sides [m]: more
+than what they touch by where they only lie side by side."""
+
 _TAKES_PART: Final = 0.1
 """Share of the largest lever below which an actuator does not press."""
 
@@ -190,6 +194,19 @@ def doubtful(action: Action) -> bool:
     return not (evidence.clear and opposed)
 
 
+def crowded(action: Action, opening: Opening) -> bool:
+    """Return whether fingers of one side press on one another where the action leads.
+
+    Then they meet on the way, before they reach an object, and sensors feel them as one.
+    """
+    if not (isinstance(action, Primitive) and action.evidence):
+        return False
+    return any(
+        depth > _CROWDED and any({one, other} <= set(side) for side in opening.sides)
+        for one, other, depth in action.evidence[0].pairs
+    )
+
+
 def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> float:
     """Return the opening at which the empty hand's fingertips meet one another [m].
 
@@ -215,7 +232,8 @@ def suitability(
 ) -> tuple[float, ...]:
     """Return a key that sorts actions by suitability for an object of a width, the best first.
 
-    The criteria, in order: collision-free and in force closure; opens by the whole margin; force in
+    The criteria, in order: collision-free and in force closure; opens by the whole margin; fingers
+    of one side clear of one another; force in
     the direction of pressing, in coarse classes; tips meet the object squarely; few actuators; a
     pinch before the motion of one finger.
 
@@ -236,6 +254,7 @@ def suitability(
     return (
         doubtful(action),
         width + margin > opening.widest,
+        crowded(action, opening),
         -round(strength),
         round(angle / _SQUARE),
         len(opening.actuators),

@@ -46,6 +46,18 @@ _SET_OUT = 0.1
 """Efforts are not evaluated for this long after an actuator has started to move, while it overcomes
 static friction [s]."""
 
+_STEPS = 12
+"""Measurements of an actuator on its way before its current is judged: a slow device moves in
+steps, of which some must be seen."""
+
+_SURGE = 1.5
+"""A current shows a contact above this many times the largest of free motion: friction varies by
+less over a motion."""
+
+_SURGED = 4
+"""Measurements in succession that must show so, while the actuator stands still: a step of a slow
+motion takes fewer."""
+
 _FREELY = 0.5
 """An actuator moves freely while it covers this share of the way of its reference or more."""
 
@@ -86,6 +98,7 @@ class _Watched:
     hung: float = 0.0
     hold_position: float = math.nan
     losing_since: float = math.nan
+    presses: bool | None = None
 
 
 @dataclass(slots=True)
@@ -101,6 +114,8 @@ class _Approach:
         began: When it set out [s].
         over: Number of successive measurements above the threshold.
         in_effort: Whether the device measures its effort.
+        most: Largest current of its free motion [A].
+        steps: Number of measurements of it.
         was: Where it was measured last [rad | m].
     """
 
@@ -112,6 +127,8 @@ class _Approach:
     began: float = math.nan
     over: int = 0
     in_effort: bool = False
+    most: float = 0.0
+    steps: int = 0
     was: float = math.nan
 
 
@@ -208,10 +225,18 @@ class Evidence:
             watched.blocked_at, watched.grasping = stamp, grasping
             watched.own_report, watched.hold_position = False, position
 
+    def presses_now(self, indices: Iterable[int], presses: bool) -> None:
+        """Record whether some actuators press on something, by the force between the tips."""
+        for i in indices:
+            watched = self._watched.get(i)
+            if watched is not None:
+                watched.presses = presses
+
     def unpin(self, i: int, stamp: float) -> None:
         """Watch an actuator as if its motion had just begun."""
         watched = self._watched.get(i)
         if watched is not None:
+            watched.presses = None
             watched.anchor, watched.since, watched.seen = math.nan, stamp, stamp
             watched.blocked_at, watched.grasping = math.nan, False
 
@@ -246,6 +271,28 @@ class Evidence:
         """
         word = bool(measured.grasped) and measured.grasped[i] == 1
         return rules.shows(self.grasping(i), word=word, effort=abs(measured.effort[i]), hard=hard)
+
+    def bears(self, i: int, measured: Measured, limit: float) -> bool:
+        """Return whether a watched actuator that has arrived presses on something.
+
+        Args:
+            i: The actuator.
+            measured: The measured state.
+            limit: Its effort limit [N·m | N].
+        """
+        watched = self._watched.get(i)
+        if watched is None or not measured.fresh[i]:
+            return False
+        closing = watched.target - watched.start
+        return rules.holds(
+            self._touch(i),
+            word=measured.grasped[i] == 1,
+            denied=measured.grasped[i] == 0,
+            away=False,
+            moved=True,
+            effort=math.copysign(1.0, closing) * measured.effort[i],
+            least=self._pressing(i, limit),
+        )
 
     def presses(self, i: int, reference: float, position: float) -> bool:
         """Return whether an actuator holds an object, or is still kept from its reference."""
@@ -383,7 +430,7 @@ class Evidence:
         if math.isnan(watched.blocked_at):
             watched.blocked_at = stamp
         if rules.holds(
-            self._touch(i),
+            self._touch(i) if watched.presses is None else watched.presses,
             word=own_report,
             denied=measured.grasped[i] == 0,
             away=away,
@@ -473,6 +520,8 @@ class Evidence:
     def _looks_lost(
         self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
     ) -> bool:
+        if watched.presses is not None:
+            return not watched.presses
         word = None
         if watched.own_report:
             # Trusted only while the target is at rest: devices clear their word when they move.
@@ -615,8 +664,7 @@ class Evidence:
         if signal != signal:
             if not measured.current:
                 return False
-            # A current [A] has no threshold in newton metres, so a relative one is used.
-            signal, threshold = measured.current[i], 0.0
+            signal = measured.current[i]
         dt = stamp - approach.seen
         gain = (velocity - approach.velocity) / dt if dt > 0.0 else 0.0
         approach.velocity, approach.seen = velocity, stamp
@@ -633,6 +681,10 @@ class Evidence:
                 return False  # the device has not begun: no effort of its is one of motion
             approach.began = stamp
         free = self._free[i]
+        if not approach.in_effort:
+            if moves:
+                free.learn(signal, velocity, gain)
+            return self._surges(approach, abs(signal), moves=moves)
         if stamp - approach.began < _SET_OUT or not free.known:
             # Overcoming static friction is a part of free motion that the model must learn.
             if moves:
@@ -643,3 +695,21 @@ class Evidence:
         pushes = free.exceeds(signal, velocity, gain, threshold)
         approach.over = approach.over + 1 if pushes else 0
         return approach.over >= _CONFIRMED
+
+    def _surges(self, approach: _Approach, current: float, *, moves: bool) -> bool:
+        """Return whether an actuator that stands still needs more current than its free motion.
+
+        Args:
+            approach: Its approach.
+            current: Size of its current [A].
+            moves: Whether it has moved since the last measurement.
+        """
+        approach.steps += moves
+        if moves or approach.steps < _STEPS:
+            # What moves with a current moves freely, however large it is.
+            approach.most = max(approach.most, current)
+        if current <= _SURGE * approach.most:
+            approach.over = 0
+            return False
+        approach.over += 1
+        return approach.over >= _SURGED

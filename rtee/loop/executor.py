@@ -12,8 +12,9 @@ from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import Evidence
+from rtee.loop.grip import TIPS
 from rtee.loop.measured import Measured
-from rtee.loop.opening_plan import closing_speed
+from rtee.loop.opening_plan import around_speed, closing_speed
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
@@ -74,6 +75,7 @@ class _Run:
     reported: float = -math.inf
     touched: tuple[float, ...] = ()
     over: float = math.nan
+    bears: float = math.nan
 
     @property
     def present(self) -> Leg:
@@ -302,6 +304,13 @@ class Executor:
         within = None
         if goal.grasp and goal.opening is not None and not math.isnan(width):
             within = grasped and -goal.narrower <= width - goal.opening <= goal.wider
+        felt, doubt = self._reflexes.felt
+        if felt == felt:
+            # Better known: by finger, and without what weight and friction take.
+            force, error = felt, doubt
+            if source != TIPS and grasped and within is False:
+                # The fingers touch elsewhere than the levers assume.
+                force, error, source = math.nan, math.nan, ""
         return {
             "elements": plan.elements,
             # A zero of floating point is neither -2.8e-17 nor -0.
@@ -334,10 +343,10 @@ class Executor:
             return
 
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
-        run.phase, run.over = Phase.MOVING, math.nan
+        run.phase, run.over, run.bears = Phase.MOVING, math.nan, math.nan
         leg, goal = run.present, run.plan.goal
         last = run.leg + 1 == len(run.plan.legs)
-        speed = closing_speed(run.plan.goal, self._hand, run.plan.grip) if last else goal.speed
+        speed = (closing_speed if last else around_speed)(goal, self._hand, run.plan.grip)
         for i, actuator in enumerate(self._hand.actuators):
             self.max_velocity[i] = speed * actuator.velocity
         top = dict(enumerate(self.max_velocity))
@@ -369,6 +378,11 @@ class Executor:
         arrived = self._within(run, error) and self._settled(run)
         # What is held on the last millimetre is held: to have arrived there says less.
         held = any(self._contact.grasping(i) for i in targets)
+        if not held and self._settled(run) and self._bears(run, stamp, measured):
+            if stamp - run.bears < _STEADY:
+                return
+            # It is thinner than the tolerance of a stall: the effort tells it from nothing.
+            held = True
         if arrived and not held:
             if self._plausible.leaping(targets, stamp):
                 return
@@ -385,6 +399,29 @@ class Executor:
             run.stalled[run.leg] = True
         run.phase = Phase.AFTER
         run.until = stamp + run.present.after
+
+    def _bears(self, run: _Run, stamp: float, measured: Measured) -> bool:
+        """Return whether the one actuator of a grasp presses on something where it ends."""
+        goal, targets = run.plan.goal, run.present.targets
+        last = run.leg + 1 == len(run.plan.legs)
+        if not (goal.grasp and last and len(targets) == 1):
+            return False
+        (i,) = targets
+        if i in self._reflexes.busy:  # a reflex has stopped it, and decides
+            return False
+        grip, contact, position = run.plan.grip, self._contact, measured.position
+        word = measured.grasped[i] == 1
+        nothing = grip is None or rules.may_be_nothing(
+            grip.opening(position), grip.doubt(position), word=word
+        )
+        if nothing or not contact.bears(i, measured, self._limits[i]):
+            run.bears = math.nan
+            return False
+        if run.bears != run.bears:
+            run.bears = stamp
+        if stamp - run.bears >= _STEADY:
+            contact.pin(i, stamp, position[i], grasping=True)
+        return True
 
     def _progress(self, run: _Run, error: tuple[float, float]) -> float:
         left = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 _FORGET: Final = 0.995
@@ -21,6 +22,9 @@ exceeds once in some thousand measurements."""
 _ROUGH: Final = 1.5
 """A deviation counts above this many times the largest recent one of free motion: devices that move
 in steps, as a slow reference lets them, need now much and now no effort."""
+
+_COUNTS: Final = 3.0
+"""A deviation counts above this many least counts of the device: one more or less is its noise."""
 
 _SPREAD_SHARE: Final = 1.0 / 16.0
 """Weight of the newest deviation in the mean deviation, which settles as fast as the model; a power
@@ -54,9 +58,21 @@ class FreeMotion:
         spread: Mean size of the deviations [N·m | N].
         rough: Size of the largest recent deviation [N·m | N].
         most: Size of the largest recent effort of free motion [N·m | N].
+        quantum: Smallest change of the measured effort [N·m | N]: the device's least count.
     """
 
-    __slots__ = ("_count", "_limit", "_matrix", "_parameters", "_scale", "most", "rough", "spread")
+    __slots__ = (
+        "_count",
+        "_last",
+        "_limit",
+        "_matrix",
+        "_parameters",
+        "_scale",
+        "most",
+        "quantum",
+        "rough",
+        "spread",
+    )
 
     def __init__(self, effort: float, velocity: float, acceleration: float) -> None:
         self._limit = effort
@@ -64,7 +80,8 @@ class FreeMotion:
         self._parameters = [0.0, 0.0, 0.0]
         self._matrix = [[_PRIOR, 0.0, 0.0], [0.0, _PRIOR, 0.0], [0.0, 0.0, _PRIOR]]
         self._count = 0
-        self.spread = self.rough = self.most = 0.0
+        self.spread = self.rough = self.most = self.quantum = 0.0
+        self._last = math.nan
 
     @property
     def known(self) -> bool:
@@ -106,7 +123,8 @@ class FreeMotion:
         deviation = effort - expected
         # Servos lag behind their references, so the effort of inertia comes at another time.
         inertia = abs(self._parameters[2] * acceleration) * self._scale[1]
-        least = max(threshold, _SPREADS * self.spread, _ROUGH * self.rough) + inertia
+        noise = max(_SPREADS * self.spread, _ROUGH * self.rough, _COUNTS * self.quantum)
+        least = max(threshold, noise) + inertia
         ahead = deviation if velocity > 0.0 else -deviation
         # Learning from a contact would teach the model that contacts are free motion.
         if self.known and ahead > _SURELY_FREE * least:
@@ -118,6 +136,9 @@ class FreeMotion:
         """Learn from a measurement of free motion; arguments as for `exceeds`."""
         deviation = effort - self.expected(velocity, acceleration)
         features = self._features(velocity, acceleration)
+        change, self._last = abs(effort - self._last), effort
+        if change > 0.0:
+            self.quantum = min(self.quantum or change, change)
         size = abs(effort)
         # It rises at once and falls slowly.
         self.most += (size - self.most) * (1.0 if size > self.most else _STEADY)

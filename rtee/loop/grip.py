@@ -178,6 +178,11 @@ class Grip:
         off = abs(max(self._interpolated(self.width, at), 0.0) - self.opening(position))
         return max(self.empty, self.width[-1], 0.0) + _TABLE + _FIRST_ORDER * off
 
+    def intensity_of(self, position: Sequence[float]) -> float:
+        """Return the intensity of the table whose posture is nearest to actuator positions."""
+        share = self._nearest(position)
+        return min(max(share, self.intensity[0]), self.intensity[-1])
+
     def _nearest(self, position: Sequence[float]) -> float:
         """Return the intensity whose posture is nearest to actuator positions."""
         along = length = 0.0
@@ -380,6 +385,9 @@ class Grip:
             i = self.indices[0]
             force = self.sheet.force_for(abs(effort[i]), position[i])
             return force, _EFFORT_SHARE * force, DEVICE
+        if self.around and self.sheet is None:
+            # Of fingers all around, efforts do not say how many press.
+            return math.nan, math.nan, ""
         if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
             return self._from_efforts(chosen, effort)
         if pressing and chosen and all(math.isfinite(limits[i]) for _, i, _ in chosen):

@@ -31,6 +31,10 @@ _SPEED_PER_FORCE: Final = 2e-3
 """Speed of the opening at which the fingers meet an object, per requested newton [m/s/N]. In MuJoCo
 a 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
 
+_AROUND_SPEED: Final = 0.15
+"""Largest speed of the opening of fingers of several actuators on their way around an object [m/s]:
+servos that integrate their error overshoot by some 20 ms of their way, less than the margin."""
+
 _BLOW: Final = 0.8
 """Share of the requested force that the blow of the closing fingers may have: the force itself is
 built up later."""
@@ -266,6 +270,22 @@ def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) 
             f"not {1e3 * speed:g} mm/s"
         )
     return min(share, 1.0)
+
+
+def around_speed(goal: Goal, hand: Hand, grip: Grip | None) -> float:
+    """Return the share of the velocity limits at which a goal opens, or closes, around its object.
+
+    What is thrown past its place there strikes the object.
+    """
+    if not goal.grasp or goal.force is None or goal.opening is None or grip is None:
+        return goal.speed
+    at = grip.intensity_at(goal.opening + MARGIN)
+    if len(grip.squeezing(at)) < 2:
+        return goal.speed
+    try:
+        return min(goal.speed, tip_speed_share(_AROUND_SPEED, hand, grip, at, ""))
+    except GoalRejected:  # faster than the action can close
+        return goal.speed
 
 
 def closing_speed(goal: Goal, hand: Hand, grip: Grip | None) -> float:

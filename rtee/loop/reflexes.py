@@ -16,7 +16,9 @@ from rtee.loop.evidence import Evidence
 from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
+from rtee.loop.opening_plan import meeting_speed
 from rtee.loop.plan import Plan
+from rtee.loop.pressing import ForceEstimate, Pressing, Tare, ceilings
 from rtee.loop.profiles import Profile
 from rtee.loop.squeeze import Held, Squeeze
 from rtee.types import Event, OnContact
@@ -71,6 +73,10 @@ class _Approach:
         pressing: Actuators whose effort makes the force.
         slips: Whether slips are answered and reported.
         speed: Share of the velocity limits at which the actuators squeeze.
+        together: The force between the tips, where the fingers keep their posture as they squeeze;
+            ``None``: each actuator presses with an effort of its own.
+        predicted: Efforts for the force, by the levers [N·m | N].
+        meeting: Speed of the opening at which the fingers meet an object [m/s].
     """
 
     watched: dict[int, _Watched]
@@ -82,6 +88,9 @@ class _Approach:
     pressing: frozenset[int] = frozenset()
     slips: bool = True
     speed: float = 1.0
+    together: ForceEstimate | None = None
+    predicted: Mapping[int, float] = field(default_factory=dict)
+    meeting: float = math.inf
 
 
 class Reflexes:
@@ -125,7 +134,9 @@ class Reflexes:
         self._profile, self._limiter, self._contact = profile, limiter, contact
         self._report = report
         self._approach: _Approach | None = None
-        self._squeeze: Squeeze | None = None
+        self._squeeze: Squeeze | Pressing | None = None
+        self._tare = Tare()
+        self._before = -math.inf
         self.active = self.changed = False
         self.busy: set[int] = set()
         self.effort: dict[int, float] = {}
@@ -141,6 +152,17 @@ class Reflexes:
     def building(self) -> bool:
         """Whether a force is being built up or corrected."""
         return self._squeeze is not None and self._squeeze.building
+
+    @property
+    def felt(self) -> tuple[float, float]:
+        """The force between the tips of fingers that keep their posture, and its error [N].
+
+        ``NaN``: not known.
+        """
+        squeeze = self._squeeze
+        if not isinstance(squeeze, Pressing):
+            return math.nan, math.nan
+        return squeeze.felt, squeeze.doubt
 
     # --- goals -------------------------------------------------------------------------------
 
@@ -188,6 +210,11 @@ class Reflexes:
         in_place, self.in_place = self.in_place, {}
         # The first leg of a grasp only opens wide around the object.
         opens = goal.grasp and leg + 1 < len(plan.legs)
+        together = self._together(plan, measured)
+        if opens and together is not None:
+            # The force is none of this way, on which the fingers must keep clear of one another.
+            self._allow(ceilings(self._hand, {}, plan.effort))
+            self.active = True
         if not (goal.on_contact or goal.touch or usual) or opens:
             return
         watched: dict[int, _Watched] = {}
@@ -219,9 +246,15 @@ class Reflexes:
             self._contact.approach(i, each.ahead, slopes.get(i), stamp, measured)
         slips = bool(goal.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
-        self._approach = _Approach(
+        self._approach = approach = _Approach(
             watched, sides, most, goal.touch, goal.force, plan.grip, pressing, slips, goal.speed
         )
+        if any(each.mode is not OnContact.SQUEEZE for each in watched.values()):
+            together = None
+        if together is not None and plan.grip is not None and goal.force is not None:
+            approach.together, approach.predicted = together, plan.effort
+            at = plan.grip.intensity_at(goal.opening or 0.0)
+            approach.meeting = meeting_speed(goal.force, plan.grip, at)
         self.active = True
         unknown = [
             self._hand.actuators[i].name for i in watched if self._contact.unknown(i, measured)
@@ -234,7 +267,13 @@ class Reflexes:
             )
             self._report(Event("contact_unknown", who, text, stamp))
         if in_place:
-            self._go_on(self._approach, in_place, stamp)
+            self._go_on(approach, in_place, stamp)
+            return
+        if together is not None:
+            for i in watched:
+                self._tare.forget(i)
+            self._contact.presses_now(watched, False)
+            self._allow(ceilings(self._hand, dict(plan.effort), watched))
             return
         for i, each in watched.items():
             if each.mode is OnContact.SQUEEZE or goal.touch:
@@ -243,6 +282,23 @@ class Reflexes:
                 sheet = None if goal.touch or plan.grip is None else plan.grip.sheet
                 if sheet is None:
                     self._begin_lightly(i, each, measured.position[i])
+
+    def _together(self, plan: Plan, measured: Measured) -> ForceEstimate | None:
+        """Return the force between fingers that keep their posture, where a goal needs that.
+
+        A single actuator has no posture to keep; and a force that is not measured is made by effort
+        limits alone.
+        """
+        grip = plan.grip
+        if plan.goal.force is None or grip is None or grip.sheet or len(plan.effort) < 2:
+            return None
+        estimate = ForceEstimate(self._hand, grip, self._tare)
+        return estimate if estimate.known(measured, plan.effort) else None
+
+    def _allow(self, efforts: Mapping[int, float]) -> None:
+        """Set effort limits [N·m | N]."""
+        self.effort.update(efforts)
+        self.changed = True
 
     def _go_on(self, approach: _Approach, efforts: Mapping[int, float], stamp: float) -> None:
         """Have actuators that hold an object go on from their effort limits [N·m | N]."""
@@ -285,6 +341,7 @@ class Reflexes:
         approach = self._approach
         if approach is None:
             return
+        passed, self._before = stamp - self._before, stamp
         for i, watched in approach.watched.items():
             if watched.touched or not measured.fresh[i]:
                 continue
@@ -294,6 +351,8 @@ class Reflexes:
             if not self._contact.meets(i, stamp, measured, velocity, every=every):
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
+                elif approach.together is not None:
+                    self._tare.learn(i, measured.effort[i], passed)
                 continue
             self._note(i, watched, stamp, measured)
             if approach.first:
@@ -301,8 +360,22 @@ class Reflexes:
                     self._stop(j, other, stamp, measured)
                 return
             self._stop(i, watched, stamp, measured)
+            if approach.together is not None:
+                self._stop_finger(i, approach, stamp, measured)
         if self._squeeze is None and self._enough(approach):
             self._begin_squeeze(approach, stamp)
+
+    def _stop_finger(self, i: int, approach: _Approach, stamp: float, measured: Measured) -> None:
+        """Stop all actuators of the fingers of one: else the finger would fold."""
+        fingers = set(self._hand.actuators[i].fingers)
+        for j, other in approach.watched.items():
+            if other.touched or not fingers.intersection(self._hand.actuators[j].fingers):
+                continue
+            self._stop(j, other, stamp, measured)
+        if isinstance(self._squeeze, Pressing):
+            for j, other in approach.watched.items():
+                if other.touched and j not in self._squeeze.held:
+                    self._squeeze.join(j)
 
     def _strengthen(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
         """Raise the effort of an approaching actuator that falls behind, up to the goal's limit."""
@@ -356,7 +429,9 @@ class Reflexes:
         here = measured.position[i]
         if not math.isfinite(here):
             return
-        if watched.mode is OnContact.SQUEEZE and len(self._hand.actuators[i].fingers) > 1:
+        together = self._approach is not None and self._approach.together is not None
+        several = len(self._hand.actuators[i].fingers) > 1
+        if watched.mode is OnContact.SQUEEZE and several and not together:
             return  # it moves both sides: there is nothing to wait for
         # At the measured position: the reference leads on into the object.
         if self._start(i, stamp, True) is None:
@@ -367,6 +442,8 @@ class Reflexes:
         self.busy.add(i)
         holds = watched.mode is OnContact.HOLD
         self._contact.pin(i, stamp, here, grasping=holds)
+        if together:
+            return
         if watched.mode is not OnContact.STOP and math.isfinite(self._limit(i)):
             self.effort[i] = self._light(i, watched)
             self.changed = True
@@ -399,6 +476,9 @@ class Reflexes:
 
         They begin with some effort limits [N·m | N], or lightly.
         """
+        if approach.together is not None and approach.grip is not None:
+            self._press(approach, approach.grip, approach.together, stamp)
+            return
         held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
@@ -435,6 +515,35 @@ class Reflexes:
         }
         squeeze.begin(stamp)
 
+    def _press(
+        self, approach: _Approach, grip: Grip, estimate: ForceEstimate, stamp: float
+    ) -> None:
+        """Begin to press with the fingers that touch; the others join when they do."""
+        predicted = dict(approach.predicted)
+        most = [approach.most[i] / e for i, e in predicted.items() if e and i in approach.most]
+        pressing = Pressing(
+            self._hand,
+            self._grasp,
+            self._profile,
+            self._limiter,
+            self._contact,
+            self._report,
+            grip,
+            estimate,
+            approach.force or math.nan,
+            predicted,
+            min(most, default=1.0),
+            approach.meeting,
+        )
+        pressing.answers_slips = approach.slips
+        for i, each in approach.watched.items():
+            if each.touched:
+                pressing.join(i)
+                self.busy.add(i)
+        self._squeeze = pressing
+        pressing.begin(stamp)
+        self._allow(pressing.effort)
+
     def keep(self, stamp: float, measured: Measured) -> None:
         """Build up and maintain the force on a held object; called at every tick while `active`."""
         squeeze = self._squeeze
@@ -444,5 +553,5 @@ class Reflexes:
         if squeeze.step(stamp, measured):
             self.effort.update(squeeze.effort)
             self.changed = True
-        if building and squeeze.built:
+        if building and squeeze.built and isinstance(squeeze, Squeeze):
             self.busy.difference_update(squeeze.held)

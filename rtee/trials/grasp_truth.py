@@ -27,6 +27,7 @@ from rtee.loop.plan import Plan, make_plan
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.holding import SLIP, TURN, said_lost, turned
 from rtee.trials.sweep import Bench
 from rtee.types import Goal, OnContact, Result
 
@@ -38,12 +39,6 @@ SETTLED: Final = 0.5
 
 WATCHED: Final = 2.0
 """For this long after the result, the object must stay in the hand [s]."""
-
-SLIP: Final = 0.005
-"""What has moved farther than this in the hand is not held [m], as the experiments ask."""
-
-TURN: Final = math.radians(10.0)
-"""Nor is what has turned by more than this [rad]."""
 
 _BESIDE: Final = 0.002
 """How far off the middle an object is along each axis at most [m]: as a person presents it."""
@@ -325,7 +320,7 @@ class _Try:
     def __init__(
         self, ready: Bench, case: Case, goal: Goal, plan: Plan, simulation: Simulation
     ) -> None:
-        self._goal, self._simulation = goal, simulation
+        self._goal, self._simulation, self._shape = goal, simulation, _shape(case)
         self._contacts = Contacts(simulation, ready.hand, plan)
         self._around = simulation.surroundings
         kind = NumbHand if case.numb else HeadlessHand[Simulation]
@@ -354,13 +349,12 @@ class _Try:
         held = False
         if around.has_object:
             moved = float(np.linalg.norm(around.position_in_hand - place))
-            turned = (float(np.trace(start[:3, :3].T @ around.object_frame[:3, :3])) - 1.0) / 2.0
-            turned = math.acos(min(max(turned, -1.0), 1.0))
-            held = moved <= SLIP and turned <= TURN and len(around.touching()) > 1
+            turn = turned(self._shape, start, around.object_frame)
+            held = moved <= SLIP and turn <= TURN and len(around.touching()) > 1
         after = self._forces[until:] or [0.0]
         return Truth(
             result,
-            any(event.kind == "grasp_lost" for event in headless.events[before:]),
+            said_lost(result, headless.events[before:]),
             held,
             max(self._forces[:until], default=0.0),
             min(after),

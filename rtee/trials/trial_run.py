@@ -9,9 +9,11 @@ import numpy as np
 
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ActionError, SimulationUnstable
+from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.holding import SLIP, TURN, said_lost, turned
 from rtee.trials.result import Trial, TrialResult
 from rtee.types import Goal
 
@@ -28,7 +30,8 @@ _HOLD = 2.0
 """How long the object is held before it is shaken [s]; one that slides falls within this time."""
 
 _FALLEN = 0.06
-"""An object that has moved farther in the hand has fallen [m]: more than a finger's breadth."""
+"""An object that has moved farther in the hand has fallen [m]: more than a finger's breadth; one
+that has moved by more than `SLIP` has slipped."""
 
 _OUT_OF_REACH = 0.3
 """An object so far below the lowest point of hand and object is lost for certain [m]: fingers that
@@ -103,9 +106,11 @@ class TrialRun:
             goal_id=f"trial-{self._number}",
         )
         try:
-            outcome = headless.do(goal).outcome
+            said = headless.do(goal)
+            outcome = said.outcome
         except ActionError as error:
             return self._ended("", str(error), outcome="")
+        before = len(headless.events)
         headless.wait(_SETTLE)
         # One that fewer than two links touch is still presented: it has to fall now.
         around.remove_support()
@@ -118,7 +123,7 @@ class TrialRun:
             )
         )
         # From here on the object should stay: how far closing moved it does not count as slip.
-        start = around.position_in_hand
+        start, orientation = around.position_in_hand, self._orientation()
         moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
         # A soft hand pushes what it closes on, so that more is allowed here than of slip.
         if not around.touching() or moved > _FALLEN + _PUSHED:
@@ -135,7 +140,19 @@ class TrialRun:
             reason = self._fallen(start, "while it was shaken")
         self._tell("shake")
         slip = float(np.linalg.norm(around.position_in_hand - start))
+        turn = turned(trial.object, orientation, self._orientation())
+        if not reason and slip > SLIP:
+            reason = f"it slipped by {1e3 * slip:.0f} mm"
+        elif not reason and turn > TURN:
+            reason = f"it turned by {math.degrees(turn):.0f} degrees"
+        elif not reason and said_lost(said, headless.events[before:]):
+            reason = "the hand says that it lost it"
         return self._ended(reason, "", outcome, slip, forces)
+
+    def _orientation(self) -> FloatArray:
+        """Return the object's orientation in the hand ``(3, 3)``."""
+        around = self._around
+        return np.asarray(around.base_pose[:3, :3].T @ around.object_frame[:3, :3])
 
     def _approach(self) -> None:
         """Bring the hand to the object along the free way."""

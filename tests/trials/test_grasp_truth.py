@@ -30,16 +30,28 @@ def test_a_grasp_is_what_it_says(hand: str, speed: float | None, numb: bool) -> 
 
 
 @pytest.mark.parametrize("numb", [False, True])
-@pytest.mark.parametrize("hand", ["wsg50", "schunk_egu", "robotiq_hand_e"])
+def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool) -> None:
+    case = Case(Thing.SPHERE, 0.03, 0.9, None, numb, seed=2686693446)
+    truth = try_case(bench("leap_hand", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+    assert truth.peak <= 0.9 + 1.0, "the blow"
+    assert truth.low >= 0.85 * 0.9
+    assert truth.high <= 1.15 * 0.9
+    assert truth.result.force == pytest.approx(truth.low, abs=truth.result.force_error)
+
+
+@pytest.mark.parametrize("numb", [False, True])
+@pytest.mark.parametrize("hand", ["wsg50", "schunk_egu", "robotiq_hand_e", "robotiq_2f_140"])
 def test_a_plate_of_two_millimetres_is_grasped(hand: str, numb: bool) -> None:
-    case = Case(Thing.BOX, 0.002, FORCES[hand], None, numb, seed=4)
+    case = Case(Thing.BOX, 0.002, FORCES.get(hand, 38.0), None, numb, seed=4)
     truth = try_case(bench(hand, RATE), case)
     assert (truth.said, truth.held) == (True, True)
 
 
 @pytest.mark.parametrize("numb", [False, True])
 @pytest.mark.parametrize(
-    ("hand", "force"), [("schunk_svh", 2.0), ("wsg50", 20.0), ("robotiq_2f_85", 20.0)]
+    ("hand", "force"),
+    [("schunk_svh", 2.0), ("leap_hand", 0.7), ("wsg50", 20.0), ("robotiq_2f_85", 20.0)],
 )
 def test_nothing_is_never_grasped(hand: str, force: float, numb: bool) -> None:
     truth = try_case(bench(hand, RATE), Case(Thing.NONE, 0.004, force, None, numb, seed=5))

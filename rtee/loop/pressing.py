@@ -1,0 +1,442 @@
+"""Press on an object with fingers of several actuators: the force by the depth of the reference.
+
+Where each actuator presses with an effort of its own, the least error of one lets the finger fold,
+or lets one finger push the others to their stops. So the fingers keep their posture: the references
+of all move together along the action, into the object and out of it, until the force is the one
+that is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+from rtee.hand.config_schema import GraspSettings
+from rtee.hand.model import Hand
+from rtee.loop import contact_rules as rules
+from rtee.loop.evidence import Evidence
+from rtee.loop.grip import Grip
+from rtee.loop.limiter import Limiter
+from rtee.loop.measured import Measured
+from rtee.loop.profiles import Profile
+from rtee.types import Event
+
+_FOLLOW = 0.15
+"""Time constant with which the force is brought to the requested one [s]: slower than motors and
+exchanges respond, so that nothing oscillates."""
+
+_LOOKS_AHEAD = 0.1
+"""So far ahead the force is foreseen, by its rate [s]: servos that integrate their error go on
+building up effort after the reference has stopped."""
+
+_SMOOTH = 0.03
+"""Time constant of the force's rate [s]: above the noise of a few exchanges."""
+
+_YIELDS = 1e-3
+"""Depth that is thought to give the requested force until it is known [m]: fingers and their servos
+yield by a millimetre or more."""
+
+_DEPTHS = (5e-5, 2e-2)
+"""Least and largest such depth [m]: a rigid finger's, and that of a servo with a low gain."""
+
+_FIRST = 1e-4
+"""After this depth the stiffness is known [m]: above what positions resolve."""
+
+_TOUCHES = 0.1
+"""Below this share of the requested force, nothing is pressed on yet: no more than noise."""
+
+_HOLDS = 0.3
+"""From this share of the requested force on, something is held."""
+
+_NEAR = 0.04
+"""The force has arrived within this share of the requested one, a little less than the error of a
+sensor."""
+
+_WEAK = 0.94
+"""A force that has arrived is raised again below this share of the requested one."""
+
+_STRONG = 1.06
+"""It is lowered again above this share, where efforts have risen by as much: sensors also measure
+the pull of the load, which must not loosen the grasp."""
+
+_UNEVEN = 0.15
+"""Sides may differ by twice this share by the weight between them; then their mean is the force.
+What is more comes from fingers that press on one another."""
+
+_SENSED = 0.05
+"""Error of sensors at the fingertips, as a share of the force."""
+
+_JUDGED = 0.5
+"""Error of a force by the efforts of several actuators, likewise: in simulation, 9 of 10 estimates
+of seven hands are within it. Where exactly a finger touches decides how much of an effort a joint
+bears, and which part its friction takes."""
+
+_SETTLE = 0.15
+"""Time for which the force must have arrived [s]: some exchanges of the slowest device."""
+
+_LONGEST = 3.0
+"""Longest time in which the force is brought to the requested one [s]: twenty time constants."""
+
+_SPARE = 2.0
+"""Effort limits are this multiple of the efforts that the levers predict: sensors break, and
+posture takes its share."""
+
+_POSTURE = 0.25
+"""Share of the effort limit that carries a finger and overcomes its friction, besides the force."""
+
+_FULL = 0.97
+"""An actuator counts as at its effort limit from this share of it on."""
+
+_BEYOND = 0.25
+"""How far beyond the action's posture the references may lead [1]: servos yield while they press on
+what is thin."""
+
+_GENTLY = 0.5
+"""Share of the acceleration limits that is used: the limiter must not step in."""
+
+_TARE = 0.1
+"""Time constant of the mean effort of the approach [s]: weight and friction, over some exchanges
+of the slowest device, before the contact shows."""
+
+_SLIP = 0.75
+"""Increase of the force after a slip, as a share of the present one: it overtakes a growing
+load."""
+
+_REPORT_EVERY = 0.5
+"""Slips are reported at most this often [s]: one event for people, not one for each step."""
+
+_CONFIRMED = 2
+"""Measurements in succession that must show a slip: a single one may be noise."""
+
+
+def ceilings(hand: Hand, predicted: dict[int, float], indices: Iterable[int]) -> dict[int, float]:
+    """Return effort limits of actuators that keep their posture [N·m | N], by index.
+
+    Args:
+        hand: The hand.
+        predicted: Efforts of those that press, by the levers [N·m | N].
+        indices: The actuators.
+    """
+    limits = {}
+    for i in indices:
+        full = hand.actuators[i].effort
+        limits[i] = min(_SPARE * predicted[i] + _POSTURE * full, full) if i in predicted else full
+    return limits
+
+
+class Tare:
+    """The efforts of actuators before they touch anything: what weight and friction take."""
+
+    def __init__(self) -> None:
+        self._mean: dict[int, float] = {}
+
+    def forget(self, i: int) -> None:
+        """Forget an actuator."""
+        self._mean.pop(i, None)
+
+    def learn(self, i: int, effort: float, time: float) -> None:
+        """Learn from an effort of the approach [N·m | N], and the time since the one before [s]."""
+        if effort == effort:
+            before = self._mean.get(i, effort)
+            self._mean[i] = before + min(time / _TARE, 1.0) * (effort - before)
+
+    def of(self, i: int) -> float:
+        """Return the effort [N·m | N]; 0: not known."""
+        return self._mean.get(i, 0.0)
+
+
+class ForceEstimate:
+    """The force between the tips: by sensors at the fingertips, else by efforts.
+
+    By efforts, each finger presses with the force that fits the efforts of its actuators best, and
+    a side with the sum of its fingers. Both sides press equally; their mean is the force.
+    """
+
+    def __init__(self, hand: Hand, grip: Grip, tare: Tare) -> None:
+        self._hand, self._grip, self._tare = hand, grip, tare
+        closing = (math.copysign(1.0, t - r) for t, r in zip(grip.target, grip.rest, strict=True))
+        self._closing = dict(zip(grip.indices, closing, strict=True))
+
+    def known(self, measured: Measured, pressing: Iterable[int]) -> bool:
+        """Return whether the force is measured, or all efforts that make it are."""
+        felt = self._grip.tip_force(measured.touch)
+        return felt == felt or all(math.isfinite(measured.effort[i]) for i in pressing)
+
+    def of(self, measured: Measured) -> float:
+        """Return the force [N]; ``NaN``: not known."""
+        grip, touch = self._grip, measured.touch
+        least = grip.tip_force(touch)
+        if least != least:
+            return self.by_efforts(measured.effort, measured.position)
+        if grip.around:
+            return least
+        both = sum(touch[f] for f in (*grip.fingers, *grip.others))
+        return min(0.5 * both, (1.0 + _UNEVEN) * least)
+
+    def error(self, measured: Measured) -> float:
+        """Return the error of the force [N]: that of the sensors, and what one side bears more."""
+        grip, touch, force = self._grip, measured.touch, self.of(measured)
+        least = grip.tip_force(touch)
+        if least != least:
+            return _JUDGED * force
+        uneven = 0.0
+        if not grip.around:
+            one, other = (sum(touch[f] for f in side) for side in (grip.fingers, grip.others))
+            uneven = 0.5 * abs(one - other)
+        return _SENSED * force + uneven
+
+    def by_efforts(self, effort: Sequence[float], position: Sequence[float]) -> float:
+        """Return the force by efforts [N]; ``NaN``: they are not measured.
+
+        Args:
+            effort: Efforts of all actuators [N·m | N].
+            position: Their positions [rad | m].
+        """
+        grip, names = self._grip, self._hand.finger_names
+        along: dict[int, float] = {}
+        square: dict[int, float] = {}
+        for k, i, lever in grip.squeezing(grip.intensity_of(position)):
+            for name in self._hand.actuators[i].fingers:
+                finger = names.index(name)
+                held = (effort[i] - self._tare.of(i)) * self._closing[i] * grip.efficiency[k]
+                along[finger] = along.get(finger, 0.0) + lever * held
+                square[finger] = square.get(finger, 0.0) + lever * lever
+        sides = [
+            sum(max(along[f], 0.0) / square[f] for f in side if f in along)
+            for side in (grip.fingers, grip.others)
+            if any(f in along for f in side)
+        ]
+        if not sides:
+            return math.nan
+        return sum(sides) if grip.around else sum(sides) / len(sides)
+
+
+class Pressing:
+    """Brings the force between fingertips to the requested one, and keeps it.
+
+    Args:
+        hand: The hand.
+        grasp: Settings.
+        profile: Moves the reference.
+        limiter: Holds the positions sent last.
+        contact: Told which actuators hold the object.
+        report: Called with events.
+        grip: The grip.
+        estimate: The force between the tips.
+        force: The requested force [N].
+        predicted: Efforts of the actuators that press, by the levers [N·m | N].
+        most: Highest multiple of the requested force after slips.
+        speed: Largest speed of the opening [m/s].
+
+    Attributes:
+        held: The actuators.
+        effort: Their effort limits [N·m | N].
+        built: Whether the force has been built up.
+        failed: Whether there is nothing to press on.
+        answers_slips: Whether slips are answered and reported.
+        felt: The force between the tips [N].
+        doubt: Its error [N].
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        grasp: GraspSettings,
+        profile: Profile,
+        limiter: Limiter,
+        contact: Evidence,
+        report: Callable[[Event], None],
+        grip: Grip,
+        estimate: ForceEstimate,
+        force: float,
+        predicted: dict[int, float],
+        most: float,
+        speed: float,
+    ) -> None:
+        self._hand, self._grasp, self._profile, self._limiter = hand, grasp, profile, limiter
+        self._contact, self._report, self._grip = contact, report, grip
+        self._estimate, self._force, self._predicted = estimate, force, predicted
+        self._most, self._speed = most, speed
+        self._way = {
+            i: target - rest
+            for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
+        }
+        self._base: dict[int, float] = {}
+        self.held: set[int] = set()
+        self.effort: dict[int, float] = {}
+        self.built = self.failed = False
+        self.answers_slips = True
+        self.felt = self.doubt = math.nan
+        self._level = 1.0
+        self._share = self._velocity = self._depth = 0.0
+        self._first = self._before = self._rate = 0.0
+        self._stiffness = force / _YIELDS
+        self._stamp = self._began = self._off = math.nan
+        self._by_efforts = math.nan
+        self._rested: dict[int, float] = {}
+        self._slipping = 0
+        self._reported = -math.inf
+        self._reported_limit = False
+
+    @property
+    def building(self) -> bool:
+        """Whether the force is still being brought to the requested one."""
+        return not self.built
+
+    def join(self, i: int) -> None:
+        """Let an actuator press together with the others from its present reference on."""
+        if i in self._way:
+            self._base[i] = self._limiter.position[i] - self._share * self._way[i]
+            self.held.add(i)
+            self.effort |= ceilings(self._hand, self._wanted_efforts(), (i,))
+
+    def forget(self, i: int) -> None:
+        """Forget an actuator."""
+        self.held.discard(i)
+        self.effort.pop(i, None)
+        self._base.pop(i, None)
+
+    def begin(self, stamp: float) -> None:
+        """Begin to press at a time [s]."""
+        self._stamp = self._began = self._off = stamp
+
+    def step(self, stamp: float, measured: Measured) -> bool:
+        """Run one tick; return whether ``effort`` has changed."""
+        self.felt, self.doubt = self._estimate.of(measured), self._estimate.error(measured)
+        time, self._stamp = stamp - self._stamp, stamp
+        if not (
+            time > 0.0 and self.felt == self.felt and any(measured.fresh[i] for i in self.held)
+        ):
+            return False
+        wanted = self._level * self._force
+        share = self.felt / wanted
+        # Of all fingers: one that stopped elsewhere holds nothing by itself.
+        changed = self.answers_slips and self.built and self._slips(stamp, measured)
+        self._contact.presses_now(self._way, share >= _TOUCHES)
+        if self.built and self._rests(share, measured):
+            self._velocity = self._rate = 0.0
+            self._before = self.felt
+            return changed
+        self._move(time, wanted, measured)
+        if not self.built:
+            if abs(share - 1.0) > _NEAR:
+                self._off = stamp
+            if stamp - self._off >= _SETTLE or stamp - self._began >= _LONGEST or self._at_end:
+                self._arrive(stamp, share, measured)
+        return changed
+
+    def _rests(self, share: float, measured: Measured) -> bool:
+        """Return whether a force that has arrived stays as it is."""
+        if self.failed or _WEAK <= share <= _STRONG:
+            return True
+        if share < _WEAK:
+            return False
+        now = self._estimate.by_efforts(measured.effort, measured.position)
+        return not now > _STRONG * self._by_efforts
+
+    @property
+    def _at_end(self) -> bool:
+        """Whether the references have gone as far as they may."""
+        return self._share >= self._furthest - 1e-9 and self._velocity > 0.0
+
+    @property
+    def _furthest(self) -> float:
+        """How far the references may move along the action, from where they began [1]."""
+        start = min(
+            (
+                (self._base[i] - rest) / (target - rest)
+                for i, rest, target in zip(
+                    self._grip.indices, self._grip.rest, self._grip.target, strict=True
+                )
+                if i in self._base and i in self._predicted
+            ),
+            default=0.0,
+        )
+        pressed = self.felt >= _TOUCHES * self._force
+        return max(self._grip.intensity[-1] - start + (_BEYOND if pressed else 0.0), 0.0)
+
+    def _move(self, time: float, wanted: float, measured: Measured) -> None:
+        """Move the references by the error of the force."""
+        self._learn_stiffness(wanted)
+        rate, self._before = (self.felt - self._before) / time, self.felt
+        self._rate += min(time / _SMOOTH, 1.0) * (rate - self._rate)
+        foreseen = self.felt + _LOOKS_AHEAD * self._rate
+        speed = (wanted - foreseen) / (self._stiffness * _FOLLOW)
+        speed = min(max(speed, -self._speed), self._speed)
+        if speed > 0.0 and self._exhausted(measured):
+            speed = 0.0
+        at = min(max(self._grip.intensity_of(measured.position), 0.0), self._grip.intensity[-1])
+        slope = max(self._grip.slope_at(at), 1e-6)
+        # By the actuator that can change its velocity least.
+        change = min(
+            self._hand.actuators[i].acceleration / max(abs(self._way[i]), 1e-9) for i in self.held
+        )
+        rise = _GENTLY * change * slope * time
+        self._velocity += min(max(speed - self._velocity, -rise), rise)
+        before = self._share
+        self._share = min(self._share + self._velocity * time / slope, max(self._furthest, before))
+        self._depth += (self._share - before) * slope
+        there = {i: base + self._share * self._way[i] for i, base in self._base.items()}
+        self._profile.seed({i: self._profile.limits.clamp(i, p) for i, p in there.items()})
+
+    def _learn_stiffness(self, wanted: float) -> None:
+        """Learn which depth gives which force, from where the fingers began to press."""
+        if self.felt < _TOUCHES * wanted:
+            self._depth, self._first = 0.0, self.felt
+        elif self._depth >= _FIRST and self._velocity > 0.0:
+            least, most = (wanted / depth for depth in reversed(_DEPTHS))
+            self._stiffness = min(max((self.felt - self._first) / self._depth, least), most)
+
+    def _exhausted(self, measured: Measured) -> bool:
+        """Return whether all actuators that press do so with all that they may."""
+        return all(
+            abs(measured.effort[i]) >= _FULL * self.effort[i]
+            for i in self._predicted
+            if i in self.held
+        )
+
+    def _arrive(self, stamp: float, share: float, measured: Measured) -> None:
+        """Judge whether something is held, and keep it."""
+        self.built = True
+        self.failed = share < _HOLDS
+        for i in self.held:
+            here = measured.position[i]
+            self._contact.pin(i, stamp, here, grasping=i in self._predicted and not self.failed)
+        self._rested = self._touches(measured)
+        self._by_efforts = self._estimate.by_efforts(measured.effort, measured.position)
+
+    def _wanted_efforts(self) -> dict[int, float]:
+        return {i: self._level * effort for i, effort in self._predicted.items()}
+
+    def _touches(self, measured: Measured) -> dict[int, float]:
+        """Return the force on the fingers of each actuator that presses [N]."""
+        found = {}
+        for i in self._predicted.keys() & self.held:
+            forces = self._contact.forces(i, measured)
+            found[i] = sum(forces) if forces else math.nan
+        return found
+
+    def _slips(self, stamp: float, measured: Measured) -> bool:
+        """Answer a slip, or a pull, by more force; return whether there is one."""
+        now = self._touches(measured)
+        pulled = [
+            i
+            for i, touch in now.items()
+            if rules.pulled(0.0, 0.0, touch, self._rested.get(i, touch), self._grasp.touch)
+        ]
+        self._slipping = self._slipping + 1 if pulled else 0
+        if self._slipping < _CONFIRMED:
+            return False
+        before = self._level
+        self._level = min(before * (1.0 + _SLIP), max(self._most, 1.0))
+        self.effort |= ceilings(self._hand, self._wanted_efforts(), self.held)
+        self._rested, self._slipping = now, 0
+        limited = self._level <= before
+        if stamp - self._reported >= _REPORT_EVERY and not (limited and self._reported_limit):
+            self._reported, self._reported_limit = stamp, self._reported_limit or limited
+            actuator = self._hand.actuators[pulled[0]]
+            who = ", ".join(actuator.fingers) or actuator.name
+            does = "the force is at its limit" if limited else "the force is raised"
+            text = f"slip at {who} (actuator {actuator.name}): {does}"
+            self._report(Event("slip", who, text, stamp, "warning"))
+        return True

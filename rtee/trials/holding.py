@@ -1,0 +1,53 @@
+"""When an object counts as held: it stays where it is in the hand, and the hand says no other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+
+from rtee.sample import FloatArray
+from rtee.types import Event, Result
+
+SLIP: Final = 0.005
+"""What has moved farther than this in the hand is not held [m], as the experiments ask."""
+
+TURN: Final = math.radians(10.0)
+"""Nor is what has turned by more than this [rad]."""
+
+
+def turned(shape: str, before: FloatArray, now: FloatArray) -> float:
+    """Return by how much an object has turned, as far as that can be seen [rad].
+
+    Args:
+        shape: The object, as on the command line.
+        before: Its orientation ``(3, 3)``, or pose, in the hand.
+        now: The same later.
+    """
+    one, other = before[:3, :3], now[:3, :3]
+    if shape.startswith("sphere"):
+        return 0.0
+    if shape.startswith(("cylinder", "capsule")):
+        # They look the same at any angle about their axis, and either way up.
+        cosine = abs(float(one[:, 2] @ other[:, 2]))
+    else:
+        cosine = (float(np.trace(one.T @ other)) - 1.0) / 2.0
+    return math.acos(min(max(cosine, -1.0), 1.0))
+
+
+def said_lost(result: Result, events: Iterable[Event]) -> bool:
+    """Return whether a hand says of all fingers that held something that they lost it.
+
+    Args:
+        result: How the grasp ended.
+        events: What was told since.
+    """
+    lost = {
+        finger
+        for event in events
+        if event.kind == "grasp_lost"
+        for finger in event.source.split(", ")
+    }
+    return result.grasped and bool(result.grasped_fingers) and lost >= set(result.grasped_fingers)
