@@ -75,7 +75,8 @@ _SETTLE = 0.15
 """Time for which the force must have arrived [s]: some exchanges of the slowest device."""
 
 _LONGEST = 3.0
-"""Longest time in which the force is brought to the requested one [s]: twenty time constants."""
+"""Longest time in which the force is brought to the requested one, from the contact on [s]: twenty
+time constants."""
 
 _SPARE = 2.0
 """Effort limits are this multiple of the efforts that the levers predict: sensors break, and
@@ -321,6 +322,8 @@ class Pressing:
         if not self.built:
             if abs(share - 1.0) > _NEAR:
                 self._off = stamp
+            if share < _TOUCHES:
+                self._began = stamp  # the contact was none: on to the object, or the end
             if stamp - self._off >= _SETTLE or stamp - self._began >= _LONGEST or self._at_end:
                 self._arrive(stamp, share, measured)
         return changed
