@@ -21,8 +21,9 @@ from rtee.loop.configure import loop_settings
 from rtee.loop.plan import make_plan
 from rtee.remote.words import sentence
 from rtee.trials.grasp_placement import Places
-from rtee.trials.grasp_truth import RATE, SLIP
+from rtee.trials.grasp_truth import RATE
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.holding import SLIP
 from rtee.types import Goal, Result
 
 _SETTLE: Final = 0.5
