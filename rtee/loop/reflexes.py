@@ -352,7 +352,7 @@ class Reflexes:
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
                 elif approach.together is not None:
-                    self._tare.learn(i, measured.effort[i], passed)
+                    self._weigh(i, watched, passed, measured)
                 continue
             self._note(i, watched, stamp, measured)
             if approach.first:
@@ -364,6 +364,15 @@ class Reflexes:
                 self._stop_finger(i, approach, stamp, measured)
         if self._squeeze is None and self._enough(approach):
             self._begin_squeeze(approach, stamp)
+
+    def _weigh(self, i: int, watched: _Watched, passed: float, measured: Measured) -> None:
+        """Learn what an approaching actuator takes while it keeps up with its reference."""
+        here, reference = measured.position[i], self._limiter.position[i]
+        moved, wanted = here - watched.was, reference - watched.reference
+        # What falls behind may press on something already, however gently it came.
+        if moved * watched.ahead >= _LAGS * wanted * watched.ahead > 0.0:
+            self._tare.learn(i, measured.effort[i], passed)
+        watched.was, watched.reference = here, reference
 
     def _stop_finger(self, i: int, approach: _Approach, stamp: float, measured: Measured) -> None:
         """Stop all actuators of the fingers of one: else the finger would fold."""
