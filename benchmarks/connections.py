@@ -27,10 +27,10 @@ from common import Table, command_line, own
 
 import rtee
 from rtee.errors import NoHand
-from rtee.prepare import RunOptions
 from rtee.remote.access import access_control
 from rtee.remote.directory import running
 from rtee.remote.session import direct, open_client, open_server
+from rtee.running.prepare import RunOptions
 
 NOTES = 50
 """Number of measurements of the memory: enough for the error of a slope."""

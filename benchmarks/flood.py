@@ -29,9 +29,9 @@ from witness import child
 import rtee
 from rtee.messages.identity import Signer
 from rtee.messages.requests import HERE, PUT, REQUESTS, inbox_key
-from rtee.prepare import RunOptions
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct, open_client
+from rtee.running.prepare import RunOptions
 
 CLIENTS = 3
 """Clients that send at the same time: more than one process could send."""

@@ -31,10 +31,10 @@ import zenoh
 from common import Table, command_line
 
 import rtee
-from rtee.prepare import RunOptions
 from rtee.remote.client import RemoteHand
 from rtee.remote.server import Server
 from rtee.remote.session import direct, open_client
+from rtee.running.prepare import RunOptions
 from rtee.types import Goal, Reference
 
 STAGES = (

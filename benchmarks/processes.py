@@ -17,7 +17,7 @@ from witness import child
 from rtee.loop.realtime import backend_options
 from rtee.remote.server import Server
 from rtee.remote.session import direct, open_server
-from rtee.run import RunOptions, run_hands
+from rtee.running.run import RunOptions, run_hands
 
 
 def serve(

@@ -28,9 +28,9 @@ from flood import WAITING
 
 import rtee
 from rtee.messages.requests import REQUESTS
-from rtee.prepare import RunOptions
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct
+from rtee.running.prepare import RunOptions
 
 QUESTIONS: dict[str, dict[str, object]] = {
     "status": {},

@@ -18,7 +18,7 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.servos import servo_of
 from rtee.drivers.registry import find_driver
-from rtee.prepare import PreparedHand, RunOptions, prepare
+from rtee.running.prepare import PreparedHand, RunOptions, prepare
 from rtee.types import JointKind
 
 ROOT = Path(__file__).parents[1]

@@ -19,7 +19,7 @@ from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.tick_driver import drive
-from rtee.run import PreparedHand, RunOptions, prepare
+from rtee.running.run import PreparedHand, RunOptions, prepare
 from rtee.types import Event, Goal, Lifecycle, Result
 
 _PATIENCE = 30.0

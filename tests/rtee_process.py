@@ -112,9 +112,10 @@ def _import() -> None:
 
     for module, _ in COMMANDS.values():
         importlib.import_module(module.partition(":")[0])
-    names = "rtee.run rtee.loop.handloop rtee.remote.client rtee.remote.server rtee.log.recorder "
-    names += "rtee.hand.load rtee.actions.library rtee.drivers.kinematic.driver rtee.extract.jobs "
-    names += "rtee.buses.pool anyio._backends._asyncio pinocchio coal mujoco"
+    names = "rtee.running.run rtee.loop.handloop rtee.remote.client rtee.remote.server "
+    names += "rtee.log.recorder rtee.hand.load rtee.actions.library rtee.extract.jobs "
+    names += "rtee.drivers.kinematic.driver rtee.buses.pool "
+    names += "anyio._backends._asyncio pinocchio coal mujoco"
     for name in names.split():
         try:
             importlib.import_module(name)

@@ -19,7 +19,7 @@ from rtee.hand.config_schema import Behaviour
 from rtee.log import read
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
-from rtee.run import RunOptions, prepare, run_hands
+from rtee.running.run import RunOptions, prepare, run_hands
 from rtee.types import Reference
 
 pytestmark = pytest.mark.anyio

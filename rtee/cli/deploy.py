@@ -114,7 +114,7 @@ def _wanted(
     from rtee.deploy.install import Installation
     from rtee.deploy.needs import Needs
     from rtee.errors import ConfigError
-    from rtee.run import RunOptions, prepare
+    from rtee.running.run import RunOptions, prepare
 
     pairs = [text.partition("=") for text in serial or ()]
     wrong = next((name for name, _, number in pairs if not name or not number), None)

@@ -39,7 +39,7 @@ def _devices_of(
 ) -> list[DeviceSpec]:
     """Return the devices of a hand, or only the one named; raise `UserError` if there is none."""
     from rtee.errors import ConfigError, suggestion
-    from rtee.run import RunOptions, prepare
+    from rtee.running.run import RunOptions, prepare
 
     prepared = prepare(name, RunOptions(driver="devices", emulated=emulated, ideal=ideal))
     specs = [device.spec for device in prepared.devices]
@@ -250,7 +250,7 @@ def _service(hand: str) -> tuple[list[Check], Needs | None]:
     from rtee.deploy.check import check_service, is_installed
     from rtee.deploy.needs import Needs
     from rtee.errors import RteeError
-    from rtee.run import RunOptions, prepare
+    from rtee.running.run import RunOptions, prepare
 
     try:
         needs = Needs.of(prepare(hand, RunOptions(driver="devices")), {})
@@ -264,7 +264,7 @@ async def _graph(hand: str | None) -> list[Check]:
     from rtee.errors import RteeError
     from rtee.hand.config_schema import Ros2Settings
     from rtee.ros2.diagnosis import check_graph
-    from rtee.run import RunOptions, prepare
+    from rtee.running.run import RunOptions, prepare
 
     settings, name = Ros2Settings(), None
     if hand is not None:

@@ -277,7 +277,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     from rtee.log.recover import recover as repair
     from rtee.loop.shutdown_signals import beside_this_run
     from rtee.messages.topics import ROBOT_DESCRIPTION
-    from rtee.run import RunOptions, run_hands
+    from rtee.running.run import RunOptions, run_hands
 
     # Read only enough to find the hand; the driver reads the rest.
     recording = read(path, only=[ROBOT_DESCRIPTION])

@@ -121,7 +121,7 @@ def run(
 
     from rtee.errors import ConfigError
     from rtee.loop.realtime import backend_options
-    from rtee.run import RunOptions, run_hands
+    from rtee.running.run import RunOptions, run_hands
 
     check_files()
     if driver is not None and not driver.strip():

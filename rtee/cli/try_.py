@@ -205,14 +205,14 @@ def try_(
 def _tell_of_meshes(objects: Sequence[str]) -> None:
     """Print what is assumed about objects that are meshes, beside the results on stdout."""
     from rtee.errors import needing_extra
-    from rtee.object_shape import is_shape
+    from rtee.objects.shape import is_shape
 
     meshes = [text for text in dict.fromkeys(objects) if not is_shape(text)]
     if not meshes:
         return
     with needing_extra("a trial", "sim"):
         from rtee.drivers.mujoco.objects import MESHES
-        from rtee.object_shape import parse_object
+        from rtee.objects.shape import parse_object
         from rtee.planning.objects import read_object
     for text in meshes:
         # Refused for what the simulation reads, which is less than the planner does.
@@ -269,7 +269,7 @@ def _all(
     from rtee.actions.fingerprints import Fingerprints
     from rtee.drivers.mujoco.objects import MESHES
     from rtee.errors import ConfigError
-    from rtee.object_shape import parse_object
+    from rtee.objects.shape import parse_object
     from rtee.trials.store import FILE_NAME, read_results
     from rtee.trials.sweep import bench, sweep, sweep_on_cluster
 

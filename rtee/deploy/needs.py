@@ -14,8 +14,8 @@ from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import DRIVERS, find_driver
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import RemoteSettings
-from rtee.prepare import PreparedHand
 from rtee.remote.protection import credentials_of, exposed
+from rtee.running.prepare import PreparedHand
 from rtee.types import DeviceSpec
 
 CAN_BITRATE = 1_000_000

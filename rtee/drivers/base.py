@@ -13,7 +13,7 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.standstill import Standstill
 from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 

@@ -12,7 +12,7 @@ from rtee.gui.history import JOINT_QUANTITIES, stride
 from rtee.hand.model import Hand
 from rtee.log import Recording, Span
 from rtee.messages.state import ACTUATOR_COLUMNS, State
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import FloatArray
 from rtee.touch import TouchSensor, TouchState
 from rtee.types import Outcome

@@ -36,7 +36,7 @@ from rtee.gui.trial_results import key_of, tried_in
 from rtee.gui.wording import small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
-from rtee.object_description import OBJECT_POSE, ObjectDescription
+from rtee.objects.description import OBJECT_POSE, ObjectDescription
 from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
 from rtee.sample import FloatArray

@@ -11,7 +11,7 @@ import viser
 
 from rtee.gui.colours import FORCE, OBJECT
 from rtee.hand.frames import pose_in_hand
-from rtee.object_description import (
+from rtee.objects.description import (
     CONTACTS,
     ObjectDescription,
     ObjectPart,
@@ -120,7 +120,7 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     """Return arrows ``(k, 2, 3)`` from the contact points along the forces [m].
 
     The length of an arrow grows with the force F as F / (F + 10 N), and with the size of the hand
-    [m]. The contacts are rows of `rtee.object_description.CONTACTS`.
+    [m]. The contacts are rows of `rtee.objects.description.CONTACTS`.
     """
     points, forces = rows[:, :3], rows[:, 3:6]
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
@@ -133,8 +133,8 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
 def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
     """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
 
-    The contacts are rows of `rtee.object_description.CONTACTS`, the links in the order of the URDF;
-    at most so many are named.
+    The contacts are rows of `rtee.objects.description.CONTACTS`, the links in the order of the
+    URDF; at most so many are named.
     """
     totals: dict[str, FloatArray] = {}
     for row in rows:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple
-from rtee.object_description import BASE_POSE, OBJECT_POSE
+from rtee.objects.description import BASE_POSE, OBJECT_POSE
 from rtee.sample import FloatArray
 
 _LEVEL: Final = 1e-9

@@ -31,7 +31,7 @@ from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop import contact_rules
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import COLUMNS, NOTHING, FloatArray, TickRecord
 from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result

@@ -15,7 +15,7 @@ from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
 from rtee.messages.codec import SECOND
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import BoolArray, FloatArray, Measurements
 from rtee.touch import TouchSensor, TouchState, totals
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result

@@ -26,7 +26,7 @@ from rtee.messages.codec import SECOND, Codec, channel_fields, header
 from rtee.messages.schema import message_type
 from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, sensors_fields
 from rtee.monotonic import asked
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result

@@ -20,7 +20,7 @@ from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.touch import TouchGatherer
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.types import Event, Lifecycle, Reference, readonly
 

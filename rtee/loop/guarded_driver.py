@@ -18,7 +18,7 @@ import numpy as np
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.errors import DeviceFault, DriverError, foreign
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import NOTHING, ActuatorState, measured_arrays
 from rtee.touch import TouchReading
 from rtee.types import Reference

@@ -9,7 +9,7 @@ from typing import Protocol
 from rtee import monotonic
 from rtee.commands import CommandRecord
 from rtee.loop.plan import Plan
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
@@ -21,7 +21,7 @@ class LoopObserver(Protocol):
 
     An observer may have two more methods: ``on_plan(plan, stamp)``, called after `on_goal` with the
     goal's `rtee.loop.plan.Plan`, and ``on_object(description, stamp)``, called once with the
-    `rtee.object_description.ObjectDescription` of the object that a simulated device grasps.
+    `rtee.objects.description.ObjectDescription` of the object that a simulated device grasps.
 
     All methods are called in the loop's thread and must return at once: no I/O, no waiting. An
     observer that raises is dropped with an event; the hand goes on.

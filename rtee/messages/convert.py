@@ -27,7 +27,7 @@ from rtee.commands import (
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
-from rtee.object_description import ObjectDescription, ObjectPart
+from rtee.objects.description import ObjectDescription, ObjectPart
 from rtee.types import (
     Aim,
     DeviceStatus,

@@ -28,7 +28,7 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
         from rtee.planning.plan import plan_grasps
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
-    from rtee.object_shape import refuse_paths
+    from rtee.objects.shape import refuse_paths
     from rtee.planning.result import to_document
 
     text, mass, scale = question["object"], question["mass"], question["scale"]
@@ -61,7 +61,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
 
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
-    from rtee.object_shape import refuse_paths
+    from rtee.objects.shape import refuse_paths
     from rtee.planning.reached import WantedContact, to_document
 
     folder, asked = Path(question["hand"]), question["reach"]

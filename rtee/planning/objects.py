@@ -18,7 +18,7 @@ from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
-from rtee.object_shape import (
+from rtee.objects.shape import (
     DRILL,
     LARGEST,
     NUMBERS,

@@ -19,7 +19,7 @@ from rtee.messages import EVENT, FEEDBACK, RESULT, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
 from rtee.messages.touch import TOUCH, reply_of, touch_of
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
 from rtee.touch import TouchState
@@ -302,7 +302,7 @@ class Monitoring:
     async def object_description(self) -> ObjectDescription | None:
         """Return the shape of the object in a simulated device of the hand; ``None``: no object.
 
-        Its pose and the contact forces are channels of the states; see `rtee.object_description`.
+        Its pose and the contact forces are channels of the states; see `rtee.objects.description`.
 
         Raises:
             MessageError: if the answer is malformed.

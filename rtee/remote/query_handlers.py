@@ -24,7 +24,7 @@ from rtee.loop.handloop import HandLoop
 from rtee.loop.plan import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.touch import reply_fields
-from rtee.object_description import NO_OBJECT
+from rtee.objects.description import NO_OBJECT
 from rtee.remote.actions import action_fields, build_action, group_fields
 from rtee.remote.agents import Agents
 from rtee.remote.goal_records import GoalRecords

@@ -29,8 +29,8 @@ from rtee.drivers.objects import ObjectInHand, grasping
 from rtee.errors import ConfigError, RteeError, suggestion
 from rtee.loop.handloop import HandLoop
 from rtee.loop.realtime import backend_options
-from rtee.prepare import RunOptions
-from rtee.run import run_hands
+from rtee.running.prepare import RunOptions
+from rtee.running.run import run_hands
 
 _DO: Final[dict[str, Callable[[Simulation, Emulator, str], None]]] = {
     "unplug": lambda wire, _, __: wire.unplug(),

@@ -18,7 +18,7 @@ from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import Plan, make_plan
 from rtee.loop.settings import LoopSettings
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import ActuatorState, BoolArray, FloatArray, TickRecord, measured_arrays
 from rtee.types import Event, Feedback, Goal, Result
 
@@ -49,7 +49,7 @@ class Play(Protocol):
 
     @property
     def seen(self) -> Mapping[str, FloatArray]:
-        """What can be seen besides the hand, as channels; see `rtee.object_description`."""
+        """What can be seen besides the hand, as channels; see `rtee.objects.description`."""
 
     def advance(self) -> None:
         """Go on by one period."""

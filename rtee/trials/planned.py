@@ -19,7 +19,7 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import binary_stl
 from rtee.loop.settings import LoopSettings
-from rtee.object_shape import NUMBERS, ObjectShape
+from rtee.objects.shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
 from rtee.planning.objects import GraspObject, Piece
 from rtee.planning.result import Check, GraspPlan, Ranking

@@ -16,7 +16,7 @@ from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.log.playback import write_hand
 from rtee.log.recording import Recording
-from rtee.object_description import CONTACTS, ObjectPart, contact_rows
+from rtee.objects.description import CONTACTS, ObjectPart, contact_rows
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
 from rtee.render.image import encode, linear_rgb

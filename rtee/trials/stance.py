@@ -12,7 +12,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action
 from rtee.drivers.mujoco.scene import approach, downward
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.object_shape import ObjectShape
+from rtee.objects.shape import ObjectShape
 from rtee.planning.objects import GraspObject
 from rtee.sample import FloatArray
 from rtee.trials.robust_places import robust_places

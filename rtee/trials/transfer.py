@@ -19,7 +19,7 @@ from rtee.hand.model import Hand
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
-from rtee.object_shape import parse_object
+from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript

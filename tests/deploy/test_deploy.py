@@ -20,7 +20,7 @@ from rtee.deploy.install import MANIFEST, Installation, State
 from rtee.deploy.needs import Needs
 from rtee.drivers.diagnosis.checks import Verdict
 from rtee.errors import ConfigError
-from rtee.prepare import RunOptions, prepare
+from rtee.running.prepare import RunOptions, prepare
 
 URDF = """<robot name="{name}">
   <link name="palm"/>

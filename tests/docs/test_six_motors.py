@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 import rtee
-from rtee.run import RunOptions, run_hands
+from rtee.running.run import RunOptions, run_hands
 
 _BLOCK = re.compile(r'^```\w+ title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 

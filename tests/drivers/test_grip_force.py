@@ -19,7 +19,7 @@ from rtee.errors import GoalRejected
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.tick_driver import drive
-from rtee.prepare import RunOptions, prepare
+from rtee.running.prepare import RunOptions, prepare
 from rtee.types import Goal, Result
 
 pytestmark = pytest.mark.anyio

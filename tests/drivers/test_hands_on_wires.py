@@ -28,7 +28,7 @@ from rtee.loop.observer import Observer
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.tick_driver import drive
-from rtee.prepare import RunOptions, prepare
+from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.session import open_files
 from rtee.types import Event, Goal, Lifecycle, Result

@@ -12,8 +12,8 @@ from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import DeviceFault
 from rtee.hand.load import hand_folder
-from rtee.prepare import homing_allowed
-from rtee.run import RunOptions, prepare
+from rtee.running.prepare import homing_allowed
+from rtee.running.run import RunOptions, prepare
 from rtee.types import DeviceSpec
 
 

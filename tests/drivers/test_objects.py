@@ -10,7 +10,7 @@ from rtee.drivers.emulator_server import Player
 from rtee.drivers.emulators import emulator_names, make_emulator
 from rtee.drivers.objects import STIFFNESS, Closing, ObjectInHand, grasping
 from rtee.errors import ConfigError
-from rtee.prepare import RunOptions, prepare
+from rtee.running.prepare import RunOptions, prepare
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.hand.catalog import hand_names
 from rtee.hand.model import Hand
-from rtee.run import PreparedHand
+from rtee.running.run import PreparedHand
 from rtee.testing import simulated_time
 from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal

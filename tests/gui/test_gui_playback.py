@@ -12,7 +12,7 @@ from rtee.gui.playback import Playback, timeline
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import read
-from rtee.run import RunOptions, run_hands
+from rtee.running.run import RunOptions, run_hands
 
 HAND = "robotiq_2f_85"
 

@@ -13,8 +13,8 @@ from rtee.cli._common import hand_folder
 from rtee.errors import ConfigError
 from rtee.hand.catalog import config_dirs, find_hand, hand_names, own_dirs
 from rtee.hand.load import load_hand
-from rtee.prepare import RunOptions, prepare
 from rtee.remote.directory import runtime_folder
+from rtee.running.prepare import RunOptions, prepare
 
 
 def test_folders_in_order(

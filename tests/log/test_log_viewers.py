@@ -34,7 +34,7 @@ from rtee.log.settings import RecorderSettings
 from rtee.log.tick_messages import LinkTransforms
 from rtee.log.writer import LogWriter
 from rtee.loop.settings import LoopSettings
-from rtee.prepare import RunOptions, prepare
+from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import FloatArray, TickRecord
 
 ACCURACY = 1e-9

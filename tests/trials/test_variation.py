@@ -20,7 +20,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
-from rtee.object_shape import parse_object
+from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Place, Places

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import make_object
-from rtee.object_shape import (
+from rtee.objects.shape import (
     HANDLE,
     MOTOR,
     PLATE,

@@ -22,7 +22,7 @@ from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.object_shape import ObjectShape, open_mesh, parse_object
+from rtee.objects.shape import ObjectShape, open_mesh, parse_object
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 

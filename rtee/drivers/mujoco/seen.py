@@ -15,7 +15,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.surroundings import Surroundings, pose_vector
 from rtee.hand.model import Hand
-from rtee.object_description import (
+from rtee.objects.description import (
     BASE_POSE,
     CONTACT_COLUMNS,
     CONTACT_RATE,
@@ -26,7 +26,7 @@ from rtee.object_description import (
     ObjectDescription,
     ObjectPart,
 )
-from rtee.object_shape import parse_object
+from rtee.objects.shape import parse_object
 from rtee.sample import FloatArray
 
 _LEAST_FORCE: Final = 1e-3
@@ -64,7 +64,7 @@ class SeenChannels:
         self._contacts: FloatArray = np.zeros(0)
 
     def read(self) -> dict[str, FloatArray]:
-        """Return the channels; see `rtee.object_description`. Contacts come at `CONTACT_RATE`."""
+        """Return the channels; see `rtee.objects.description`. Contacts come at `CONTACT_RATE`."""
         found: dict[str, FloatArray] = {}
         if self._around.has_object:
             found[OBJECT_POSE] = self._around.pose

@@ -34,7 +34,7 @@ from rtee.messages.topics import (
     log_topic,
 )
 from rtee.messages.touch import sensors_of, touch_of
-from rtee.object_description import ObjectDescription
+from rtee.objects.description import ObjectDescription
 from rtee.sample import COLUMNS, MEASURED, FloatArray
 from rtee.touch import TouchSensor, TouchState
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rtee.drivers.feetech.joints import Curve, Differential, Joints
 from rtee.drivers.feetech.options import DifferentialOptions, FeetechOptions
 from rtee.errors import ConfigError
-from rtee.run import RunOptions, prepare
+from rtee.running.run import RunOptions, prepare
 from rtee.testing import Session, actuator
 from rtee.types import DeviceSpec
 from tests.drivers.feetech.test_feetech_contract import CASE, DIFFERENTIAL, PAIRED

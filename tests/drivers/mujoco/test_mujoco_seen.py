@@ -18,7 +18,7 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.frames import pose_in_hand, pose_matrix
 from rtee.hand.load import load_hand
 from rtee.messages.convert import OBJECT
-from rtee.object_description import BASE_POSE, CONTACTS, MOST_CONTACTS, OBJECT_POSE, contact_rows
+from rtee.objects.description import BASE_POSE, CONTACTS, MOST_CONTACTS, OBJECT_POSE, contact_rows
 
 GRIPPER = "robotiq_2f_85"
 PERIOD = 0.005

@@ -43,8 +43,8 @@ from rtee.loop.shutdown_signals import (
     wait_for_end,
 )
 from rtee.loop.tick_driver import drive
-from rtee.prepare import PreparedHand, RunOptions, prepare
 from rtee.remote.server import RemoteSettings, Server
+from rtee.running.prepare import PreparedHand, RunOptions, prepare
 from rtee.types import Event
 
 __all__ = ["PreparedHand", "RunOptions", "prepare", "run_hands"]

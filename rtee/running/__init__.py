@@ -1,0 +1,1 @@
+"""A hand prepared from its configuration, and run: loop, recorder and server, wired together."""
