@@ -14,7 +14,7 @@ from pathlib import Path
 import anyio
 
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.servos import servo_of
 from rtee.drivers.registry import find_driver

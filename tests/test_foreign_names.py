@@ -25,7 +25,7 @@ from ros2.facing import a_hand_in_ros
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import ConfigError, ModelError, UserError, foreign
 from rtee.exchange.export import Kind, export_hand

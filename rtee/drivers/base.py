@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.standstill import Standstill
 from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal, UnitUnreachable
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.onrobot_common import (
     FIRMWARE,

@@ -13,8 +13,8 @@ from typing import ClassVar, Generic, TypeVar
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.register_blocks import PATIENT, Blocks

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rtee.capabilities import GripForce
+from rtee.drivers.capabilities import GripForce
 from rtee.errors import MessageError
 from rtee.loop.grip import Grip
 from rtee.loop.plan import Leg, Plan

@@ -10,9 +10,9 @@ from collections.abc import Set as AbstractSet
 import anyio
 import numpy as np
 
-from rtee.capabilities import GripForce
 from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import GripForce
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.opening_plan import DeviceForces

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.openings import Opening
-from rtee.capabilities import GripForce
+from rtee.drivers.capabilities import GripForce
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.errors import DeviceFault, DriverError, foreign
 from rtee.objects.description import ObjectDescription
 from rtee.sample import NOTHING, ActuatorState, measured_arrays

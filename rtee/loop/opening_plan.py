@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from rtee.actions.naming import label
 from rtee.actions.openings import MARGIN, Opening, meeting, suitability
 from rtee.actions.types import Action
-from rtee.capabilities import GripForce
+from rtee.drivers.capabilities import GripForce
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip, check_force

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtee.capabilities import Capabilities
+from rtee.drivers.capabilities import Capabilities
 from rtee.hand.model import Hand
 from rtee.hand.touch import on_hand, scale_of
 from rtee.sample import NOTHING, FloatArray

@@ -23,8 +23,8 @@ from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.tick_driver import drive
-from rtee.prepare import RunOptions, prepare
 from rtee.remote.goal import GoalOptions, goal_of
+from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.bench import act
 from rtee.types import DeviceStatus, Event, Goal, Lifecycle, Result

@@ -10,7 +10,7 @@ import pytest
 
 from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
-from rtee.capabilities import GripForce
+from rtee.drivers.capabilities import GripForce
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import ActionError, GoalRejected
 from rtee.hand.load import load_configured

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.config_schema import TouchSection
 from rtee.hand.model import Hand

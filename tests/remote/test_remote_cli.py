@@ -14,7 +14,6 @@ import pytest
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
-from rtee.capabilities import Capabilities
 from rtee.cli import _common
 from rtee.cli._common import app_of
 from rtee.cli.define import compose
@@ -25,6 +24,7 @@ from rtee.cli.log import mark
 from rtee.cli.state import state
 from rtee.cli.status import status
 from rtee.cli.stop import recover, stop
+from rtee.drivers.capabilities import Capabilities
 from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.types import Lifecycle

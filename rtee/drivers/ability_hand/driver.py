@@ -16,7 +16,6 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
-from rtee.capabilities import Capabilities
 from rtee.drivers import wiring
 from rtee.drivers.ability_hand import codec
 from rtee.drivers.ability_hand.codec import (
@@ -33,6 +32,7 @@ from rtee.drivers.ability_hand.codec import (
 )
 from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import Unhurried, cycle_deadline
 from rtee.drivers.hold_on_attach import Attached

@@ -15,7 +15,6 @@ from pydantic import Field
 from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
-from rtee.capabilities import Capabilities
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
     FINGERS,
@@ -30,6 +29,7 @@ from rtee.drivers.allegro.codec import (
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.allegro.link import PATIENCE, AllegroLink
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.wiring import numbers_of

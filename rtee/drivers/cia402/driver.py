@@ -13,8 +13,8 @@ import numpy as np
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import NmtCommand
 from rtee.drivers.cia402.codec import Control, Limits, Mode, Object, Scale, State, StatusBit

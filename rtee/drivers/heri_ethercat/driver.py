@@ -16,8 +16,8 @@ from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, Ring, State
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (

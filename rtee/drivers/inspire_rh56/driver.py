@@ -17,8 +17,8 @@ from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.hold_on_attach import Attached

@@ -9,8 +9,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rtee.capabilities import GripForce
 from rtee.drivers import wiring
+from rtee.drivers.capabilities import GripForce
 from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE, OPEN
 from rtee.drivers.inspire_rh56.tactile import AREAS, Area
 from rtee.drivers.options import DeviceOptions, Positive

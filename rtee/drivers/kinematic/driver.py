@@ -11,8 +11,8 @@ from annotated_types import Ge, Gt, Interval
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.plain_options import read_plain_options
 from rtee.errors import (
     BusBroken,

@@ -16,8 +16,8 @@ import anyio.to_thread
 
 from rtee import monotonic
 from rtee.actions.library import ActionLibrary
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
 from rtee.errors import (

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 from rtee import monotonic
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_3fg.codec import (
     GEOMETRY,
     LIMITS,

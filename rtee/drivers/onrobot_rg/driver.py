@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TENTH_MM, OnRobotOptions, signed
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.onrobot_rg.codec import (

@@ -16,8 +16,8 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.orca_touch import codec

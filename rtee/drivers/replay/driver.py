@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected

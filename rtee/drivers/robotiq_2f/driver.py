@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
-from rtee.capabilities import GripForce
+from rtee.drivers.capabilities import GripForce
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options

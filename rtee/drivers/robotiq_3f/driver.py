@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
-from rtee.capabilities import GripForce
+from rtee.drivers.capabilities import GripForce
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,

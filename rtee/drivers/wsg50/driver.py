@@ -12,8 +12,8 @@ from pydantic import BaseModel, Field
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
-from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.options import DeviceOptions, read_options

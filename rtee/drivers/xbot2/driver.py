@@ -17,8 +17,8 @@ from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
-from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
+from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, Positive, read_options
