@@ -11,22 +11,20 @@ from rtee.buses.retry import patiently
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.table import Model, model_of
-from rtee.errors import ConfigError, DriverError, NotConnected
+from rtee.drivers.servo_identity import ATTEMPTS, SETTLES, claim, renumber
+from rtee.errors import DriverError
 
 _OWNER = "set-id"
 _DEADLINE = 0.1
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
-_ATTEMPTS = 4
-"""Attempts to write an id or a rate that the servo does not use afterwards."""
-_SETTLES = 0.02
-"""Time for a servo to store a value in its EEPROM [s]; no source gives one."""
 
 
 async def model_at(pool: BusPool, port: str, baudrate: int, number: int) -> Model | None:
     """Return the model of the servo with an id, ``None`` if none answers; raises `BusError`."""
     bus = await _line(pool, port, baudrate)
     try:
-        return await _asked(bus, number)
+        model = await _link(bus, number).model(number)
+        return None if model is None else model_of(model)
     finally:
         await bus.detach(_OWNER)
 
@@ -46,20 +44,12 @@ async def set_id(
     """
     bus = await _line(pool, port, baudrate)
     try:
-        if new != old and await _asked(bus, new) is not None:
-            raise ConfigError(f"there is a servo {new} at {port} already; take it off the line")
-        model = await _asked(bus, old)
-        if model is None:
-            raise NotConnected(
-                port, f"no servo {old} answers", hint="`rtee scan` lists the servos there are"
-            )
         link = _link(bus, old)
+        model = model_of(await claim(link, port, old, new))
         # With torque, a servo refuses to write its EEPROM.
         await patiently(partial(link.run, partial(link.write, old, table.TORQUE, 0)))
         if new != old:
-            await _store(bus, old, table.ID, new)
-            if not await _answers_as(bus, old, new):
-                raise DriverError(port, f"servo {old} does not take the id {new}")
+            await renumber(link, port, old, new, partial(_store, link, old, table.ID, new))
     finally:
         await bus.detach(_OWNER)
     if new_baudrate is not None and new_baudrate != baudrate:
@@ -68,11 +58,13 @@ async def set_id(
 
 
 async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -> None:
-    for _ in range(_ATTEMPTS):
+    for _ in range(ATTEMPTS):
         # Opened for each attempt, as `model_at` below opens the same line at the new rate.
         bus = await _line(pool, port, old)
         try:
-            await _store(bus, number, table.BAUD_RATE, table.BAUD_RATES.index(new))
+            rate = table.BAUD_RATES.index(new)
+            await _store(_link(bus, number), number, table.BAUD_RATE, rate)
+            await asyncio.sleep(SETTLES)
         finally:
             await bus.detach(_OWNER)
         # A servo with the new rate does not answer at the old one.
@@ -81,26 +73,9 @@ async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -
     raise DriverError(port, f"servo {number} does not take the rate of {new} baud")
 
 
-async def _answers_as(bus: DynamixelBus, old: int, new: int) -> bool:
-    """Return whether the servo has its new id; writes it again if not."""
-    for _ in range(_ATTEMPTS):
-        if await _asked(bus, new) is not None:
-            return True
-        await _store(bus, old, table.ID, new)
-    return False
-
-
-async def _store(bus: DynamixelBus, number: int, register: table.Register, value: int) -> None:
+async def _store(link: DynamixelLink, number: int, register: table.Register, value: int) -> None:
     """Write a register without expecting an answer: it may come with the new id or rate."""
-    link = _link(bus, number)
     await link.run(partial(link.write_group, register, {number: value}))
-    await asyncio.sleep(_SETTLES)
-
-
-async def _asked(bus: DynamixelBus, number: int) -> Model | None:
-    link = _link(bus, number)
-    model = await link.model(number)
-    return None if model is None else model_of(model)
 
 
 def _link(bus: DynamixelBus, number: int) -> DynamixelLink:
