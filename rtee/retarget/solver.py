@@ -28,7 +28,7 @@ matter [m]; between them the weight changes smoothly."""
 _FINGER: Final = 0.085
 """Length of a human finger, from the knuckle [m]: gaps scale as the hand's fingers do to it."""
 
-_PRIOR: Final = 0.5
+_PRIOR: Final = 0.6
 """Weight of how far the fingers are closed, where a tip's place leaves a choice [1/range]."""
 
 _STAY: Final = 0.6
@@ -44,7 +44,7 @@ _GAP: Final = 150.0
 _DRAW: Final = 0.5
 """Weight of the positions of the extracted pinch as the tips meet [1/range]."""
 
-_GRIP: Final = 10.0
+_GRIP: Final = 50.0
 """The same of a gripper, whose opening is all that it has."""
 
 _DRAWN: Final = 0.03
@@ -231,7 +231,8 @@ class Solver:
         """Return the weight of a gap and how wide it should be [m]."""
         beyond = max(0.0, distance - TOUCHING)
         share = min(1.0, max(0.0, (_MEET[1] - distance) / (_MEET[1] - _MEET[0])))
-        return share * share * (3.0 - 2.0 * share), pinch.scale * beyond
+        # Squared, so that a fist, whose tips are near one another as well, closes.
+        return (share * share * (3.0 - 2.0 * share)) ** 2, pinch.scale * beyond
 
     def _step(self, u: FloatArray, problem: _Problem) -> FloatArray:
         """Return the positions after one step of Gauss-Newton."""
