@@ -74,6 +74,7 @@ def serve(
     from rtee.loop.shutdown_signals import work_beside
     from rtee.ros2.serving import serve as serve_hands
     from rtee.ros2.serving import warnings
+    from rtee.ros2.session import check_session
 
     check_files()
     with needing_extra("ROS 2", "ros2"):
@@ -83,6 +84,8 @@ def serve(
     # All hands first, so that a wrong one ends the command before any node is made.
     shown = [_shown(hand, given, endpoint) for hand in hands]
     environment = environment_without(domain)
+    for each in shown:  # one sentence for a mistake, without the warnings of what it prevents
+        check_session(each.settings, environment, insecure=each.insecure)
     for warning in warnings(shown):
         print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)
 

@@ -126,6 +126,15 @@ def check_environment() -> None:
     configuration(Ros2Settings())
 
 
+def check_session(
+    settings: Ros2Settings, environment: Mapping[str, str], *, insecure: bool
+) -> None:
+    """Refuse settings and variables with which no session could open; raises `ConfigError`."""
+    domain_of(settings, environment)
+    router_attempts(environment)
+    configuration(settings, environment, insecure=insecure)
+
+
 def router_attempts(environment: Mapping[str, str] | None = None) -> int:
     """Return the number of checks for a router at the start; 0: no limit, negative: none.
 

@@ -197,6 +197,26 @@ def test_mistakes_are_told(
         talker(*words)
 
 
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [
+        ("ROS_DOMAIN_ID", "abc"),
+        ("ZENOH_SESSION_CONFIG_URI", "/nowhere"),
+        ("ZENOH_CONFIG_OVERRIDE", "mode"),
+        ("ZENOH_ROUTER_CHECK_ATTEMPTS", "often"),
+    ],
+)
+def test_a_bad_variable_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, variable: str, value: str
+) -> None:
+    monkeypatch.setenv(variable, value)
+    words = [*RTEE, "ros2", "serve", "robotiq_2f_85"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert variable in done.stderr
+
+
 def test_a_router_that_is_not_there_is_told() -> None:
     with pytest.raises(NoRouter, match="no router of ROS 2 at"):
         CliRunner().invoke(
