@@ -14,6 +14,10 @@ from typing import Any
 import dora
 import pyarrow as pa
 
+ATTEMPTS = 5
+"""Sessions in which to look for a server: now and then, one of dora-rs misses what was in the graph
+before it, and another one finds it."""
+
 
 def say(**fields: Any) -> None:
     print(json.dumps(fields), flush=True)
@@ -135,6 +139,13 @@ TASKS: dict[str, Callable[..., None]] = {
 if __name__ == "__main__":
     prefix, session, name, task, place, kind, *words = sys.argv[1:]
     kind = "/".join(kind.split("/")[::2])  # dora-rs leaves out whether it is a msg, srv or action
-    context = open_context(prefix, session)  # its nodes leave the graph when it is dropped
-    node = context.new_node(name, "/dora", dora.Ros2NodeOptions(rosout=False))
-    TASKS[task](node, dora.Ros2QosPolicies(reliable=True, keep_last=10), place, kind, *words)
+    qos = dora.Ros2QosPolicies(reliable=True, keep_last=10)
+    for left in reversed(range(ATTEMPTS)):
+        context = open_context(prefix, session)  # its nodes leave the graph when it is dropped
+        node = context.new_node(name, "/dora", dora.Ros2NodeOptions(rosout=False))
+        try:
+            TASKS[task](node, qos, place, kind, *words)
+            break
+        except RuntimeError as error:
+            if "readiness timed out" not in str(error) or not left:
+                raise
