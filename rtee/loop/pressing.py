@@ -85,6 +85,9 @@ posture takes its share."""
 _POSTURE = 0.25
 """Share of the effort limit that carries a finger and overcomes its friction, besides the force."""
 
+_KNOWN = 0.05
+"""The same share once weight and friction are known from the approach."""
+
 _FULL = 0.97
 """An actuator counts as at its effort limit from this share of it on."""
 
@@ -110,18 +113,29 @@ _CONFIRMED = 2
 """Measurements in succession that must show a slip: a single one may be noise."""
 
 
-def ceilings(hand: Hand, predicted: dict[int, float], indices: Iterable[int]) -> dict[int, float]:
+def ceilings(
+    hand: Hand,
+    predicted: dict[int, float],
+    indices: Iterable[int],
+    weight: Callable[[int], float] | None = None,
+) -> dict[int, float]:
     """Return effort limits of actuators that keep their posture [N·m | N], by index.
 
     Args:
         hand: The hand.
         predicted: Efforts of those that press, by the levers [N·m | N].
         indices: The actuators.
+        weight: What each takes besides the force [N·m | N]; ``None``: not known yet.
     """
     limits = {}
     for i in indices:
         full = hand.actuators[i].effort
-        limits[i] = min(_SPARE * predicted[i] + _POSTURE * full, full) if i in predicted else full
+        if i not in predicted:
+            limits[i] = full
+            continue
+        known = weight(i) if weight is not None else math.nan
+        own = _SPARE * abs(known) + _KNOWN * full if known == known else _POSTURE * full
+        limits[i] = min(_SPARE * predicted[i] + own, full)
     return limits
 
 
@@ -142,8 +156,8 @@ class Tare:
             self._mean[i] = before + min(time / _TARE, 1.0) * (effort - before)
 
     def of(self, i: int) -> float:
-        """Return the effort [N·m | N]; 0: not known."""
-        return self._mean.get(i, 0.0)
+        """Return the effort [N·m | N]; ``NaN``: not known."""
+        return self._mean.get(i, math.nan)
 
 
 class ForceEstimate:
@@ -157,6 +171,11 @@ class ForceEstimate:
         self._hand, self._grip, self._tare = hand, grip, tare
         closing = (math.copysign(1.0, t - r) for t, r in zip(grip.target, grip.rest, strict=True))
         self._closing = dict(zip(grip.indices, closing, strict=True))
+
+    @property
+    def weight(self) -> Callable[[int], float]:
+        """What an actuator takes besides the force [N·m | N]; ``NaN``: not known."""
+        return self._tare.of
 
     def known(self, measured: Measured, pressing: Iterable[int]) -> bool:
         """Return whether the force is measured, or all efforts that make it are."""
@@ -199,7 +218,12 @@ class ForceEstimate:
         for k, i, lever in grip.squeezing(grip.intensity_of(position)):
             for name in self._hand.actuators[i].fingers:
                 finger = names.index(name)
-                held = (effort[i] - self._tare.of(i)) * self._closing[i] * grip.efficiency[k]
+                weight = self._tare.of(i)
+                held = (
+                    (effort[i] - (weight if weight == weight else 0.0))
+                    * self._closing[i]
+                    * grip.efficiency[k]
+                )
                 along[finger] = along.get(finger, 0.0) + lever * held
                 square[finger] = square.get(finger, 0.0) + lever * lever
         sides = [
@@ -289,7 +313,7 @@ class Pressing:
         if i in self._way:
             self._base[i] = self._limiter.position[i] - self._share * self._way[i]
             self.held.add(i)
-            self.effort |= ceilings(self._hand, self._wanted_efforts(), (i,))
+            self.effort |= self._ceilings((i,))
 
     def forget(self, i: int) -> None:
         """Forget an actuator."""
@@ -408,8 +432,9 @@ class Pressing:
         self._rested = self._touches(measured)
         self._by_efforts = self._estimate.by_efforts(measured.effort, measured.position)
 
-    def _wanted_efforts(self) -> dict[int, float]:
-        return {i: self._level * effort for i, effort in self._predicted.items()}
+    def _ceilings(self, indices: Iterable[int]) -> dict[int, float]:
+        predicted = {i: self._level * effort for i, effort in self._predicted.items()}
+        return ceilings(self._hand, predicted, indices, self._estimate.weight)
 
     def _touches(self, measured: Measured) -> dict[int, float]:
         """Return the force on the fingers of each actuator that presses [N]."""
@@ -432,7 +457,7 @@ class Pressing:
             return False
         before = self._level
         self._level = min(before * (1.0 + _SLIP), max(self._most, 1.0))
-        self.effort |= ceilings(self._hand, self._wanted_efforts(), self.held)
+        self.effort |= self._ceilings(self.held)
         self._rested, self._slipping = now, 0
         limited = self._level <= before
         if stamp - self._reported >= _REPORT_EVERY and not (limited and self._reported_limit):
