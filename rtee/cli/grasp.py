@@ -133,4 +133,7 @@ def touch(
         print(result_json(result))
     else:
         print(sentence(result, result.elements))
+        # A goal that was ended has an outcome of its own, and touched nothing all the same.
+        if not result.touched and result.outcome is not Outcome.EMPTY:
+            print("nothing was touched")
     raise typer.Exit(0 if result.succeeded else 1)
