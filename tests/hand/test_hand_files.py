@@ -8,8 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtee.errors import ConfigError
-from rtee.hand.files import check_writable, make_folder, read_bytes, write_atomically
+from rtee.errors import ConfigError, ModelError
+from rtee.hand.files import (
+    check_writable,
+    make_folder,
+    read_bytes,
+    temporary_folder,
+    write_atomically,
+)
 from rtee.hand.names import check_name, common_prefix, safe_name
 
 
@@ -129,3 +135,11 @@ def test_folders_that_cannot_be(tmp_path: Path) -> None:
 def test_reading_what_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="calibration does not exist"):
         read_bytes(tmp_path / "none", "calibration")
+
+
+@pytest.mark.parametrize("origin", [Path("hand.xacro"), None])
+def test_errors_name_no_file_of_a_temporary_folder(origin: Path | None) -> None:
+    with pytest.raises(ModelError) as caught, temporary_folder(origin) as folder:
+        raise ModelError(f"there is no {folder / 'tip.stl'}", path=folder / "hand.urdf", line=7)
+    assert (caught.value.path, caught.value.line) == (origin, None)
+    assert caught.value.message == "there is no tip.stl"
