@@ -11,8 +11,7 @@ The tree::
     │   │   └── UnknownJoint · UnknownActuator · UnknownFinger · UnknownLink
     │   ├── ExtractionError        a model from which no action can be extracted
     │   ├── ActionError            an action's file or definition
-    │   │   ├── UnknownAction
-    │   │   └── GoalRejected       a goal that cannot be executed
+    │   │   └── UnknownAction
     │   ├── CalibrationError       a calibration that does not fit the device
     │   └── LogError               a recording that cannot be read
     ├── BusError(bus)
@@ -36,6 +35,7 @@ The tree::
         ├── NotReady (TimeoutError)  a device of the hand is not active in time
         ├── LeaseHeld              another client holds the lease
         └── RequestRejected        the hand refused, with its reason
+            ├── GoalRejected (ActionError)  a goal that cannot be executed
             └── TooManyRequests    this client sends requests too fast
 """
 
@@ -301,10 +301,6 @@ class UnknownAction(ActionError):
         self.valid = tuple(valid)
 
 
-class GoalRejected(ActionError):
-    """A goal that cannot be executed; the hand has not moved."""
-
-
 class CalibrationError(UserError):
     """A calibration that is missing, of another device, or out of range.
 
@@ -476,6 +472,13 @@ class RequestRejected(RemoteError):
     """The hand refused a request, with its reason."""
 
     exit_status: ClassVar[int] = 2
+
+
+class GoalRejected(ActionError, RequestRejected):
+    """A goal, or another motion, that cannot be executed; the hand has not moved.
+
+    The same error, whether the hand refuses it or this computer already does.
+    """
 
 
 class TooManyRequests(RequestRejected):

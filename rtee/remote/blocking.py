@@ -393,7 +393,7 @@ def connect_blocking(
     *,
     endpoint: str | None = None,
     client: str = "python",
-    wait: float = 0.0,
+    wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> BlockingHand:
     """Connect to a running hand by an event loop in another thread.
@@ -408,7 +408,7 @@ def opened(
     *,
     endpoint: str | None = None,
     client: str = "python",
-    wait: float = 0.0,
+    wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> tuple[BlockingPortal, RemoteHand, contextlib.ExitStack]:
     """Return what a `BlockingHand` is made of; arguments and errors are those of `connect`."""

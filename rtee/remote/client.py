@@ -13,12 +13,12 @@ import uuid
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, SupportsFloat, TypeVar
 
 import anyio
 import anyio.to_thread
 
-from rtee.errors import ConfigError, NoHand, RemoteError
+from rtee.errors import ConfigError, GoalRejected, NoHand, RemoteError
 from rtee.hand.names import safe_name
 from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.action_client import ActionClient
@@ -221,6 +221,9 @@ class RemoteHand:
         Args:
             positions: Target by actuator [rad | m]; clamped to the limits.
             max_velocity: Velocity limit [rad/s | m/s]; ``None``: the actuators' own limits.
+
+        Raises:
+            GoalRejected: if a value is no number, or an actuator is unknown.
         """
         await self._send_values("jog", "", positions, max_velocity)
         self._lease.jogged = True
@@ -271,6 +274,9 @@ class RemoteHand:
     async def _send_values(
         self, name: str, source: str, values: Mapping[str, float], limit: float | None = None
     ) -> None:
+        for key, value in values.items():
+            if not isinstance(value, SupportsFloat):
+                raise GoalRejected(f"the value of '{key}' must be a number, not {value!r:.100}")
         fields = {
             "client": self.client,
             "source": source,
@@ -312,7 +318,7 @@ async def connect(
     *,
     endpoint: str | None = None,
     client: str = "python",
-    wait: float = 0.0,
+    wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> AsyncIterator[RemoteHand]:
     """Connect to a running hand for as long as the context lasts.
@@ -349,7 +355,7 @@ async def _linked(
     hand: str | None,
     endpoint: str | None,
     client: str,
-    wait: float,
+    wait: float | str,
     on_wait: Callable[[str], object] | None,
 ) -> AsyncIterator[tuple[Link, Path | None]]:
     """Open a link to a hand, which does not know this client yet, and find its stop socket."""

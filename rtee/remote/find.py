@@ -19,6 +19,7 @@ from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running
 from rtee.remote.session import open_client, way_to
 from rtee.remote.stopping import stop_path
+from rtee.units import TIME, quantity
 
 VARIABLE = "RTEE_CONNECT"
 """Environment variable with the endpoint of a hand on another computer."""
@@ -51,7 +52,7 @@ def hands_running() -> dict[str, Running]:
 async def open_hand(
     hand: str | None,
     endpoint: str | None,
-    wait: float,
+    wait: float | str,
     on_wait: Callable[[str], object] | None = None,
 ) -> Found:
     """Find a hand and open a session with it.
@@ -69,7 +70,7 @@ async def open_hand(
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    until, reported = monotonic.now() + wait, ""
+    until, reported = monotonic.now() + quantity(wait, TIME, "wait"), ""
     while True:
         try:
             return await (_elsewhere(hand, endpoint) if endpoint else _here(hand))

@@ -14,7 +14,7 @@ import anyio
 
 from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
 from rtee.messages import GOAL
-from rtee.remote.goal_values import check_types, reactions, sizes
+from rtee.remote.goal_values import check_types, names, reactions, sizes, tolerances
 from rtee.remote.hand_info import HandInfo
 from rtee.remote.link import ANSWER_WITHIN, Link
 from rtee.remote.running_goal import RunningGoal, RunningGoals
@@ -87,7 +87,7 @@ class GoalClient:
             options: See `GoalOptions`.
 
         Raises:
-            RequestRejected: if the hand refuses the goal, with the reason.
+            GoalRejected: if the hand refuses the goal, with the reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
@@ -184,15 +184,14 @@ class GoalClient:
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
-            GoalRejected: if a value is not such a quantity.
-            RequestRejected: if the hand refuses the goal, with the reason.
+            GoalRejected: if a value cannot be used, or the hand refuses the goal, with the reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
         options: GoalOptions = {"opening": opening}
         if speed is not None:
             options["tip_speed"] = speed
-        return await self.do("", *(fingers or ()), on_feedback=on_feedback, **options)
+        return await self.do("", *names(fingers), on_feedback=on_feedback, **options)
 
     async def start_grasp(
         self,
@@ -208,18 +207,18 @@ class GoalClient:
         max_force: float | str | None = None,
     ) -> RunningGoal:
         """Begin to grasp an object and return at once; see `grasp`."""
-        inner, outer = tolerance
+        narrower, wider = tolerances(tolerance)
         goal = Goal(
             action,
-            tuple(fingers or ()),
+            names(fingers),
             timeout=timeout,
             client=self._link.client,
             opening=quantity(width, LENGTH, "width"),
             force=None if force is None else quantity(force, FORCE, "force"),
             tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
             grasp=True,
-            narrower=quantity(inner, LENGTH, "tolerance"),
-            wider=quantity(outer, LENGTH, "tolerance"),
+            narrower=narrower,
+            wider=wider,
             on_contact=reactions({} if on_contact is None else on_contact),
             max_force=None if max_force is None else quantity(max_force, FORCE, "largest force"),
         )
@@ -262,9 +261,8 @@ class GoalClient:
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
-            GoalRejected: if a value is not such a quantity.
-            RequestRejected: if the hand refuses the goal, with the reason and the nearest possible
-                value.
+            GoalRejected: if a value cannot be used, or the hand refuses the goal, with the reason
+                and the nearest possible value.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
@@ -292,7 +290,7 @@ class GoalClient:
         """Begin to close until a first contact and return at once; see `touch`."""
         goal = Goal(
             action,
-            tuple(fingers or ()),
+            names(fingers),
             timeout=timeout,
             client=self._link.client,
             tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
@@ -322,8 +320,7 @@ class GoalClient:
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
-            GoalRejected: if a value is not such a quantity.
-            RequestRejected: if the hand refuses the goal, with the reason.
+            GoalRejected: if a value cannot be used, or the hand refuses the goal, with the reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """

@@ -53,6 +53,23 @@ def check_types(
         )
 
 
+def names(fingers: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names of fingers; raises `GoalRejected` for a single text, a list of letters."""
+    if isinstance(fingers, str):
+        raise GoalRejected(f"the fingers are a list of names, such as [{fingers!r:.100}]")
+    return tuple(fingers or ())
+
+
+def tolerances(pair: tuple[float | str, float | str]) -> tuple[float, float]:
+    """Return how much narrower and wider a width may be [m]; raises `GoalRejected`."""
+    if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
+        raise GoalRejected(
+            f"the tolerance is two lengths, narrower and wider, such as ('5mm', '5mm'), "
+            f"not {pair!r:.100}"
+        )
+    return quantity(pair[0], LENGTH, "tolerance"), quantity(pair[1], LENGTH, "tolerance")
+
+
 def sizes(options: Mapping[str, Any]) -> dict[str, float]:
     """Return the quantities among the options in SI units; raises `GoalRejected`.
 

@@ -12,6 +12,7 @@ from typing import Any
 import zenoh
 
 from rtee.errors import (
+    GoalRejected,
     LeaseHeld,
     MessageError,
     NoHand,
@@ -273,6 +274,8 @@ class Link:
                 return LeaseHeld(reply["text"])
             case "TooManyRequests":
                 return TooManyRequests(reply["reason"])
+            case "GoalRejected" | "UnknownAction" | "ActionError":
+                return GoalRejected(reply["reason"])
             case _:
                 return RequestRejected(reply["reason"])
 

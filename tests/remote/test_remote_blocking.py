@@ -299,3 +299,26 @@ def test_however_a_call_is_left_its_goal_ends(
             assert remote.do("Grasp", intensity=0.05).reached
     finally:
         signal.signal(signal.SIGUSR1, before)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "told"),
+    [
+        (lambda hand: hand.jog({"near": "0.1"}), "value of 'near' must be a number"),
+        (lambda hand: hand.jog({"nea": 0.1}), "did you mean 'near'"),
+        (lambda hand: hand.do("Trig", "index", intensity=2.0), "intensity must be 0 to 1, not 2"),
+        (lambda hand: hand.do("no_such_action"), "unknown action 'no_such_action'"),
+        (lambda hand: hand.grasp("30mm", fingers="index"), r"a list of names, such as \['index'\]"),
+        (lambda hand: hand.touch("index"), r"a list of names, such as \['index'\]"),
+        (lambda hand: hand.grasp("30mm", tolerance="99"), "two lengths, narrower and wider"),
+        (lambda hand: hand.grasp(None), "width must be a length, such as 30mm"),
+    ],
+)
+def test_this_computer_and_the_hand_refuse_by_the_same_error(
+    served: Served, mistake: Callable[[BlockingHand], object], told: str
+) -> None:
+    with rtee.connect_blocking("small", wait="3s") as remote:
+        with pytest.raises(GoalRejected, match=told) as caught:
+            mistake(remote)
+        assert isinstance(caught.value, RequestRejected)
+        assert isinstance(caught.value, ValueError)
