@@ -25,6 +25,7 @@ from common import HELP, Table, command_line
 
 from rtee.actions.types import Primitive
 from rtee.extract.extraction import extract
+from rtee.hand.config_schema import ActuatorLimits
 from rtee.hand.limits import Overrides
 from rtee.hand.load import build_hand, load_configured, load_model
 from rtee.hand.meshes import resolve_mesh
@@ -66,15 +67,20 @@ class Model:
         for name, element in (("urdf", self.urdf), ("srdf", self.srdf)):
             (folder / f"hand.{name}").write_bytes(ET.tostring(element))
         given = self.hand
-        rest = {}
+        rest, limits = {}, {}
         for spec in given.actuators:
             factor = self.scale if spec.kind is JointKind.PRISMATIC else 1.0
-            rest[self.names.get(spec.name, spec.name)] = spec.rest * factor
+            name = self.names.get(spec.name, spec.name)
+            rest[name] = spec.rest * factor
+            # Those of hand.yaml may be narrower than the URDF's.
+            if math.isfinite(spec.lower) and math.isfinite(spec.upper):
+                limits[name] = ActuatorLimits(lower=spec.lower * factor, upper=spec.upper * factor)
         ignored = [j.name for j in given.joints if j.role is JointRole.IGNORED]
         overrides = Overrides(
             name="variation",
             package_dirs=given.package_dirs,
             rest=rest,
+            limits=limits,
             ignore=tuple(self.names.get(name, name) for name in ignored),
             clearance=given.clearance * self.scale,
         )
