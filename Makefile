@@ -98,7 +98,7 @@ format: .venv/.ready
 
 docs: .venv/.ready
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --group docs
-	$(BIN)/zensical build --strict
+	$(BIN)/zensical build --strict --clean
 
 bench: .venv/.ready
 	for name in extract loop latency log drivers codecs gui simulation; do \
