@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,21 @@ def test_a_mac_would_find_actions_run_a_hand_and_replay(tmp_path: Path, reposito
         assert "1 actuator" in run.stdout.readline()
         assert "reached" in python("-m", "rtee", "do", "Grasp")
         assert "active" in python("-m", "rtee", "status")
+        with subprocess.Popen(
+            [sys.executable, "-m", "rtee", "gui", "--port", "0"],
+            env=environment,
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as gui:
+            assert gui.stdout is not None
+            address = next(word for word in gui.stdout.readline().split() if "http://" in word)
+            browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+            try:
+                with browser.open(address) as page:
+                    assert b"<html" in page.read()
+            finally:
+                gui.send_signal(signal.SIGINT)
         run.send_signal(signal.SIGINT)
     assert run.returncode == 0
     assert "the same" in python("-m", "rtee", "log", "replay", "--check", "logs")
