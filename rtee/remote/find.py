@@ -70,7 +70,9 @@ async def open_hand(
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    until, reported = monotonic.now() + quantity(wait, TIME, "wait"), ""
+    # A number may be infinite.
+    longest = quantity(wait, TIME, "wait") if isinstance(wait, str) else wait
+    until, reported = monotonic.now() + longest, ""
     while True:
         try:
             return await (_elsewhere(hand, endpoint) if endpoint else _here(hand))
