@@ -220,7 +220,10 @@ class CommandHandlers:
         return stream
 
     def _end_stream(self, request: IncomingRequest) -> str:
-        self._loop.streams.end(request.fields["stream"])
+        stream = request.fields["stream"]
+        self._loop.streams.end(stream)
+        # The answer says that the hand is free: the next command comes after the end in the loop.
+        self._lease.ended(stream)
         return ""
 
     def _gains(self, request: IncomingRequest) -> None:

@@ -6,6 +6,7 @@ async with hand.stream(rate=50) as stream:
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import itertools
 import math
@@ -156,21 +157,19 @@ class StreamClient:
             "effort": [float(limit) for limit in limits.values()],
         }
         stream = self._open[name] = Stream(link, self._monitoring, name, f"s{number}")
-        refused = False
         try:
             with link.refusals(f"s{number}", stream.refuse):
+                begun = asyncio.ensure_future(link.ask("begin_stream", fields))
                 try:
-                    try:
-                        await link.ask("begin_stream", fields)
-                    except RequestRejected:
-                        refused = True
-                        raise
+                    await asyncio.shield(begun)
                     yield stream
                 finally:
                     # Even if cancelled before the answer arrived, since an open stream holds the
-                    # lease. Shielded: a cancelled client must end its stream before its deadline.
+                    # lease; the answer comes first, since what has not begun cannot be ended.
+                    # Shielded: a cancelled client must end its stream before its deadline.
                     with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                        if not (refused or stream.ended or link.gone):
+                        await begun
+                        if not (stream.ended or link.gone):
                             await link.ask("end_stream", {"client": link.client, "stream": name})
             stream.check()  # a refusal of the last samples
         finally:

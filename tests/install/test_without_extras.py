@@ -66,7 +66,7 @@ sys.path.insert(0, sys.argv[1])
 from hidden import Hider
 sys.meta_path.insert(0, Hider(sys.argv[2].split(",")))
 import rtee
-rooms = "loop remote log drivers buses actions messages gui testing run prepare types errors"
+rooms = "loop remote log drivers buses actions messages gui testing running types errors"
 names = [f"rtee.{room}" for room in rooms.split()]
 for name in names[:]:
     module = importlib.import_module(name)
