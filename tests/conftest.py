@@ -54,6 +54,7 @@ LONG = {name: float(seconds) for seconds, name in map(str.split, _LINES)}
 
 
 AGAIN = {
+    "tests/agent/": "Zenoh's threads and timers are in real time",
     "tests/buses/": "real ports, whose threads wait for a processor",
     "tests/cli/test_calibrate_opening.py": "a process on a real port",
     "tests/deploy/test_unprivileged.py": "a process that asks for real-time priority",

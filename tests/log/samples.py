@@ -166,7 +166,8 @@ class Log:
 
 
 def settings(folder: Path, **changes: object) -> RecorderSettings:
-    values: dict[str, object] = {"directory": folder, "sync": False}
+    # Simulated time passes faster than a busy computer writes: what waits is not dropped.
+    values: dict[str, object] = {"directory": folder, "sync": False, "queue_time": 600.0}
     return RecorderSettings(**(values | changes))  # type: ignore[arg-type]
 
 
