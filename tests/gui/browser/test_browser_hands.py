@@ -71,14 +71,14 @@ def test_fingers_stop_where_they_touch(
         window.choose("On contact", "stop", more)
         window.says("finger_1: hold · others: stop", more)
         window.button("Do", card).click()
-        window.says(re.compile(r"touched with finger_\d, finger_\d"), card)
+        window.says(re.compile(r"touched by finger_\d, finger_\d"), card)
         assert hand.state().reference_position[0] < 0.9 * closed
         window.button("Open").click()
         window.choose("On contact", "as configured", more)
         window.choose("Contact of", "finger_1", more)
         window.choose("On contact", "as configured", more)
         window.button("Touch", more).click()
-        window.says("touched with", card)
+        window.says("touched by", card)
         assert hand.state().reference_position[0] < 0.9 * closed
         window.button("Open").click()
 
@@ -110,7 +110,7 @@ def test_an_object_is_held_by_its_width_and_a_force(
         # The ball is wider than what is asked for: held, but outside of the tolerance.
         window.type("Width [mm]", "20", panel)
         window.button("Grasp", panel).click()
-        held = window.says("something of another width is held at", panel)
+        held = window.says("something of another width is held by", panel)
         assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)
         window.button("Open").click()
 
@@ -220,7 +220,7 @@ def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: 
     window.button("Try").click()
     window.says(re.compile(r"Grasp on box:0\.05x0\.04x0\.1: held, \d of 2 variations"))
     window.button("Grasp").first.click()
-    window.says(re.compile("^(reached|grasped with .*|stalled)$"))
+    window.says(re.compile("^(reached|held by .*|stalled)$"))
     window.tab("Actions")
     window.says("Tried now: box:0.05x0.04x0.1: held", window.folder("Grasp"))
     window.button("Open").click()

@@ -59,8 +59,12 @@ def test_the_palette_finds_actions_of_this_hand(window: Window, other: BlockingH
     window.until(lambda: other.state().position[0] >= 0.5)
 
 
-def test_tab_goes_from_stop_through_the_controls_and_is_seen(window: Window) -> None:
+def test_tab_goes_from_stop_through_the_controls_and_is_seen(
+    window: Window, other: BlockingHand
+) -> None:
     page = window.page
+    other.admit_agents()  # whom an earlier stop has shut out, which shows a button
+    window.button("Let agents in").wait_for(state="hidden")
     window.button("STOP").focus()
     seen = []
     for _ in range(8):
