@@ -17,7 +17,7 @@ import anyio
 
 from rtee import monotonic
 from rtee.commands import STREAM_ENDED, StreamStatus, StreamTargets
-from rtee.errors import GoalRejected, RemoteError, RequestRejected
+from rtee.errors import GoalRejected, NoHand, RemoteError, RequestRejected
 from rtee.messages import EVENT, topics
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.link import Link
@@ -168,7 +168,8 @@ class StreamClient:
                     # lease; the answer comes first, since what has not begun cannot be ended.
                     # Shielded: a cancelled client must end its stream before its deadline.
                     with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                        await begun
+                        with contextlib.suppress(NoHand):  # its answer may be lost, and it be open
+                            await begun
                         if not (stream.ended or link.gone):
                             await link.ask("end_stream", {"client": link.client, "stream": name})
             stream.check()  # a refusal of the last samples

@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import anyio
 import anyio.lowlevel
@@ -16,7 +17,7 @@ import pytest
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.commands import STREAM_ENDED, StreamTargets
-from rtee.errors import GoalRejected, LeaseHeld, RequestRejected
+from rtee.errors import GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.client import RemoteHand
@@ -238,6 +239,25 @@ async def test_who_gives_up_before_a_stream_is_open_does_not_keep_it(
                 pass
         assert scope.cancelled_caught
         assert (await other.status()).stream.stream == ""
+        assert (await other.do("Trig", "index", intensity=0.2)).reached
+
+
+async def test_a_stream_whose_first_answer_is_lost_does_not_stay_open(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with serving(hand, library), rtee.connect() as one, rtee.connect() as other:
+        ask = one._link.ask
+
+        async def losing(name: str, *question: Any, **options: Any) -> dict[str, Any]:
+            answer = await ask(name, *question, **options)
+            if name == "begin_stream":
+                raise NoHand("no answer")
+            return answer
+
+        monkeypatch.setattr(one._link, "ask", losing)
+        with pytest.raises(NoHand):
+            async with one.stream(rate=50):
+                pass
         assert (await other.do("Trig", "index", intensity=0.2)).reached
 
 
