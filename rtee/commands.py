@@ -10,6 +10,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from rtee.values import Value
+
 
 @dataclass(frozen=True, slots=True)
 class Cancel:
@@ -218,7 +220,7 @@ class StreamTargets:
 
 
 @dataclass(frozen=True, slots=True)
-class StreamStatus:
+class StreamStatus(Value):
     """Status of a stream of set-points.
 
     Attributes:

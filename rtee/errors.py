@@ -27,7 +27,7 @@ The tree::
     │   └── CommandRejected        a reference that the device refuses
     ├── MessageError (ValueError)  bytes that are not a valid message
     ├── WorkerLost                 a worker process was ended from outside
- ├── SimulationUnstable         the equations of a simulation diverged
+    ├── SimulationUnstable         the equations of a simulation diverged
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
@@ -48,7 +48,7 @@ import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 from urllib.parse import unquote, urlsplit
 
 
@@ -63,6 +63,20 @@ class RteeError(Exception):
 
     def __str__(self) -> str:  # OSError among the bases would print "[Errno …]"
         return self.text
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.text))
+
+    # By default, a copy is made by calling the class with the text alone.
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), *self.args), vars(self)
+
+
+def _again(kind: type[RteeError], *arguments: object) -> RteeError:
+    return kind.__new__(kind, *arguments)
 
 
 def foreign(text: str, refuse: Callable[[str], Exception] | None = None) -> str:

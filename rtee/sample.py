@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.touch import TouchReading, TouchState
+from rtee.values import Value
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -58,7 +59,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Measurements:
+class Measurements(Value):
     """The measured quantities of actuators; ``NaN``: not measured.
 
     The arrays are ``(n,)`` at one moment, ``(k, n)`` over time.

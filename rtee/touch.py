@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtee.values import Value
+
 FloatArray = NDArray[np.float64]
 
 NEWTON: Final = "N"
@@ -28,8 +30,8 @@ def _nowhere() -> FloatArray:
     return np.zeros((0, 3))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TouchSensor:
+@dataclass(frozen=True, slots=True)
+class TouchSensor(Value):
     """A contact sensor, or an array of taxels, on one link.
 
     Attributes:
@@ -73,8 +75,8 @@ class TouchSensor:
         return bool(self.link) and len(self.position) == self.taxels
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TouchReading:
+@dataclass(frozen=True, slots=True)
+class TouchReading(Value):
     """A reading of all touch sensors of a device, as returned by its driver.
 
     Attributes:
@@ -89,8 +91,8 @@ class TouchReading:
 
 
 # Without slots, since `cached_property` stores its values in the instance's dictionary.
-@dataclass(frozen=True, eq=False)
-class TouchState:
+@dataclass(frozen=True)
+class TouchState(Value):
     """The newest reading of one device's touch sensors, with the sensors.
 
     Attributes:

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rtee.sample import NOTHING, BoolArray, FloatArray
+from rtee.values import Value
 
 
 # A function, since a dataclass refuses the mapping itself as a default: it has no hash.
@@ -48,7 +49,7 @@ class JointKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class ActuatorSpec:
+class ActuatorSpec(Value):
     """The properties of one actuator, for the loop and the drivers.
 
     Attributes:
@@ -184,7 +185,7 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceStatus:
+class DeviceStatus(Value):
     """Status of a device, published at a low rate.
 
     Attributes:
@@ -296,7 +297,7 @@ def new_goal_id() -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Goal:
+class Goal(Value):
     """A request to execute a grasping action.
 
     Attributes:
@@ -356,7 +357,7 @@ class Goal:
 
 
 @dataclass(frozen=True, slots=True)
-class Feedback:
+class Feedback(Value):
     """The progress of a goal, by measured positions.
 
     Attributes:
@@ -375,7 +376,7 @@ class Feedback:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class Result(Value):
     """The result of a goal: one word, `outcome`, and flags that are independent of one another.
 
     It has no truth value: ``if hand.do(...)`` would not tell which of them is meant.
@@ -455,13 +456,17 @@ class Result:
         """Whether the outcome is ``held``, ``touched`` or ``reached``."""
         return self.outcome in _SUCCESS
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON has them, and the ``outcome``; see `Value.to_dict`."""
+        return {"outcome": self.outcome.value, **Value.to_dict(self)}
+
     def __bool__(self) -> bool:
         """Raise `TypeError`: a result has no truth value."""
         raise TypeError("a result is neither true nor false; ask its 'succeeded' or its 'outcome'")
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class Event(Value):
     """A notable occurrence that is neither feedback nor a result.
 
     Attributes:
@@ -481,7 +486,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopStatistics:
+class LoopStatistics(Value):
     """Statistics of the loop's clock since its start, with the rate over the last window.
 
     Attributes:

@@ -339,6 +339,25 @@ class ActionLibrary:
         return True
 
 
+def load_actions(hand: Hand | str | Path) -> ActionLibrary:
+    """Return the stored actions of a hand.
+
+    Args:
+        hand: The hand, as `rtee.load_hand` returns it; or its name, or the path of its folder.
+
+    Raises:
+        ConfigError: if there is no such hand, or it was made without a folder.
+        ActionError: for every mistake in the files, with file and line.
+    """
+    # Imported only here, since a client's library needs no YAML.
+    from rtee.hand.load import hand_folder, load_hand
+
+    folder = hand_folder(hand)[0]
+    return ActionLibrary.load(
+        hand if isinstance(hand, Hand) else load_hand(folder), folder / "actions"
+    )
+
+
 def _files_in(hand: Hand, folder: Path) -> ActionFiles:
     # Imported only here, since a library in memory, as in a client, needs no pydantic and YAML.
     from rtee.actions.action_files import ActionFiles

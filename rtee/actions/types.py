@@ -8,6 +8,8 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import ClassVar, Final, Literal, Protocol, Self
 
+from rtee.values import Value
+
 
 class ActionKind(StrEnum):
     """The four kinds of grasping actions."""
@@ -76,7 +78,7 @@ class PrimitiveKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Posture:
+class Posture(Value):
     """Actuator positions, with the mask of the involved ones.
 
     Attributes:
@@ -94,7 +96,7 @@ class Posture:
 
 
 @dataclass(frozen=True, slots=True)
-class Opposition:
+class Opposition(Value):
     """Opposition of the contact forces of two tips in a pinch.
 
     Attributes:
@@ -119,7 +121,7 @@ FARTHEST_CLEARANCE: Final = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(Value):
     """Results of the extraction at a posture, in the frame of the hand's base.
 
     Attributes:
@@ -153,7 +155,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class ActionReference:
+class ActionReference(Value):
     """A use of an action inside another one.
 
     Attributes:
@@ -172,7 +174,7 @@ class _WithPosture(Protocol):
     def posture(self) -> Posture: ...
 
 
-class _Action:
+class _Action(Value):
     """Base class of all kinds of actions, with the defaults for actions without parts."""
 
     # A base class without `__slots__` would give every action a dictionary.
@@ -292,7 +294,7 @@ class Composed(_Custom):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Step(Value):
     """One inner action of a timed action.
 
     Attributes:
@@ -359,7 +361,10 @@ class Generic(_Custom):
 
 
 CustomAction = Composed | Timed | Generic
+"""A grasping action that people define."""
+
 Action = Primitive | CustomAction
+"""A grasping action of any kind."""
 
 
 def kind_of(action: Action) -> ActionKind:
@@ -368,7 +373,7 @@ def kind_of(action: Action) -> ActionKind:
 
 
 @dataclass(frozen=True, slots=True)
-class PrimitiveGroup:
+class PrimitiveGroup(Value):
     """All primitives of one name, for user interfaces.
 
     Attributes:

@@ -150,7 +150,8 @@ def load_configured(
         ignore=tuple(config.ignore),
         error=document.error,
     )
-    hand = build_hand(*read_both(urdf, srdf, _subtree(config, document)), overrides)
+    made = build_hand(*read_both(urdf, srdf, _subtree(config, document)), overrides)
+    hand = replace(made, folder=folder)
     _check_devices(hand, config, document)
     joint = config.ros2.gripper_joint
     if joint and joint not in hand.actuator_names:
@@ -168,13 +169,18 @@ def _subtree(config: HandConfig, document: YamlDocument) -> list[Edit]:
 
 
 def hand_folder(
-    name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
+    hand: Hand | str | Path, *, config_dirs: Sequence[Path | str] = ()
 ) -> tuple[Path, Path]:
-    """Return the folder and the hand.yaml of a hand given by name or path.
+    """Return the folder and the hand.yaml of a hand, or of one given by name or path.
 
     Raises:
-        ConfigError: There is no such hand.
+        ConfigError: There is no such hand, or it was made without a folder.
     """
+    if isinstance(hand, Hand):
+        if hand.folder is None:
+            raise ConfigError(f"the hand '{hand.name}' has no folder; load it by rtee.load_hand")
+        return hand.folder, hand.folder / FILE_NAME
+    name_or_path = hand
     if not _is_path(name_or_path):
         folder = find_hand(str(name_or_path), config_dirs)
         return folder, folder / FILE_NAME

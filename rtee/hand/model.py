@@ -14,7 +14,7 @@ from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
 from rtee.hand.config_schema import ActuatorDynamics, FlangeSection, TouchSection
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
-from rtee.sample import FloatArray
+from rtee.sample import MEASURED, FloatArray
 from rtee.types import ActuatorSpec, JointKind, readonly
 
 CLEARANCE: Final = 0.001
@@ -115,6 +115,7 @@ class Hand:
         tip_friction: Coefficient of friction of fingertips, by finger; unknown for missing ones.
         touch: Placement of touch sensors in hand.yaml, by name.
         flange: Where the hand sits on an arm; ``None`` if unknown.
+        folder: The folder from which it was read, with its actions; ``None`` for a bare model.
     """
 
     name: str
@@ -138,6 +139,17 @@ class Hand:
     tip_friction: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     touch: Mapping[str, TouchSection] = field(default_factory=dict, kw_only=True)
     flange: FlangeSection | None = field(default=None, kw_only=True)
+    folder: Path | None = field(default=None, kw_only=True)
+
+    @property
+    def observation_features(self) -> dict[str, type[float]]:
+        """Keys and types of `State.observation`, known before connecting, in order."""
+        return {f"{name}.{own}": float for name in MEASURED for own in self.actuator_names}
+
+    @property
+    def action_features(self) -> dict[str, type[float]]:
+        """Keys and types of what a stream takes: positions by actuator [rad | m], in order."""
+        return dict.fromkeys(self.actuator_names, float)
 
     @cached_property
     def lower(self) -> FloatArray:

@@ -1,5 +1,6 @@
 """The log: recorder, reader, recovery, plots, export and replay of MCAP files."""
 
+from rtee.log.export import to_pandas
 from rtee.log.reader import read
 from rtee.log.recorder import Recorder
 from rtee.log.recording import Entry, JointSeries, Recording, Span
@@ -14,4 +15,5 @@ __all__ = [
     "Recording",
     "Span",
     "read",
+    "to_pandas",
 ]

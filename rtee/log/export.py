@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from rtee.messages import topics
 from rtee.messages.convert import plain
 from rtee.messages.state import ACTUATOR_COLUMNS
 from rtee.types import Result
+
+if TYPE_CHECKING:
+    import pandas
 
 _ROWS = 10_000  # rows converted to Python numbers at a time, which take some megabytes
 
@@ -102,6 +105,27 @@ def _write_parquet(path: Path, table: Table) -> None:
     pyarrow = _parquet()
     columns = {name: pyarrow.array(column) for name, column in table.items()}
     pyarrow.parquet.write_table(pyarrow.table(columns), path, compression="zstd")
+
+
+def to_pandas(recording: Recording, topic: str = topics.ACTUATOR_STATES) -> pandas.DataFrame:
+    """Return a topic of a recording as a table of pandas.
+
+    Args:
+        recording: The recording.
+        topic: ``actuator_states``, ``reference``, ``results``, ``events`` and so on, as the files
+            that ``rtee log export`` writes are named.
+
+    Returns:
+        A row for each message, by its time since the recording's start [s]. Columns of actuators
+        are named ``position.<actuator>`` and so on; without messages there are no rows.
+
+    Raises:
+        LogError: if there is no such topic.
+        MissingExtra: if pandas is not installed.
+    """
+    with needing_extra("a table of pandas", "pandas"):
+        import pandas
+    return pandas.DataFrame(tables(recording, [topic]).get(topic, {"t": []})).set_index("t")
 
 
 def _write_npz(path: Path, topic_tables: Mapping[str, Table]) -> None:

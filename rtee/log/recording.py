@@ -19,12 +19,13 @@ from rtee.objects.description import ObjectDescription
 from rtee.sample import BoolArray, FloatArray, Measurements
 from rtee.touch import TouchSensor, TouchState, totals
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
+from rtee.values import Value
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class JointSeries:
+class JointSeries(Value):
     """Joint states over time.
 
     Attributes:
@@ -78,7 +79,7 @@ class ActuatorSeries(JointSeries, Measurements):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry(Generic[T]):
+class Entry(Value, Generic[T]):
     """A message that is recorded once, such as a goal, result or event.
 
     Attributes:
@@ -97,7 +98,7 @@ class Entry(Generic[T]):
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(Value):
     """A further measured channel over time.
 
     Attributes:
@@ -112,7 +113,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class TouchSeries:
+class TouchSeries(Value):
     """Readings of the touch sensors of a device over time.
 
     Attributes:
@@ -180,7 +181,7 @@ def touch_series(
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class Span(Value):
     """The time an action took.
 
     Attributes:
@@ -203,7 +204,7 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class GripEstimate:
+class GripEstimate(Value):
     """Opening and force of the fingertips at a time.
 
     Attributes:
@@ -224,7 +225,7 @@ class GripEstimate:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(Value):
     """A recording in memory.
 
     Attributes:

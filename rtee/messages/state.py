@@ -60,6 +60,18 @@ class State(TickRecord):
         """Measured positions by actuator [rad | m]."""
         return dict(zip(self.names, self.position.tolist(), strict=True))
 
+    def observation(self) -> dict[str, float]:
+        """Return the measured quantities as ``position.<actuator>`` and so on.
+
+        The keys are those of `Hand.observation_features`; ``NaN``: not measured.
+        """
+        columns = {name: getattr(self, name).tolist() for name in MEASURED}
+        return {
+            f"{name}.{own}": values[i]
+            for name, values in columns.items()
+            for i, own in enumerate(self.names)
+        }
+
     @property
     def joints(self) -> dict[str, float]:
         """Positions of all moving joints by name [rad | m]."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.sample import FloatArray
+from rtee.values import Value
 
 OBJECT_POSE: Final = "object_pose"
 """Channel: position [m] and unit quaternion (w, x, y, z) of the object in the world ``(7,)``."""
@@ -44,8 +45,8 @@ def _none() -> NDArray[np.uint32]:
     return np.zeros((0, 3), np.uint32)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectPart:
+@dataclass(frozen=True, slots=True)
+class ObjectPart(Value):
     """A rigid part of an object.
 
     Attributes:
@@ -80,8 +81,8 @@ class ObjectPart:
             raise ValueError(f"a mesh has more than {MOST_TRIANGLES} triangles")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectDescription:
+@dataclass(frozen=True, slots=True)
+class ObjectDescription(Value):
     """An object that a simulated hand grasps.
 
     Attributes:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from rtee.actions.library import ActionLibrary
+from rtee.actions.library import ActionLibrary, load_actions
 from rtee.errors import ConfigError
-from rtee.hand.load import hand_folder, load_hand
 from rtee.hand.model import Hand
 from rtee.planning.composition import composed_for
 from rtee.planning.objects import GraspObject, read_object
@@ -20,8 +19,8 @@ GOOD: Final = 0.6
 
 
 def grasp_plan(
-    hand: str | Path,
-    thing: str | GraspObject,
+    hand: Hand | str | Path,
+    object: str | GraspObject,  # noqa: A002 - as on the command line
     *,
     mass: float = 0.1,
     friction: float = FRICTION,
@@ -30,8 +29,8 @@ def grasp_plan(
     """Rank the stored actions of a hand for an object; see `plan_grasps`.
 
     Args:
-        hand: Its name, or the path of its folder.
-        thing: The object: as on the command line, or one that was read.
+        hand: The hand; or its name, or the path of its folder.
+        object: The object: as on the command line, or one that was read.
         mass: Mass of an object that is given as text [kg].
         friction: Coefficient of friction between hand and object.
         weight_axis: Where the object's weight pulls, a vector of the hand's base frame.
@@ -39,9 +38,8 @@ def grasp_plan(
     Raises:
         UserError: if the hand, its actions, the object or an argument can't be used.
     """
-    folder = hand_folder(hand)[0]
-    library = ActionLibrary.load(load_hand(folder), folder / "actions")
-    found = read_object(thing, mass) if isinstance(thing, str) else thing
+    library = load_actions(hand)
+    found = read_object(object, mass) if isinstance(object, str) else object
     return plan_grasps(library.hand, library, found, friction=friction, weight_axis=weight_axis)
 
 

@@ -8,10 +8,11 @@ from typing import Any
 
 from rtee.hand.validation import validated
 from rtee.planning.result import Matrix, Point
+from rtee.values import Value
 
 
 @dataclass(frozen=True, slots=True)
-class WantedContact:
+class WantedContact(Value):
     """A contact that a planner wants, in its own frame.
 
     Attributes:
@@ -26,7 +27,7 @@ class WantedContact:
 
 
 @dataclass(frozen=True, slots=True)
-class Residual:
+class Residual(Value):
     """What is left between a wanted contact and the fingertip.
 
     Attributes:
@@ -44,7 +45,7 @@ class Residual:
 
 
 @dataclass(frozen=True, slots=True)
-class Collision:
+class Collision(Value):
     """Two things that overlap in a posture.
 
     Attributes:
@@ -66,7 +67,7 @@ class Collision:
 
 
 @dataclass(frozen=True, slots=True)
-class ReachedGrasp:
+class ReachedGrasp(Value):
     """How a hand takes what a planner found; lengths in metres.
 
     Attributes:

@@ -9,13 +9,14 @@ from typing import Any
 from rtee.actions.naming import label
 from rtee.actions.types import ActionReference
 from rtee.hand.validation import validated
+from rtee.values import Value
 
 Point = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(Value):
     """Where a hand touches an object; all in the hand's base frame.
 
     Attributes:
@@ -32,7 +33,7 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class Check(Value):
     """How a grasp ended in dynamics.
 
     Attributes:
@@ -49,7 +50,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class GraspPlan:
+class GraspPlan(Value):
     """A grasp: an action, how to do it, and why.
 
     Attributes:
@@ -119,7 +120,7 @@ class GraspPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class Ranking:
+class Ranking(Value):
     """The grasps of an object by a hand, the best first.
 
     Attributes:

@@ -28,6 +28,7 @@ from pathlib import Path
 from rtee.errors import ConfigError
 from rtee.hand.files import is_trusted, reason
 from rtee.hand.names import check_name
+from rtee.values import Value
 
 VARIABLE = "RTEE_RUNTIME_DIR"
 """Environment variable with the path of another runtime folder."""
@@ -56,7 +57,7 @@ _OPEN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class Running(Value):
     """A running hand.
 
     Attributes:

@@ -18,6 +18,7 @@ from rtee.errors import GoalRejected, MessageError
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
+from rtee.values import Value
 
 
 def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
@@ -40,7 +41,7 @@ def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class ActuatorInfo:
+class ActuatorInfo(Value):
     """An actuator; positions in rad or m.
 
     Attributes:
@@ -72,7 +73,7 @@ class ActuatorInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class FingerInfo:
+class FingerInfo(Value):
     """A finger at a posture.
 
     Attributes:
@@ -99,7 +100,7 @@ class FingerInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class HandInfo:
+class HandInfo(Value):
     """The description of a hand at a posture, for grasp planners.
 
     Attributes:

@@ -24,6 +24,7 @@ from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
 from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Lifecycle, LoopStatistics, Result
+from rtee.values import Value
 
 T = TypeVar("T")
 
@@ -38,7 +39,7 @@ _MOST_WAITING = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class HandStatus:
+class HandStatus(Value):
     """Status of a hand's loop and devices.
 
     Attributes:

@@ -18,13 +18,14 @@ from rtee.loop.grip import Grip
 from rtee.loop.opening_plan import DeviceForces, force_refused
 from rtee.loop.supervisor import Supervisor
 from rtee.sample import FloatArray
+from rtee.values import Value
 
 _NO_FORCE = 1e-3
 """A force of this size counts as none [N]: no device limits its effort so finely."""
 
 
-@dataclass(frozen=True, eq=False)
-class OpeningRange:
+@dataclass(frozen=True)
+class OpeningRange(Value):
     """The openings and forces that goals may request with one action.
 
     Attributes:

@@ -85,7 +85,7 @@ def rtee_simulated_hand() -> Iterator[StartSimulatedHand]:
     `rtee.testing.simulated.SimulatedHand`, ready to move. Nothing listens: hand it to what is under
     test instead of having that connect.
     """
-    from rtee.testing.simulated import simulated_hand
+    from rtee.testing.simulated import simulated
 
     with contextlib.ExitStack() as stack:
 
@@ -94,7 +94,7 @@ def rtee_simulated_hand() -> Iterator[StartSimulatedHand]:
             *,
             object: str | None = None,  # noqa: A002 - as on the command line
         ) -> SimulatedHand:
-            return stack.enter_context(simulated_hand(hand, object=object))
+            return stack.enter_context(simulated(hand, object=object))
 
         yield start
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar, Unpack
 
@@ -19,6 +20,8 @@ from rtee.buses.pool import BusPool
 from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.registry import find_driver
 from rtee.errors import GoalRejected, NotReady
+from rtee.hand.load import hand_folder
+from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
@@ -40,7 +43,7 @@ _LOOK_EVERY: Final = 0.02
 
 
 class SimulatedHand(Observer):
-    """A hand on simulated time; `simulated_hand` makes it.
+    """A hand on simulated time; `rtee.simulated` makes it.
 
     Its methods are those of `rtee.connect_blocking` as far as it has them, and those of
     `rtee.testing.running.HandUnderTest`. Time passes while they work, and in `wait`.
@@ -50,12 +53,17 @@ class SimulatedHand(Observer):
         events: What happened, in order.
     """
 
-    def __init__(self, hand: str | Path, thing: str | None = None) -> None:
-        """Read a hand; ``thing`` is between its fingers. Raises `UserError` for every mistake."""
+    def __init__(
+        self,
+        hand: Hand | str | Path,
+        object: str | None = None,  # noqa: A002 - as on the command line
+    ) -> None:
+        """Read a hand; the object is between its fingers. Raises `UserError` for every mistake."""
         options = RunOptions(
-            driver="devices", emulated=True, ideal=True, home=True, object_in_hand=thing
+            driver="devices", emulated=True, ideal=True, home=True, object_in_hand=object
         )
-        prepared = prepare(str(hand), options)
+        name = str(hand_folder(hand)[0]) if isinstance(hand, Hand) else str(hand)
+        prepared = prepare(name, options)
         self.name = prepared.hand.name
         self.events: list[Event] = []
         self._prepared = prepared
@@ -83,8 +91,10 @@ class SimulatedHand(Observer):
 
     def close(self) -> None:
         """End the hand, its devices and its time."""
-        with contextlib.closing(self._runner):
+        try:
             self._run(self._finish())
+        finally:
+            _apart(self._runner.close)
 
     async def _begin(self) -> None:
         lives = asyncio.Event()
@@ -118,7 +128,7 @@ class SimulatedHand(Observer):
         return all(each.lifecycle is Lifecycle.ACTIVE for each in self._loop.statuses())
 
     def _run(self, work: Coroutine[Any, Any, T]) -> T:
-        return self._runner.run(work)
+        return _apart(lambda: self._runner.run(work))
 
     # --- goals
 
@@ -229,6 +239,16 @@ class SimulatedHand(Observer):
         self._run(done())
 
 
+def _apart(call: Callable[[], T]) -> T:
+    """Call what runs an event loop: where one runs already, as in notebooks, in another thread."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return call()
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(call).result()
+
+
 class StartSimulatedHand(Protocol):
     """The type of the fixture ``rtee_simulated_hand``."""
 
@@ -238,21 +258,22 @@ class StartSimulatedHand(Protocol):
         *,
         object: str | None = None,  # noqa: A002 - as on the command line
     ) -> SimulatedHand:
-        """Start a hand; see `simulated_hand`."""
+        """Start a hand; see `simulated`."""
 
 
 @contextlib.contextmanager
-def simulated_hand(
-    hand: str | Path,
+def simulated(
+    hand: Hand | str | Path,
     *,
     object: str | None = None,  # noqa: A002 - as on the command line
 ) -> Iterator[SimulatedHand]:
     """Run a hand with emulated devices on simulated time for as long as the context lasts.
 
-    Not inside an event loop that runs already.
+    Nothing real is connected to, and nothing listens. Drivers, wires, emulators and the loop work
+    in this process, whose other clocks are those of the simulation while the hand works.
 
     Args:
-        hand: Its name, or its folder.
+        hand: The hand, as `rtee.load_hand` returns it; or its name, or its folder.
         object: Object between the fingers, as for ``rtee run --object``.
 
     Yields:

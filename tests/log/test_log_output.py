@@ -36,7 +36,7 @@ from rtee.cli.log import app
 from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
-from rtee.log import Recording, read
+from rtee.log import Recording, read, to_pandas
 from rtee.log.dataclass_json import to_json
 from rtee.log.export import TABLES, Format, export, tables
 from rtee.log.figure import MOST_POINTS, By, figure, thinned
@@ -120,6 +120,18 @@ def test_parquet_holds_every_number_exactly(recording: Recording, tmp_path: Path
     (path,) = export(recording, tmp_path, Format.PARQUET, ["reference"])
     table = pyarrow.parquet.read_table(path)
     assert table["position.first"].to_pylist() == recording.reference.position[:, 0].tolist()
+
+
+def test_a_recording_becomes_a_table_of_pandas(recording: Recording) -> None:
+    pytest.importorskip("pandas")
+    table = to_pandas(recording)
+    states = recording.actuator_states
+    assert list(table.index) == list(states.t)
+    assert list(table[f"position.{states.names[0]}"]) == list(states.position[:, 0])
+    assert list(to_pandas(recording, "results")["outcome"])
+    with pytest.raises(LogError, match="unknown topic 'result'; did you mean 'results'"):
+        to_pandas(recording, "result")
+    assert len(repr(recording)) <= 240
 
 
 def test_npz_needs_no_pickle(recording: Recording, tmp_path: Path) -> None:

@@ -1,0 +1,56 @@
+"""A batch of trials for programs: checked as a whole before the first one begins."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rtee.drivers.mujoco.objects import MESHES
+from rtee.errors import ConfigError
+from rtee.hand.load import hand_folder
+from rtee.hand.model import Hand
+from rtee.objects.shape import parse_object
+from rtee.trials.result import Trial, TrialResult
+from rtee.trials.sweep import bench, sweep
+
+
+def run_trials(
+    hand: Hand | str | Path,
+    trials: Sequence[Trial],
+    *,
+    jobs: int | None = None,
+    on_result: Callable[[TrialResult], object] | None = None,
+) -> list[TrialResult]:
+    """Try actions on objects in simulation: approach, grasp, lift, shake, in several processes.
+
+    A program that calls it with more than one process does so below ``if __name__ ==
+    "__main__":``, as `multiprocessing` asks.
+
+    Args:
+        hand: The hand; or its name, or the path of its folder.
+        trials: What is tried.
+        jobs: Number of processes; one for each processor unless given.
+        on_result: Called with each result as it comes.
+
+    Returns:
+        The results in the order of the trials.
+
+    Raises:
+        UserError: if the hand, an action or an object cannot be used, before anything is tried.
+        MissingExtra: if the extra ``sim`` is not installed.
+        WorkerLost: if one of the processes was ended from outside.
+    """
+    folder = hand_folder(hand)[0]
+    library = bench(str(folder)).library
+    for trial in trials:
+        library.find(trial.action, trial.elements)
+        parse_object(trial.object, MESHES)
+    if len(set(trials)) != len(trials):
+        raise ConfigError("the same trial stands twice in the batch, and would end the same")
+    found: dict[Trial, TrialResult] = {}
+    for result in sweep(str(folder), trials, jobs or len(os.sched_getaffinity(0))):
+        found[result.trial] = result
+        if on_result is not None:
+            on_result(result)
+    return [found[trial] for trial in trials]

@@ -1,0 +1,60 @@
+"""What programs import as `rtee`: its names, and what needs no running hand."""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+from pathlib import Path
+
+import pytest
+
+import rtee
+from rtee.hand.load import load_model
+
+GRIPPER = "robotiq_2f_85"
+
+
+def test_checkers_and_programs_find_the_same_names() -> None:
+    tree = ast.parse(Path(str(rtee.__file__)).read_text())
+    block = next(line for line in tree.body if isinstance(line, ast.If))
+    for_types = {
+        alias.name: line.module
+        for line in block.body
+        if isinstance(line, ast.ImportFrom)
+        for alias in line.names
+    }
+    assert for_types == rtee._HOME
+    assert set(dir(rtee)) == {*for_types, "__version__"}
+    for name in dir(rtee):
+        assert getattr(rtee, name)
+
+
+def test_a_hand_knows_its_folder_and_its_keys() -> None:
+    hand = rtee.load_hand(GRIPPER)
+    assert hand.folder is not None
+    assert {action.name for action in rtee.load_actions(hand)} == {
+        action.name for action in rtee.load_actions(GRIPPER)
+    }
+    bare = load_model(hand.urdf.path)
+    with pytest.raises(rtee.ConfigError, match=r"has no folder; load it by rtee\.load_hand"):
+        rtee.load_actions(bare)
+    assert hand.action_features == {"finger_joint": float}
+    assert list(hand.observation_features)[:2] == ["position.finger_joint", "velocity.finger_joint"]
+
+
+def test_a_mistyped_trial_is_refused_before_any_begins() -> None:
+    good = rtee.Trial("Grasp", object="sphere:0.03")
+    with pytest.raises(rtee.UserError, match="unknown action 'Grip'"):
+        rtee.run_trials(GRIPPER, [good, rtee.Trial("Grip")])
+    with pytest.raises(rtee.UserError, match="shere"):
+        rtee.run_trials(GRIPPER, [good, rtee.Trial("Grasp", object="shere:0.03")])
+
+
+def test_a_simulated_hand_in_a_notebook() -> None:
+    """There, an event loop runs already."""
+
+    async def cell() -> rtee.Outcome:
+        with rtee.simulated(rtee.load_hand(GRIPPER), object="50mm") as hand:
+            return hand.grasp("50mm").outcome
+
+    assert asyncio.run(cell()) is rtee.Outcome.HELD
