@@ -24,6 +24,9 @@ Touch = Mapping[str, "TouchState"]
 _DIGITS = 2
 """Decimals of touch: sensors measure no better than 0.01 N."""
 
+_KEPT = 1000
+"""Most states that wait for a slow terminal or pipe: 1 s at 1 kHz. Older ones are dropped."""
+
 _TOUCH_EVERY = 0.02
 """Least time between two requests for touch [s]: half of the 100 per second that a hand answers."""
 
@@ -59,7 +62,7 @@ def state(
             _print(remote.name, await remote.state(), await remote.touch_state(), as_json)
         elif as_json or not on_terminal():
             touch = _TouchPoll(remote)
-            async for newest in remote.states(rate):
+            async for newest in remote.states(rate, keep=_KEPT):
                 _print(remote.name, newest, await touch.newest(), as_json)
         else:
             await _live(remote, rate)

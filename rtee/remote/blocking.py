@@ -33,7 +33,7 @@ from rtee.errors import NoHand
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.running_goal import RunningGoal
-from rtee.remote.stream import Stream
+from rtee.remote.stream import Stream, paced
 from rtee.types import Feedback, Result
 
 P = ParamSpec("P")
@@ -80,8 +80,15 @@ class BlockingStream:
 
     @property
     def ended(self) -> str:
-        """Why the hand has ended the stream, in words; empty while it is open."""
+        """Why the stream has ended, in words; empty while it is open."""
         return self._stream.ended
+
+    def pace(self) -> Iterator[float]:
+        """Iterate at the stream's rate; see `Stream.pace`."""
+        for time, wait in paced(self._stream.rate, monotonic.asked):
+            monotonic.sleep(wait)
+            self._stream.check_open()
+            yield time
 
     def send(
         self,
@@ -219,11 +226,12 @@ class BlockingHand:
     def stream(
         self,
         rate: float = 50.0,
-        deadline: float | None = None,
+        *,
+        deadline: float | str | None = None,
         effort: Mapping[str, float] | float | None = None,
     ) -> Iterator[BlockingStream]:
         """Stream set-points for as long as the context lasts; see `RemoteHand.stream`."""
-        opened = self._hand.stream(rate, deadline, effort)
+        opened = self._hand.stream(rate, deadline=deadline, effort=effort)
         with _entered(self._portal, opened) as stream:
             yield BlockingStream(self._portal, stream)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final, SupportsFloat
 
@@ -22,6 +23,28 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], str]]] = {
 
 _ALWAYS: Final = ("intensity", "speed")
 """Those of them that every goal has: ``None`` is no value of theirs."""
+
+
+def finite(value: object, what: str) -> float:
+    """Return a finite number; raises `GoalRejected` for anything else."""
+    try:
+        number = float(value) if isinstance(value, SupportsFloat) else math.nan
+    except (TypeError, ValueError):  # such as an array of several numbers
+        number = math.nan
+    if not math.isfinite(number):
+        raise GoalRejected(f"the {what} must be a finite number, not {value!r:.100}")
+    return number
+
+
+def numbers(values: object, what: str) -> dict[str, float]:
+    """Return numbers by name; raises `GoalRejected` for anything else, naming what is wrong."""
+    if not isinstance(values, Mapping):
+        raise GoalRejected(
+            f"each {what} is given by its name, as {{'thumb': 0.4}}, not {values!r:.100}"
+        )
+    if wrong := [name for name in values if not isinstance(name, str)]:
+        raise GoalRejected(f"each {what} is given by its name, a text, not {wrong[0]!r:.100}")
+    return {name: finite(value, f"{what} '{name}'") for name, value in values.items()}
 
 
 def check_types(

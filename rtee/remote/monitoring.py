@@ -35,7 +35,7 @@ _POLL_PERIOD = 0.05
 """Interval of requests for the status while waiting [s]: short beside any homing."""
 
 _MOST_WAITING = 1000
-"""States or events queued for a slow reader: 1 s at 1 kHz. Older ones are dropped."""
+"""Events and results queued for a slow reader: 1 s at 1 kHz. Older ones are dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +118,9 @@ class Monitoring:
         for queue in tuple(self._queues):
             _put(queue, None)
 
-    def _queue(self) -> asyncio.Queue[Any]:
+    def _queue(self, most: int = _MOST_WAITING) -> asyncio.Queue[Any]:
         """Return a new queue of messages, which ends with ``None`` when the hand goes."""
-        queue: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
+        queue: asyncio.Queue[Any] = asyncio.Queue(most)
         self._queues.add(queue)
         return queue
 
@@ -134,18 +134,20 @@ class Monitoring:
         """Return the newest state."""
         return decode_state(await self._link.send("state"))
 
-    async def states(self, rate: float = 100.0) -> AsyncIterator[State]:
-        """Iterate over states until the hand goes; a slow reader misses some.
+    async def states(self, rate: float = 100.0, *, keep: int = 1) -> AsyncIterator[State]:
+        """Iterate over states until the hand goes; each is the newest there is.
 
         Args:
             rate: Desired rate [Hz]; the nearest one that divides the loop's rate is used.
+            keep: Most states that wait for a slow reader, who gets the oldest of them first; older
+                ones are dropped.
 
         Raises:
             NoHand: if the hand goes.
         """
         # Closed with this iterator, or the hand would go on publishing for a while.
         async with contextlib.aclosing(
-            self._messages(await self._stream(rate), decode_state)
+            self._messages(await self._stream(rate), decode_state, keep)
         ) as states:
             async for state in states:
                 yield state
@@ -229,9 +231,11 @@ class Monitoring:
         """
         return self._messages(topics.RESULTS, RESULT.decode)
 
-    async def _messages(self, topic: str, decode: Callable[[bytes], T]) -> AsyncGenerator[T]:
-        queue = self._queue()
-        with self._link.subscribed(topic, lambda data: _put(queue, decode(data)), _MOST_WAITING):
+    async def _messages(
+        self, topic: str, decode: Callable[[bytes], T], most: int = _MOST_WAITING
+    ) -> AsyncGenerator[T]:
+        queue = self._queue(most)
+        with self._link.subscribed(topic, lambda data: _put(queue, decode(data)), most):
             while (message := await self._next(queue)) is not None:
                 yield message
         raise self._link.lost()

@@ -1,7 +1,8 @@
 """Streams of a client: set-points in quick succession, as from a glove or a planner.
 
 async with hand.stream(rate=50) as stream:
-    await stream.send({"PinchTight index thumb": 0.4})
+    async for t in stream.pace():
+        await stream.send({"PinchTight index thumb": 0.2 + 0.2 * math.sin(t)})
 """
 
 from __future__ import annotations
@@ -10,17 +11,19 @@ import asyncio
 import contextlib
 import itertools
 import math
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import anyio
 
 from rtee import monotonic
 from rtee.commands import STREAM_ENDED, StreamStatus, StreamTargets
-from rtee.errors import GoalRejected, NoHand, RemoteError, RequestRejected
+from rtee.errors import NoHand, RemoteError, RequestRejected
 from rtee.messages import EVENT, topics
 from rtee.messages.convert import STREAM_TARGETS
+from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import Link
+from rtee.units import TIME, quantity
 
 if TYPE_CHECKING:
     from rtee.remote.goal import GoalClient
@@ -39,11 +42,14 @@ class Stream:
 
     Attributes:
         name: The stream's identifier.
-        ended: Why the hand has ended the stream, in words; empty while it is open.
+        rate: Samples per second that will be sent [Hz].
+        ended: Why the stream has ended, in words; empty while it is open.
     """
 
-    def __init__(self, link: Link, monitoring: Monitoring, name: str, number: str) -> None:
-        self.name = name
+    def __init__(
+        self, link: Link, monitoring: Monitoring, name: str, number: str, rate: float
+    ) -> None:
+        self.name, self.rate = name, rate
         self.ended = ""
         self._link, self._monitoring, self._number = link, monitoring, number
         self._refused: RemoteError | None = None
@@ -56,7 +62,8 @@ class Stream:
     ) -> None:
         """Send a sample; returns at once.
 
-        Does not wait for the hand's answer: the refusal of a sample is raised by a later call.
+        Does not wait for the hand's answer: the refusal of a sample is raised by a later call,
+        which has sent its own by then.
 
         Args:
             targets: Positions by actuator or joint [rad | m], or intensities, 0 to 1, by action
@@ -66,22 +73,34 @@ class Stream:
             stamp: Time of the sample, by a clock that never jumps [s]; now unless given.
 
         Raises:
-            GoalRejected: if a number is not finite.
-            RequestRejected: if the hand has refused an earlier sample, or has ended the stream.
+            GoalRejected: if something is no number, or not finite; nothing is sent.
+            RequestRejected: if the hand has refused an earlier sample, or the stream has ended.
             LeaseHeld: if another client holds the lease by now.
             NoHand: if the hand has gone.
         """
-        self.check()
-        if self.ended:
-            raise RequestRejected(self.ended)
-        when = monotonic.now() if stamp is None else float(stamp)
-        for number in (when, *targets.values(), *velocity.values()):
-            if not math.isfinite(number):
-                raise GoalRejected(f"a sample consists of finite numbers, not {number:g}")
-        sample = StreamTargets(self.name, when, targets, velocity, self._link.client)
+        self.check_open()
+        when = monotonic.now() if stamp is None else stamp
+        finite(when, "stamp of a sample")
+        wanted = numbers(targets, "target of a sample")
+        given = numbers(velocity, "velocity of a sample")
+        sample = StreamTargets(self.name, when, wanted, given, self._link.client)
         self._link.put("sample", STREAM_TARGETS.encode(sample), self._number)
+        self.check()
         # So that the hand's messages are received even by a caller that awaits nothing else.
         await anyio.lowlevel.checkpoint()
+
+    async def pace(self) -> AsyncIterator[float]:
+        """Iterate at the stream's rate, over the time since the first step [s].
+
+        A step that is late is taken at once, and those missed meanwhile are left out.
+
+        Raises:
+            RequestRejected: if the stream has ended.
+        """
+        for time, wait in paced(self.rate, monotonic.asked):
+            await anyio.sleep(wait)
+            self.check_open()
+            yield time
 
     async def status(self) -> StreamStatus:
         """Return the status of the stream: lag, jitter, dropped samples."""
@@ -91,11 +110,25 @@ class Stream:
         """Let the next `send` raise an error."""
         self._refused = error
 
+    def check_open(self) -> None:
+        """Raise what has ended the stream: the error of a refused sample, or the reason."""
+        if self.ended:
+            self.check()
+            raise RequestRejected(self.ended)
+
     def check(self) -> None:
         """Raise the error of a refused sample, unless it was raised before."""
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
+
+
+def paced(rate: float, now: Callable[[], float]) -> Iterator[tuple[float, float]]:
+    """Yield the times of steps at a rate [Hz], from 0, each with the time to wait for it [s]."""
+    begin, step = now(), 0
+    while True:
+        yield step / rate, max(0.0, begin + step / rate - now())
+        step = max(step + 1, math.floor((now() - begin) * rate))
 
 
 class StreamClient:
@@ -117,7 +150,8 @@ class StreamClient:
     async def stream(
         self,
         rate: float = 50.0,
-        deadline: float | None = None,
+        *,
+        deadline: float | str | None = None,
         effort: Mapping[str, float] | float | None = None,
     ) -> AsyncIterator[Stream]:
         """Stream set-points for as long as the context lasts; this client holds the lease.
@@ -127,20 +161,22 @@ class StreamClient:
 
         Args:
             rate: Samples per second that will be sent [Hz].
-            deadline: Longest time without a sample [s]; as configured unless given.
+            deadline: Longest time without a sample [s], or a text such as ``200ms``; as configured
+                unless given.
             effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1, as a share
                 of the limit of every actuator. By default the hand's own limits.
 
         Raises:
-            GoalRejected: if the share of the effort limits is out of range.
+            GoalRejected: if a value cannot be used.
             RequestRejected: if the hand refuses the stream, with its reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
         link = self._link
+        finite(rate, "rate of a stream")
         if isinstance(effort, float | int):
             effort = await self._goals.effort_limits(effort)
-        limits = dict(effort or {})
+        limits = numbers(effort or {}, "effort limit")
         if not self._subscribed:
             # Once for all streams, since a link keeps its subscribers until it is closed.
             self._subscribed = True
@@ -152,11 +188,12 @@ class StreamClient:
             "client": link.client,
             "stream": name,
             "rate": float(rate),
-            "deadline": math.nan if deadline is None else float(deadline),
+            "deadline": math.nan if deadline is None else quantity(deadline, TIME, "deadline"),
             "effort_name": tuple(limits),
-            "effort": [float(limit) for limit in limits.values()],
+            "effort": [*limits.values()],
         }
-        stream = self._open[name] = Stream(link, self._monitoring, name, f"s{number}")
+        stream = Stream(link, self._monitoring, name, f"s{number}", rate)
+        self._open[name] = stream
         try:
             with link.refusals(f"s{number}", stream.refuse):
                 begun = asyncio.ensure_future(link.ask("begin_stream", fields))
@@ -174,4 +211,5 @@ class StreamClient:
                             await link.ask("end_stream", {"client": link.client, "stream": name})
             stream.check()  # a refusal of the last samples
         finally:
+            stream.ended = stream.ended or "this stream was closed; open another one"
             del self._open[name]

@@ -279,6 +279,12 @@ async def test_states_come_at_the_rate_asked_for(hand: Hand, library: ActionLibr
         assert state.joint_position == pytest.approx(hand.transmission.joints(u))
         with pytest.raises(RequestRejected, match="rate"):
             await anext(remote.states(math.nan))
+        slow, all_ = remote.states(RATE), remote.states(RATE, keep=100)
+        first = (await anext(slow)).tick, (await anext(all_)).tick
+        while (await remote.state()).tick < first[1] + 20:  # noqa: ASYNC110
+            await anyio.sleep(0.01)
+        assert (await anext(slow)).tick > first[0] + 10
+        assert (await anext(all_)).tick < first[1] + 10
 
 
 async def test_states_are_collected_until_somebody_looks(

@@ -21,7 +21,7 @@ from rtee.errors import GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.client import RemoteHand
-from rtee.remote.stream import Stream
+from rtee.remote.stream import Stream, paced
 
 from .serving import LASTING, Served, serving, until
 from .test_remote_lost import started
@@ -110,7 +110,7 @@ async def test_a_stream_keeps_to_its_effort_limits(hand: Hand, library: ActionLi
             assert limits[hand.actuator_index("push")] == 40.0  # this stream does not move it
         for effort, said in (
             ({"near": 5.0}, "must be above 0 and at most 2, not 5"),
-            ({"near": math.nan}, "must be above 0 and at most 2, not nan"),
+            ({"near": math.nan}, "'near' must be a finite number, not nan"),
             ({"nera": 1.0}, "did you mean 'near'"),
             (-0.5, "above 0 and at most 1"),
         ):
@@ -147,6 +147,25 @@ async def test_bad_samples_are_refused_in_one_sentence(hand: Hand, library: Acti
             await until(lambda: stream._refused is not None)
             with pytest.raises(RequestRejected, match="degrees"):
                 await stream.send({"near": 0.1})
+            await until(lambda: position(served) > 0.05)  # the good one after it was sent
+            for wrong in ({"near": "0.1"}, {1: 0.1}, [0.1]):
+                with pytest.raises(GoalRejected, match="target of a sample"):
+                    await stream.send(wrong)  # type: ignore[arg-type]
+        with pytest.raises(RequestRejected, match="this stream was closed"):
+            await stream.send({"near": 0.1})
+        with pytest.raises(RequestRejected, match="this stream was closed"):
+            await anext(stream.pace())
+
+
+def test_a_pacer_leaves_out_what_it_has_missed() -> None:
+    now = 0.0
+    steps = paced(10.0, lambda: now)
+    seen = []
+    for late in (0.0, 0.02, 0.37, 0.0):
+        due, wait = next(steps)
+        now += wait + late
+        seen.append(round(due, 6))
+    assert seen == [0.0, 0.1, 0.2, 0.5]
 
 
 async def flooded(served: Served, remote: RemoteHand, stream: Stream) -> None:
@@ -299,9 +318,10 @@ async def test_the_blocking_twin(hand: Hand, library: ActionLibrary, tmp_path: P
     def use() -> None:
         with rtee.connect_blocking("small") as remote, remote.stream(rate=50) as stream:
             count = 0
-            while abs(position(served) - 0.4) > 1e-3:
+            for _ in stream.pace():
+                if abs(position(served) - 0.4) < 1e-3:
+                    break
                 stream.send({"near": 0.4}, {"near": 0.0})
-                time.sleep(0.02)
                 count += 1
             assert stream.status().samples == count
             assert stream.ended == ""
