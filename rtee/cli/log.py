@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,11 +36,18 @@ def _paths(path: Path, series: bool) -> list[Path]:
 
 
 @app.command()
-def info(file: File, series: Series = False, as_json: JsonOption = False) -> None:
+def info(
+    file: File,
+    series: Series = False,
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Read all of it, which also finds damage within.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """Show the contents of a recording."""
     from rtee.log.info import info as summarise
 
-    summary = summarise(_paths(file, series))
+    summary = summarise(_paths(file, series), deep=deep)
     if as_json:
         print(to_json(summary.as_dict(), indent=2))
     else:
@@ -246,21 +254,28 @@ def replay(
     as_json: JsonOption = False,
 ) -> None:
     """Show a recording to the GUI and all clients, or check that it is reproduced exactly."""
-    from rtee.log.reader import read
-
     paths = _paths(file, series)
     if checking:
-        from rtee.log.check import check
+        from rtee.log.check import TOPICS, check
+        from rtee.log.reader import windows
 
-        recording = read(paths)
-        # "The same" is said of what can be read only; in JSON, `rtee log info` has the notes.
-        for note in recording.notes:
-            print(f"note: {note}", file=sys.stderr)
-        _show_check(check(recording), as_json)
+        _show_check(check(_telling(windows(paths, only=TOPICS))), as_json)
         return
     if len(paths) > 1:
         raise LogError("--series goes with --check only: replay one part after the other")
     raise typer.Exit(_run_recording(paths[0], speed=speed, repeat=repeat, gui=gui))
+
+
+def _telling(pieces: Iterable[Recording]) -> Iterator[Recording]:
+    """Yield pieces of a recording, and print their notes."""
+    told: set[str] = set()
+    for piece in pieces:
+        # "The same" is said of what can be read only; in JSON, `rtee log info` has the notes.
+        for note in piece.notes:
+            if note not in told:
+                print(f"note: {note}", file=sys.stderr)
+        told.update(piece.notes)
+        yield piece
 
 
 def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:

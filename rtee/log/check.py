@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,9 +22,25 @@ from rtee.loop import contact_rules
 from rtee.loop.controller import Controller
 from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.plan import Plan
+from rtee.messages import topics
 from rtee.sample import FloatArray, Measurements, measured_arrays
 from rtee.types import Result, readonly
 
+TOPICS = (
+    topics.ACTUATOR_STATES,
+    topics.REFERENCE,
+    topics.CHANNELS,
+    topics.GOALS,
+    topics.PLANS,
+    topics.COMMANDS,
+    topics.STREAM_SAMPLES,
+    topics.RESULTS,
+    topics.EVENTS,
+    topics.ROBOT_DESCRIPTION,
+)
+"""Topics that are needed to compute a recording anew."""
+
+_UNEQUAL = "holds no states and references of the same ticks"
 _QUANTITIES = ("position", "velocity", "effort")
 
 
@@ -124,53 +140,180 @@ def _attached(recording: Recording, suffix: str) -> str:
     return ""
 
 
-def check(recording: Recording) -> Check:
+def check(recording: Recording | Iterable[Recording]) -> Check:
     """Run the goals and commands of a recording through the same code again.
 
     Args:
-        recording: A recording from the loop's start on, with every tick.
+        recording: A recording from the loop's start on, with every tick; or its pieces in order
+            (`rtee.log.reader.windows`).
 
     Raises:
         LogError: if the recording lacks data needed for the computation, or has invalid data.
     """
-    replayable = _replayable(recording)
+    pieces = iter((recording,) if isinstance(recording, Recording) else recording)
+    piece = next(pieces)
+    checker = _Checker(piece)
     try:
-        return _check(recording, replayable)
+        checker.take(piece)
+        for piece in pieces:
+            checker.take(piece)
     except (ValueError, ArithmeticError, LookupError, TypeError) as error:
         if isinstance(error, RteeError):
             raise
-        raise LogError(f"cannot be recomputed: {error}", path=recording.paths[0]) from error
+        raise LogError(f"cannot be recomputed: {error}", path=checker.path) from error
+    return checker.checked()
 
 
-def _check(recording: Recording, replayable: Replayable) -> Check:
-    hand = recorded_hand(recording, replayable)
-    controller = Controller(hand, replayable.settings)
-    states, reference = recording.actuator_states, recording.reference
-    names = tuple(spec.name for spec in replayable.actuators)
-    if states.names != names or reference.names != names:
-        raise LogError("has other actuators than its settings", path=recording.paths[0])
-    computed = {name: np.empty((len(states), len(names))) for name in _QUANTITIES}
-    results: list[Result] = []
-    due = _steering(recording)
-    runs = deque(e.value.stamp for e in recording.events if e.value.kind == RUN_BEGINS)
-    for row, measured in enumerate(_measured(recording)):
-        stamp = float(states.time[row])
-        while runs and runs[0] <= stamp:
-            runs.popleft()
-            controller = Controller(hand, replayable.settings)
+class _Checker:
+    """Computes the references of a recording piece by piece, and compares them."""
+
+    def __init__(self, first: Recording) -> None:
+        self.path = first.paths[0]
+        self._replayable = replayable = _replayable(first)
+        self._hand = recorded_hand(first, replayable)
+        self._names = tuple(spec.name for spec in replayable.actuators)
+        self._controller = Controller(self._hand, replayable.settings)
+        self._measured = Measured((), (), (), (), ())
+        self._forces: dict[str, FloatArray] = {}
+        self._waiting: deque[Entry[Plan] | Entry[CommandRecord]] = deque()
+        self._runs: deque[float] = deque()
+        # Those that the other side has not had yet: of weeks, few are in memory.
+        self._computed: deque[Result] = deque()
+        self._recorded: deque[Result] = deque()
+        self._next_tick = 0  # the tick after the last one
+        self._sum = Check(0, 0, 0, 0, 0.0, None, True, 0, rules=replayable.rules)
+
+    def take(self, piece: Recording) -> None:
+        """Compute and compare the ticks of a piece."""
+        states, reference = piece.actuator_states, piece.reference
+        rows = range(len(states))
+        self._sum = replace(
+            self._sum,
+            goals=self._sum.goals + len(piece.plans),
+            damage=tuple(dict.fromkeys((*self._sum.damage, *piece.damage))),
+        )
+        self._recorded += [entry.value for entry in piece.results]
+        self._runs += [e.value.stamp for e in piece.events if e.value.kind == RUN_BEGINS]
+        steering: list[Entry[Plan] | Entry[CommandRecord]] = [
+            *piece.plans,
+            *piece.commands,
+            *piece.stream_samples,
+        ]
+        self._waiting += sorted(steering, key=lambda entry: (entry.stamp, entry.sequence))
+        if len(reference) != len(states):
+            raise LogError(_UNEQUAL, path=self.path)
+        if not rows:
+            return
+        if not self._sum.ticks and states.tick[0] != 0:
+            raise LogError(
+                f"begins at tick {states.tick[0]} of the loop; only what was recorded from the "
+                "loop's start can be recomputed (with rotated files: give --series)",
+                path=self.path,
+            )
+        if states.names != self._names or reference.names != self._names:
+            raise LogError("has other actuators than its settings", path=self.path)
+        computed = {name: np.empty((len(rows), len(self._names))) for name in _QUANTITIES}
+        for row, measured in zip(rows, self._measurements(piece), strict=True):
+            self._step(int(states.tick[row]), float(states.time[row]), measured)
+            computed["position"][row] = self._controller.reference_position
+            computed["velocity"][row] = self._controller.reference_velocity
+            computed["effort"][row] = self._controller.reference_effort
+        self._next_tick = int(states.tick[-1]) + 1
+        self._compare(piece, computed)
+
+    def _step(self, tick: int, stamp: float, measured: Measured) -> None:
+        while self._runs and self._runs[0] <= stamp:
+            self._runs.popleft()
+            self._controller = Controller(self._hand, self._replayable.settings)
         # In the order of the live loop: what steers the hand comes before the tick's step.
-        for steering in due(int(states.tick[row]), stamp):
+        while self._waiting and self._waiting[0].stamp <= stamp:
+            steering = self._waiting[0].value
             if isinstance(steering, Plan):
-                controller.accept(steering, stamp)
+                self._controller.accept(steering, stamp)
+            # A command between two ticks has the stamp of the earlier one, but took effect at the
+            # later one.
+            elif steering.tick > tick:
+                break
             else:
-                controller.apply(steering.command, steering.stamp)
-        controller.step(stamp, measured)
-        computed["position"][row] = controller.reference_position
-        computed["velocity"][row] = controller.reference_velocity
-        computed["effort"][row] = controller.reference_effort
-        results += [item for item in controller.outbox.items if isinstance(item, Result)]
-        controller.outbox.items.clear()
-    return _compared(recording, computed, results, replayable.rules)
+                self._controller.apply(steering.command, steering.stamp)
+            self._waiting.popleft()
+        self._controller.step(stamp, measured)
+        items = self._controller.outbox.items
+        self._computed += [item for item in items if isinstance(item, Result)]
+        items.clear()
+
+    def _measurements(self, piece: Recording) -> Iterator[Measured]:
+        """Yield the controller's input at every tick.
+
+        Yields the same object each time, like the live loop: commands that the controller receives
+        before its step find the measurements of the same tick in it.
+        """
+        states, measured = piece.actuator_states, self._measured
+        forces = {n: c for n, c in piece.channels.items() if n.endswith(f"/{TIP_FORCE}")}
+        changes = deque(
+            sorted(
+                (
+                    (t, name, value)
+                    for name, each in forces.items()
+                    for t, value in zip(each.t.tolist(), each.values, strict=True)
+                ),
+                key=lambda change: change[0],
+            )
+        )
+        arrays = measured_arrays(states)
+        for row in range(len(states)):
+            # Channels are recorded when they change; until then, the value before holds.
+            while changes and changes[0][0] <= states.t[row]:
+                _, name, self._forces[name] = changes.popleft()
+            measured.touch = tip_forces([*self._forces.values()])
+            measured.update(Measurements(*(each[row] for each in arrays)))
+            measured.fresh = states.fresh[row].tolist()
+            measured.grasped = states.grasped[row].tolist()
+            yield measured
+        self._forces |= {name: value for _, name, value in changes}
+
+    def _compare(self, piece: Recording, computed: dict[str, FloatArray]) -> None:
+        states, reference, found = piece.actuator_states, piece.reference, self._sum
+        unequal = {name: _unequal(getattr(reference, name), computed[name]) for name in _QUANTITIES}
+        rows = np.flatnonzero(np.any([each.any(axis=1) for each in unequal.values()], axis=0))
+        first = found.first
+        if rows.size and first is None:
+            row = int(rows[0])
+            name = next(name for name in _QUANTITIES if unequal[name][row].any())
+            column = int(np.flatnonzero(unequal[name][row])[0])
+            first = Difference(
+                tick=int(states.tick[row]),
+                t=float(states.t[row]),
+                actuator=states.names[column],
+                quantity=name,
+                recorded=float(getattr(reference, name)[row, column]),
+                computed=float(computed[name][row, column]),
+            )
+        largest = np.nanmax(np.abs(reference.position - computed["position"]), initial=0.0)
+        same = found.results
+        while self._computed and self._recorded:
+            same = self._computed.popleft() == self._recorded.popleft() and same
+        self._sum = replace(
+            found,
+            ticks=found.ticks + len(states),
+            values=found.values + sum(each.size for each in unequal.values()),
+            different=found.different + sum(int(each.sum()) for each in unequal.values()),
+            largest=max(found.largest, float(largest)),
+            first=first,
+            results=same,
+        )
+
+    def checked(self) -> Check:
+        """Return the result of all pieces."""
+        if not self._sum.ticks:
+            raise LogError(_UNEQUAL, path=self.path)
+        return replace(
+            self._sum,
+            # When the loop ended, it may have published one more result after the last recorded
+            # tick.
+            results=self._sum.results and not self._computed and len(self._recorded) <= 1,
+            missing=self._next_tick - self._sum.ticks,
+        )
 
 
 def _replayable(recording: Recording) -> Replayable:
@@ -178,113 +321,9 @@ def _replayable(recording: Recording) -> Replayable:
     attached = recording.attachments.get(REPLAY)
     if attached is None:
         raise LogError("holds no settings of the loop: it cannot be recomputed", path=path)
-    states = recording.actuator_states
     if recording.metadata.get("decimation", "1") != "1":
         raise LogError("does not hold every tick: it cannot be recomputed", path=path)
-    if not len(states) or len(states) != len(recording.reference):
-        raise LogError("holds no states and references of the same ticks", path=path)
-    if states.tick[0] != 0:
-        raise LogError(
-            f"begins at tick {states.tick[0]} of the loop; only what was recorded from the loop's "
-            "start can be recomputed (with rotated files: give --series)",
-            path=path,
-        )
     return from_json(attached, Replayable)
-
-
-def _measured(recording: Recording) -> Iterator[Measured]:
-    """Yield the controller's input at every tick.
-
-    Yields the same object each time, like the live loop: commands that the controller receives
-    before its step find the measurements of the same tick in it.
-    """
-    states = recording.actuator_states
-    measured = Measured((), (), (), (), ())
-    touch = _tip_forces(recording)
-    arrays = measured_arrays(states)
-    for row in range(len(states)):
-        measured.touch = touch(float(states.t[row]))
-        measured.update(Measurements(*(each[row] for each in arrays)))
-        measured.fresh = states.fresh[row].tolist()
-        measured.grasped = states.grasped[row].tolist()
-        yield measured
-
-
-def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
-    """Return a function of time [s] that returns the recorded forces at the fingertips [N]."""
-    channels = [c for name, c in recording.channels.items() if name.endswith(f"/{TIP_FORCE}")]
-    rows = [-1] * len(channels)
-
-    def at(t: float) -> list[float]:
-        newest = []
-        for k, channel in enumerate(channels):
-            # Channels are recorded when they change; until then, the value before holds.
-            while rows[k] + 1 < len(channel.t) and channel.t[rows[k] + 1] <= t:
-                rows[k] += 1
-            if rows[k] >= 0:
-                newest.append(channel.values[rows[k]])
-        return tip_forces(newest)
-
-    return at
-
-
-def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | CommandRecord]]:
-    """Return a function that yields the plans and commands due at a tick, in their order."""
-    entries: list[Entry[Plan] | Entry[CommandRecord]] = [
-        *recording.plans,
-        *recording.commands,
-        *recording.stream_samples,
-    ]
-    waiting = deque(sorted(entries, key=lambda entry: (entry.stamp, entry.sequence)))
-
-    def due(tick: int, stamp: float) -> Iterator[Plan | CommandRecord]:
-        while waiting and waiting[0].stamp <= stamp:
-            steering = waiting[0].value
-            # A command between two ticks has the stamp of the earlier one, but took effect at the
-            # later one.
-            if isinstance(steering, CommandRecord) and steering.tick > tick:
-                break
-            # Removed only after the yield, since the caller of the generator may stop there.
-            yield steering
-            waiting.popleft()
-
-    return due
-
-
-def _compared(
-    recording: Recording, computed: dict[str, FloatArray], results: list[Result], rules: int
-) -> Check:
-    states, reference = recording.actuator_states, recording.reference
-    unequal = {name: _unequal(getattr(reference, name), computed[name]) for name in _QUANTITIES}
-    rows = np.flatnonzero(np.any([each.any(axis=1) for each in unequal.values()], axis=0))
-    first: Difference | None = None
-    if rows.size:
-        row = int(rows[0])
-        name = next(name for name in _QUANTITIES if unequal[name][row].any())
-        column = int(np.flatnonzero(unequal[name][row])[0])
-        first = Difference(
-            tick=int(states.tick[row]),
-            t=float(states.t[row]),
-            actuator=states.names[column],
-            quantity=name,
-            recorded=float(getattr(reference, name)[row, column]),
-            computed=float(computed[name][row, column]),
-        )
-    largest = np.nanmax(np.abs(reference.position - computed["position"]), initial=0.0)
-    recorded = [entry.value for entry in recording.results]
-    return Check(
-        ticks=len(states),
-        goals=len(recording.plans),
-        values=sum(each.size for each in unequal.values()),
-        different=sum(int(each.sum()) for each in unequal.values()),
-        largest=float(largest),
-        first=first,
-        # When the loop ended, it may have published one more result after the last recorded tick.
-        results=results == recorded[: len(results)] and len(recorded) - len(results) <= 1,
-        missing=int(states.tick[-1] - states.tick[0]) + 1 - len(states),
-        damage=recording.damage,
-        rules=rules,
-    )
 
 
 def _unequal(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:

@@ -140,6 +140,11 @@ class MessageColumns:
         self.names: tuple[str, ...] = ()
         self.skipped = 0
 
+    def clear(self) -> None:
+        """Begin anew with the same layout; arrays that were returned stay as they are."""
+        self._times, self._count, self.skipped = np.empty_like(self._times), 0, 0
+        self._columns = {name: np.empty_like(each) for name, each in self._columns.items()}
+
     def add(self, kind: MessageType, data: Bytes, starts: Offsets) -> None:
         """Add the messages of a type whose records begin at the starts in a chunk's data."""
         if not starts.size:

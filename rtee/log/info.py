@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,7 +14,8 @@ import numpy as np
 from rtee.errors import MessageError
 from rtee.log import column_reader
 from rtee.log.file_index import FileIndex, index_file
-from rtee.log.reader import read
+from rtee.log.layout import DIGESTED
+from rtee.log.reader import read_indexed
 from rtee.log.record_scanner import messages_of
 from rtee.log.recording import Recording
 from rtee.log.resync import DamagedRecordError
@@ -23,7 +25,7 @@ from rtee.messages.convert import LOOP_STATISTICS
 from rtee.types import LoopStatistics
 
 _STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
-_FEW = (topics.GOALS, topics.PLANS, topics.RESULTS, topics.EVENTS)
+_FEW = tuple(topic for topic in DIGESTED if topic != topics.LOOP_STATISTICS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +109,14 @@ def iso(wall_ns: int) -> str:
     return datetime.fromtimestamp(wall_ns / SECOND, UTC).isoformat(timespec="milliseconds")
 
 
-def info(paths: Sequence[Path]) -> Info:
-    """Return the summary of a recording's files; raises `LogError` as `rtee.log.read` does."""
-    file_indexes = [index_file(path) for path in paths]
-    recording = read(paths, only=_FEW)
+def info(paths: Sequence[Path], *, deep: bool = False) -> Info:
+    """Return the summary of a recording's files.
+
+    Of files that rtee has closed, only begin and end are read; with ``deep`` every record is, so
+    that damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
+    """
+    file_indexes = [index_file(path, brief=not deep) for path in paths]
+    recording = read_indexed(file_indexes, _FEW)
     return Info(
         files=tuple((each.path, each.size) for each in file_indexes),
         library=file_indexes[0].library,
@@ -143,6 +149,8 @@ def _statistics(file: FileIndex) -> LoopStatistics | None:
     number = next((k for k, channel in file.channels.items() if channel.topic == topic), None)
     if number is None:
         return None
+    if file.digest is not None:
+        return _last(file.digest, number)
     with file.path.open("rb") as stream:
         # The last ones cover the whole run, so that no other chunk need be decompressed.
         for place in reversed(file.chunks):
@@ -151,10 +159,17 @@ def _statistics(file: FileIndex) -> LoopStatistics | None:
                 continue
             try:
                 data, _ = messages_of(place.record.read(stream))
-                if starts := column_reader.walk(data).get(number):
-                    last = np.array(starts[-1:], dtype=np.int64)
-                    messages = column_reader.contents(np.frombuffer(data, dtype=np.uint8), last)
-                    return LOOP_STATISTICS.decode(next(messages))
-            except (DamagedRecordError, MessageError):
+            except DamagedRecordError:
                 continue
+            if (last := _last(data, number)) is not None:
+                return last
+    return None
+
+
+def _last(data: bytes, number: int) -> LoopStatistics | None:
+    """Return the last valid loop statistics on a channel among records."""
+    starts = np.array(column_reader.walk(data).get(number, ())[-1:], dtype=np.int64)
+    for message in column_reader.contents(np.frombuffer(data, dtype=np.uint8), starts):
+        with contextlib.suppress(MessageError):
+            return LOOP_STATISTICS.decode(message)
     return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import PurePosixPath
 
@@ -16,6 +16,7 @@ from rtee.log.chunks import ChunkBuilder, PackedChunk
 from rtee.log.mcapfile import Preamble
 from rtee.log.rotation import METADATA
 from rtee.loop.settings import LoopSettings
+from rtee.messages import topics
 from rtee.messages.convert import encode_string
 from rtee.messages.layout import TransformsEncoder
 from rtee.messages.schema import message_type
@@ -27,6 +28,15 @@ FORMAT = "1"
 
 CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES, start=1)}
 """Identifiers of channels by name of the topic."""
+
+DIGESTED = (
+    topics.GOALS,
+    topics.PLANS,
+    topics.RESULTS,
+    topics.EVENTS,
+    topics.LOOP_STATISTICS,
+)
+"""Topics of which every file holds a copy at its end, for a summary."""
 
 REPLAY = "replay.json"
 """Name of the attachment with the settings needed to recompute the references."""
@@ -186,4 +196,4 @@ class Contents:
             builder.add(CHANNELS[TF_STATIC], 0, wall_ns, encoder.encode(wall_ns, *frames.still()))
         chunk = builder.pack()
         assert chunk is not None  # noqa: S101 - narrows the type
-        return chunk
+        return replace(chunk, digest=())

@@ -35,10 +35,17 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from rtee.log.chunks import PackedChunk, record_bytes
+from rtee.log.chunks import Digest, PackedChunk, record_bytes
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
+
+DIGEST = "digest"
+"""Name of the last attachment: a copy of goals, results and events, so that a summary of a file
+needs nothing but its begin and its end."""
+
+_LARGEST_DIGEST = 1 << 25
+"""Size from which a digest is left out [bytes]: 32 MB hold 30,000 goals, and would take memory."""
 
 _MODE = 0o640
 """Mode of a recording, readable only for the robot's user and group."""
@@ -102,6 +109,7 @@ class McapFile:
         self._counts: dict[int, int] = {}
         self._start = 0
         self._end = 0
+        self._digest: Digest | None = Digest()
         self._indexes: list[McapRecord] = []
         begin = self._begin()
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
@@ -151,22 +159,26 @@ class McapFile:
             parts.append(record)
             offset += len(record)
         for attachment in self._preamble.attachments:
-            record = record_bytes(attachment)
-            self._indexes.append(
-                AttachmentIndex(
-                    offset=offset,
-                    length=len(record),
-                    log_time=attachment.log_time,
-                    create_time=attachment.create_time,
-                    data_size=len(attachment.data),
-                    name=attachment.name,
-                    media_type=attachment.media_type,
-                )
-            )
-            parts.append(record)
-            offset += len(record)
+            parts.append(self._attached(attachment, offset))
+            offset += len(parts[-1])
         parts += map(record_bytes, (*self._preamble.schemas, *self._preamble.channels))
         return parts
+
+    def _attached(self, attachment: Attachment, offset: int) -> bytes:
+        """Return the record of an attachment that will be at an offset, and note its index."""
+        record = record_bytes(attachment)
+        self._indexes.append(
+            AttachmentIndex(
+                offset=offset,
+                length=len(record),
+                log_time=attachment.log_time,
+                create_time=attachment.create_time,
+                data_size=len(attachment.data),
+                name=attachment.name,
+                media_type=attachment.media_type,
+            )
+        )
+        return record
 
     def _append(self, *parts: bytes | memoryview) -> None:
         """Write all parts or nothing."""
@@ -212,6 +224,11 @@ class McapFile:
         self._end = max(self._end, chunk.end)
         for channel, count in chunk.counts.items():
             self._counts[channel] = self._counts.get(channel, 0) + count
+        if self._digest is not None:
+            for record in chunk.digest or ():
+                self._digest.add(record)
+            if chunk.digest is None or self._digest.size > _LARGEST_DIGEST:
+                self._digest = None
 
     def close(self) -> None:
         """Write the summary and close the file; further calls do nothing.
@@ -222,7 +239,7 @@ class McapFile:
         if self._descriptor < 0:
             return
         try:
-            self._append(self._ending())
+            self._append(*self._ending())
             # Without `sync`, too: a recording that was closed survives a power cut.
             os.fsync(self._descriptor)
         finally:
@@ -231,7 +248,7 @@ class McapFile:
 
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=len(self._preamble.attachments),
+            attachment_count=sum(isinstance(each, AttachmentIndex) for each in self._indexes),
             channel_count=len(self._preamble.channels),
             channel_message_counts=dict(self._counts),
             chunk_count=self._chunk_count,
@@ -242,10 +259,17 @@ class McapFile:
             schema_count=len(self._preamble.schemas),
         )
 
-    def _ending(self) -> bytes:
+    def _ending(self) -> tuple[bytes, bytes]:
+        last = b""
+        if self._digest is not None and self._end:
+            digest = self._digest.content(self._start, self._end)
+            attachment = Attachment(
+                self._end, self._end, DIGEST, "application/octet-stream", digest
+            )
+            last = self._attached(attachment, self._size)
         # 0: no checksum over the data, as each chunk has one.
         data_end = record_bytes(DataEnd(0))
-        summary_start = self._size + len(data_end)
+        summary_start = self._size + len(last) + len(data_end)
         attachments = [index for index in self._indexes if isinstance(index, AttachmentIndex)]
         metadata = [index for index in self._indexes if isinstance(index, MetadataIndex)]
         groups: list[tuple[Opcode, bytes | bytearray]] = [
@@ -279,7 +303,7 @@ class McapFile:
             summary_offset_start=offset_start,
             summary_crc=zlib.crc32(footer_head, zlib.crc32(summary)),
         )
-        return data_end + bytes(summary) + record_bytes(footer) + MAGIC
+        return last, data_end + bytes(summary) + record_bytes(footer) + MAGIC
 
 
 def _joined(records: Sequence[McapRecord]) -> bytes:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from rtee.errors import LogError, MessageError
 from rtee.log import column_reader
@@ -27,7 +28,7 @@ from rtee.log.recording import (
     TouchSeries,
     touch_series,
 )
-from rtee.log.resync import DamagedRecordError
+from rtee.log.resync import LATEST, DamagedRecordError, Record
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
 from rtee.loop.plan import Plan
@@ -45,6 +46,9 @@ T = TypeVar("T")
 _AHEAD = 4
 """Number of chunks decompressed in advance: two keep the thread busy, and chunks of half a second
 need little memory."""
+
+_WINDOW = round(10 * SECOND)
+"""Length of a piece of a recording [ns]: at 1 kHz, the arrays of twenty actuators take 20 MB."""
 
 _TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
 
@@ -72,13 +76,64 @@ def read(
     Raises:
         LogError: if a file cannot be opened, is not an MCAP file or holds no recording of a hand.
     """
-    paths = paths_of(path, series=series)
-    file_indexes = [index_file(each) for each in paths]
+    return read_indexed([index_file(each) for each in paths_of(path, series=series)], only)
+
+
+def read_indexed(file_indexes: Sequence[FileIndex], only: Iterable[str] | None = None) -> Recording:
+    """Read files that were indexed; of those indexed in brief, what their digests hold."""
+    return _Collector(file_indexes, _wanted(only)).read()
+
+
+def windows(
+    path: Path | str | Sequence[Path | str],
+    *,
+    series: bool = False,
+    only: Iterable[str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+) -> Iterator[Recording]:
+    """Read a recording piece by piece, in memory that does not grow with its length.
+
+    Yields pieces of 10 s in order of time, at least one. Their ``t``, ``start`` and ``end`` are
+    those of the whole; notes and damage are what was found so far. Only chunks with messages from
+    ``start`` to ``end`` since the recording's start [s] are read. The other arguments and errors
+    are those of `read`.
+    """
+    wanted = _wanted(only)
+    briefs = [index_file(each, brief=True) for each in paths_of(path, series=series)]
+    briefs.sort(key=lambda each: each.start)
+    span = _span(briefs)
+    first = span[0] + round((start or 0.0) * SECOND)
+    last = span[1] if end is None else span[0] + round(end * SECOND)
+    _check_hands(briefs)
+    chosen = [each for each in briefs if each.end >= first and each.start <= last]
+    for brief in chosen or briefs[:1]:
+        # One after the other: the index of an hour takes some 30 MB.
+        whole = brief if brief.digest is None else index_file(brief.path)
+        yield from _Collector([whole], wanted, span).pieces(first, last)
+
+
+def _wanted(only: Iterable[str] | None) -> set[str]:
     wanted = set(topics.TYPES) - topics.FOR_VIEWERS if only is None else set(only)
     unknown = wanted - set(topics.TYPES)
     if unknown:
         raise LogError(f"there are no topics {sorted(unknown)}; there are {sorted(topics.TYPES)}")
-    return _Collector(file_indexes, wanted).read()
+    return wanted
+
+
+def _span(file_indexes: Sequence[FileIndex]) -> tuple[int, int]:
+    """Return the earliest and the latest log time [ns since 1970]; 0 without messages."""
+    return (
+        min((each.start for each in file_indexes if each.end), default=0),
+        max((each.end for each in file_indexes), default=0),
+    )
+
+
+def _check_hands(file_indexes: Sequence[FileIndex]) -> None:
+    hand = file_indexes[0].hand
+    for other in file_indexes[1:]:
+        if other.hand != hand:
+            raise LogError(f"is a recording of '{other.hand}', not of '{hand}'", path=other.path)
 
 
 def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
@@ -105,17 +160,20 @@ class _Channel(NamedTuple):
 
 
 class _Collector:
-    """Collects the messages of all files."""
+    """Collects the messages of all files, or of some from a recording of a longer span [ns]."""
 
-    def __init__(self, file_indexes: Sequence[FileIndex], wanted: set[str]) -> None:
+    def __init__(
+        self,
+        file_indexes: Sequence[FileIndex],
+        wanted: set[str],
+        span: tuple[int, int] | None = None,
+    ) -> None:
         self._file_indexes = file_indexes
         self._wanted = wanted
         self._hand = file_indexes[0].hand
-        for other in file_indexes[1:]:
-            if other.hand != self._hand:
-                raise LogError(
-                    f"is a recording of '{other.hand}', not of '{self._hand}'", path=other.path
-                )
+        _check_hands(file_indexes)
+        self._span = span or _span(file_indexes)
+        self._from, self._before = 0, LATEST + 1  # log times of the messages that are taken [ns]
         self._notes = [f"{each.path.name}: {note}" for each in file_indexes for note in each.notes]
         self._notes += [
             f"{each.path.name}: {each.loose} messages outside chunks are not read"
@@ -124,11 +182,11 @@ class _Collector:
         ]
         self._names = {topics.log_topic(self._hand, name): name for name in topics.TYPES}
         self._files = [(each, self._channels(each)) for each in file_indexes]
-        # The indexes give the number of messages, and so the final size of the arrays.
+        # The indexes give the number of messages, and so the final size of the arrays of a whole.
         counts = dict.fromkeys(_TABLES, 0)
         for file, channels in self._files:
             for number, channel in channels.items():
-                if channel.name in counts:
+                if channel.name in counts and span is None:
                     counts[channel.name] += file.count(number)
         self._rows = {name: column_reader.MessageColumns(count) for name, count in counts.items()}
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
@@ -136,6 +194,8 @@ class _Collector:
             f"{each.path.name}: {note}" for each in file_indexes for note in each.damage
         ]
         self._damaged = 0
+        self._skipped = 0
+        self._told: set[int] = set()  # damaged chunks
 
     def _channels(self, file: FileIndex) -> dict[int, _Channel]:
         """Return the wanted channels of a file that have the types of rtee."""
@@ -154,27 +214,60 @@ class _Collector:
 
     def read(self) -> Recording:
         for file, channels in self._files:
-            # Whatever is wanted of it: it is one if it has any topic of a hand.
-            if not file.values and not any(c.topic in self._names for c in file.channels.values()):
-                raise LogError("holds no recording of a hand", path=file.path)
-            try:
-                self._file(file, channels)
-            except OSError as error:
-                raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
-        return self._recording()
+            self._file(file, channels, file.chunks)
+        return self._recording(ended=True)
 
-    def _file(self, file: FileIndex, channels: Mapping[int, _Channel]) -> None:
+    def pieces(self, first: int, last: int) -> Iterator[Recording]:
+        """Yield the messages of the only file from a time to another [ns], piece by piece."""
+        ((file, channels),) = self._files
+        latched = {k: each for k, each in channels.items() if each.name in topics.LATCHED}
+        # What stays valid, from before.
+        self._before = first
+        self._file(file, latched, [each for each in file.chunks if each.start < first])
+        places = sorted(file.chunks, key=lambda each: each.start)
+        places = [each for each in places if each.end >= first and each.start <= last]
+        held: list[ChunkPlace] = []  # chunks that reach into the next piece
+        self._before, taken, ended = first, 0, False
+        while not ended:
+            self._from = begin = self._before
+            begin = begin if held or taken == len(places) else max(begin, places[taken].start)
+            while taken < len(places) and places[taken].start < begin + _WINDOW:
+                held.append(places[taken])
+                taken += 1
+            ended = taken == len(places)
+            # To where a chunk begins: most are read once.
+            self._before = last + 1 if ended else places[taken].start
+            self._file(file, channels, held)
+            held = [each for each in held if each.end >= self._before]
+            yield self._recording(ended=ended)
+            for table in self._rows.values():
+                table.clear()
+            for name, messages in self._messages.items():
+                if name not in topics.LATCHED:
+                    messages.clear()
+
+    def _file(
+        self, file: FileIndex, channels: Mapping[int, _Channel], places: Sequence[ChunkPlace]
+    ) -> None:
+        # Whatever is wanted of it: it is one if it has any topic of a hand.
+        if not file.values and not any(c.topic in self._names for c in file.channels.values()):
+            raise LogError("holds no recording of a hand", path=file.path)
         wanted = [
-            place
-            for place in file.chunks
-            if not place.indexes or channels.keys() & place.indexes.keys()
+            place for place in places if not place.indexes or channels.keys() & place.indexes.keys()
         ]
-        with file.path.open("rb") as stream:
-            for place, data in _chunks_ahead(file.path, wanted):
-                if isinstance(data, DamagedRecordError):
-                    self._note_damage(str(data))
-                else:
-                    self._chunk(place, data, stream, channels)
+        try:
+            with file.path.open("rb") as stream:
+                if file.digest is not None:
+                    all_of_it = ChunkPlace(Record(Opcode.CHUNK, 0, 0), file.start, file.end)
+                    self._chunk(all_of_it, file.digest, stream, channels)
+                for place, data in _chunks_ahead(file.path, wanted):
+                    if not isinstance(data, DamagedRecordError):
+                        self._chunk(place, data, stream, channels)
+                    elif id(place) not in self._told:  # by the piece before
+                        self._told.add(id(place))
+                        self._note_damage(str(data))
+        except OSError as error:
+            raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
 
     def _chunk(
         self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, _Channel]
@@ -192,7 +285,10 @@ class _Collector:
             sound = (times >= place.start) & (times <= place.end)
             if not sound.all():
                 self._damaged += int(len(sound) - sound.sum())
-                offsets = offsets[sound]
+                offsets, times = offsets[sound], times[sound]
+            within = (times >= self._from) & (times < self._before)
+            if not within.all():
+                offsets = offsets[within]
             if name in _TABLES:
                 self._rows[name].add(kind, array, offsets)
             else:
@@ -222,9 +318,8 @@ class _Collector:
 
     # --- from messages to a recording --------------------------------------------------------
 
-    def _recording(self) -> Recording:
-        start = min((each.start for each in self._file_indexes if each.chunks), default=0)
-        end = max((each.end for each in self._file_indexes if each.chunks), default=0)
+    def _recording(self, *, ended: bool) -> Recording:
+        start, end = self._span
         joint_states = self._series(topics.JOINT_STATES, start)
         reference = self._series(topics.REFERENCE, start)
         actuator_states = self._actuators(start)
@@ -269,11 +364,11 @@ class _Collector:
             urdf=self._urdf(attachments),
             meshes=self._file_indexes[0].metadata.get(MESHES, {}),
         )
-        skipped = sum(table.skipped for table in self._rows.values())
-        if self._damaged:
+        self._skipped += sum(table.skipped for table in self._rows.values())
+        if self._damaged and ended:
             self._note_damage(f"{self._damaged} messages make no sense and are left out")
-        if skipped:
-            self._notes.append(f"{skipped} messages with other joints are left out")
+        if self._skipped and ended:
+            self._notes.append(f"{self._skipped} messages with other joints are left out")
         # Making the entries above has added notes; the frozen object is not shared yet.
         object.__setattr__(recording, "notes", tuple(self._notes))
         object.__setattr__(recording, "damage", tuple(self._damage))

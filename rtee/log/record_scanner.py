@@ -11,13 +11,34 @@ from typing import BinaryIO, TypeVar
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    Header,
+    Metadata,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
 from rtee.log.mcapfile import MAGIC
 from rtee.log.resync import DAMAGE, HEAD, DamagedRecordError, Finder, Record
 from rtee.messages.mcap_chunk import DamagedChunkError, decompressed
 
-R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
+R = TypeVar(
+    "R",
+    Header,
+    Metadata,
+    Attachment,
+    Schema,
+    Channel,
+    Chunk,
+    Statistics,
+    SummaryOffset,
+    AttachmentIndex,
+)
 
 
 def scan(stream: BinaryIO) -> Iterator[Record]:
@@ -66,12 +87,12 @@ def messages_of(content: bytes) -> tuple[bytes, Chunk]:
         raise DamagedRecordError(str(error)) from None
 
 
-def definitions_of(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of the schemas and channels among the records of a chunk."""
+def records_of(data: bytes, *opcodes: int) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of the records of some kinds, such as those in a chunk."""
     position = 0
     while position + HEAD.size <= len(data):
         opcode, length = HEAD.unpack_from(data, position)
         position += HEAD.size
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        if opcode in opcodes:
             yield opcode, data[position : position + length]
         position += length

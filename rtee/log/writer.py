@@ -13,8 +13,8 @@ from typing import Any
 from zlib import crc32
 
 from rtee.commands import CommandRecord, StreamSample
-from rtee.log.chunks import ChunkBuilder, PackedChunk
-from rtee.log.layout import CHANNELS, Contents
+from rtee.log.chunks import ChunkBuilder, PackedChunk, message_head
+from rtee.log.layout import CHANNELS, DIGESTED, Contents
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
@@ -49,6 +49,9 @@ ITSELF = "recorder"
 
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write, besides all events of severity error."""
+
+TRACE = "trace"
+"""Kind of the events with the bytes on a bus, of which there may be several in each tick."""
 
 _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
     Goal: (topics.GOALS, convert.GOAL),
@@ -116,6 +119,7 @@ class LogWriter:
         )
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
+        self._digest: list[bytes] = []
         self._due: float | None = None
         # Writers of several hands in one process write their chunks at different times.
         self._chunk_time = settings.chunk_time * (1.0 + crc32(hand.name.encode()) / 2**32) / 2
@@ -234,20 +238,35 @@ class LogWriter:
         wall = self.wall_of(stamp)
         if isinstance(item, Plan):
             self._plan = item if item.grip is not None else None
-            self._add(topics.PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
+            # A summary needs the name of the action alone.
+            named = replace(item, legs=(), effort={}, grip=None)
+            self._add(
+                topics.PLANS,
+                wall,
+                *(
+                    encode_plan(each, self._actuators, time=stamp, wall=wall)
+                    for each in (item, named)
+                ),
+            )
         else:
             topic, codec = _CODECS[type(item)]
             if isinstance(item, CommandRecord) and isinstance(item.command, StreamSample):
                 topic, codec = topics.STREAM_SAMPLES, convert.STREAM_SAMPLE
-            self._add(topic, wall, codec.encode(item, time=stamp, wall=wall))
+            data = codec.encode(item, time=stamp, wall=wall)
+            brief = data if topic in DIGESTED and getattr(item, "kind", "") != TRACE else None
+            self._add(topic, wall, data, brief)
         if isinstance(item, Event) and (item.severity == "error" or item.kind in FAULTS):
             self.fault(f"{item.kind}: {item.text}")
         self._begun()
 
-    def _add(self, topic: str, wall: int, data: bytes) -> None:
+    def _add(self, topic: str, wall: int, data: bytes, brief: bytes | None = None) -> None:
+        """Add a message, and a brief one to the digest."""
         # One counter for all these topics keeps their order at equal times.
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self._builder.add(CHANNELS[topic], self._sequence, wall, data)
+        if brief is not None:
+            head = message_head(CHANNELS[topic], self._sequence, wall, len(brief))
+            self._digest.append(head + brief)
 
     def _begun(self) -> None:
         if self._due is None:
@@ -307,6 +326,7 @@ class LogWriter:
         # Packing clears this number.
         ticks = self._builder.blocks
         chunk = self._builder.pack()
+        digest, self._digest = tuple(self._digest), []
         if chunk is None:
             return
         if self.flight is not None:
@@ -314,7 +334,7 @@ class LogWriter:
             self.flight.add(chunk)
         before = self.sink.problem
         path = self.sink.path
-        self.sink.write(chunk, ticks)
+        self.sink.write(replace(chunk, digest=digest), ticks)
         if self.sink.problem and not before:
             self._report("log_failed", f"recording is lost: {self.sink.problem}")
         elif before and not self.sink.problem:
@@ -330,7 +350,8 @@ class LogWriter:
         event = Event(kind, ITSELF, text, now, "warning")
         # Also into the recording itself, where it explains the gap to a reader.
         wall = self.wall_of(event.stamp)
-        self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
+        data = convert.EVENT.encode(event, wall=wall)
+        self._add(topics.EVENTS, wall, data, data)
         if self._notify is not None:
             with contextlib.suppress(RuntimeError):  # the loop that would be notified has ended
                 self._notify(event)

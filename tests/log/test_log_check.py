@@ -29,8 +29,8 @@ from rtee.errors import LogError, UnknownActuator
 from rtee.hand.config_schema import GraspSettings, ProfileKind, ProfileSettings
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
-from rtee.log import Entry, Recorder, Recording, read
-from rtee.log.check import check
+from rtee.log import Entry, Recorder, Recording, read, reader
+from rtee.log.check import TOPICS, check
 from rtee.log.export import tables
 from rtee.loop import contact_rules
 from rtee.loop.clock import ManualClock
@@ -262,6 +262,7 @@ async def test_rotated_files_are_checked_as_one(small: Hand, tmp_path: Path) -> 
     paths = recorded(tmp_path)
     assert len(paths) > 1
     assert check(read(paths)).same
+    assert check(reader.windows(paths, only=TOPICS)) == check(read(paths))
     with pytest.raises(LogError, match="only what was recorded from the loop's start"):
         check(read(paths[1]))
 

@@ -68,6 +68,7 @@ def test_info_counts_what_is_there(story: Path) -> None:
     assert found.statistics.ticks == 100
     assert [name for name, _ in found.attachments] == ["claw.urdf", "hand.yaml"]
     document = json.loads(json.dumps(found.as_dict()))
+    assert document == json.loads(json.dumps(info([story], deep=True).as_dict()))
     assert document["hand"] == "claw"
     assert document["start"] == "2023-11-14T22:13:20.000+00:00"
     assert [goal["outcome"] for goal in document["goals"]] == ["reached", "held"]
@@ -447,7 +448,7 @@ def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> N
         (cut, "the file was not closed"),
         (damaged, f" bytes from byte {head} on are damaged"),
     ):
-        _, out = run("info", path)
+        _, out = run("info", path, "--deep")
         checked = CliRunner().invoke(app, ["replay", str(path), "--check"])
         for told in (out, checked.stderr):
             assert f"note: {path.name}: " in told

@@ -28,12 +28,34 @@ from log.samples import (
 )
 from rtee.errors import LogError
 from rtee.hand.model import Hand
-from rtee.log import column_reader, read
+from rtee.log import column_reader, read, reader
 from rtee.log.recorder import RecorderSettings
 from rtee.messages import encode_string, message_type
 from rtee.messages.layout import joint_state_fields
 from rtee.messages.schema import recorded_type
 from rtee.messages.state import actuator_state_fields
+
+
+def test_pieces_hold_what_the_whole_does(
+    claw: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Log(claw, settings(tmp_path, max_file_time=1.0)).story()
+    whole = read(tmp_path)
+    assert len(whole.paths) == 2
+    monkeypatch.setattr(reader, "_WINDOW", 300_000_000)
+    pieces = list(reader.windows(tmp_path))
+    assert len(pieces) == 4, "a chunk is of half a second"
+    for name in ("goals", "plans", "commands", "feedback", "results", "events", "device_status"):
+        found = [entry for piece in pieces for entry in getattr(piece, name)]
+        assert [repr(entry) for entry in found] == [repr(entry) for entry in getattr(whole, name)]
+    for topic, quantity in (("joint_states", "effort"), ("actuator_states", "tick")):
+        parts = [getattr(getattr(piece, topic), quantity) for piece in pieces]
+        assert np.concatenate(parts).tobytes() == getattr(getattr(whole, topic), quantity).tobytes()
+    assert {(piece.start, piece.end) for piece in pieces} == {(whole.start, whole.end)}
+    (middle,) = reader.windows(tmp_path, only=["reference"], start=0.61, end=0.7)
+    inside = (whole.reference.t >= 0.61) & (whole.reference.t <= 0.7)
+    assert middle.reference.t.tolist() == whole.reference.t[inside].tolist()
+    assert not len(middle.actuator_states)
 
 
 def test_arrays_are_what_the_loop_told_bit_for_bit(story: Path) -> None:
