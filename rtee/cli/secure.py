@@ -100,6 +100,27 @@ def add_client(
     )
 
 
+@app.command(name="add-hand")
+def add_hand(
+    site: Annotated[str, typer.Argument(metavar="SITE", help="Name of the router's site.")],
+    hand: HandArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Where to write them; HAND@SITE by default."),
+    ] = None,
+    days: DaysOption = 825,
+) -> None:
+    """Make the certificates with which a hand connects to the router of a site."""
+    from rtee.hand.names import check_name
+
+    folder = out or Path(f"{check_name(hand, 'hand')}@{check_name(site, 'site')}")
+    _authority().add_hand(_folder(site), hand, folder, days)
+    print(f"made the certificates of {hand} at {site} in {folder}")
+    print("Bring the folder to the hand's computer in a safe way, and delete it here. hand.yaml:")
+    print("  remote:\n    connect: [tls/ROUTER:7447]\n    security: {folder: THE FOLDER THERE}")
+    print(f"The router admits it from its next start on: rtee router {site}")
+
+
 @app.command()
 def revoke(hand: HandArgument, name: PersonArgument) -> None:
     """Refuse the certificates of a client from now on; those of others stay valid."""

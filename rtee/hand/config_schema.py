@@ -374,7 +374,7 @@ class RemoteSettings(Section):
     listen: Names = ()
     """Zenoh endpoints to listen on, such as ``tls/192.168.1.10:7447``; empty: this machine only."""
     connect: Names = ()
-    """Zenoh endpoints to connect to."""
+    """Zenoh endpoints of routers to connect to, as ``rtee router`` is; they may come up later."""
     security: SecuritySettings = SecuritySettings()
     """Who may use the hand on a network."""
     state_rate: Positive = 100.0

@@ -44,17 +44,43 @@ _MESSAGES = (
 _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 """Protocols that admit anybody who reaches the endpoint."""
 
+_ROUTER = "router"
+"""Subject of a router that a hand connects to, whose certificate the hand has checked."""
 
-def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dict[str, Any]:
+
+def access_control(
+    hand: str, people: Mapping[str, Role], *, plain: bool, routed: bool = False
+) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a hand.
 
     The roles go by common name of the certificates that are or may later be admitted, which come
-    through the hand's door (`gate_access_control`), and so through its Unix socket; with ``plain``,
+    through the hand's door (`gate_access_control`), and so through its Unix socket, or if
+    ``routed`` through a router that has judged them (`router_access_control`); with ``plain``,
     clients without certificates are admitted.
     """
-    here = {HERE: Role.MAINTAINER, **people}
-    subjects = {HERE: here} | ({PLAIN: {PLAIN: Role.MAINTAINER}} if plain else {})
+    subjects: dict[str, Mapping[str, Role]] = {HERE: {HERE: Role.MAINTAINER}}
+    if routed:
+        subjects[_ROUTER] = people
+    else:
+        subjects[HERE] = {HERE: Role.MAINTAINER, **people}
+    if plain:
+        subjects[PLAIN] = {PLAIN: Role.MAINTAINER}
     return _allowed(hand, subjects)
+
+
+def router_access_control(people: Mapping[str, Role], hands: Mapping[str, str]) -> dict[str, Any]:
+    """Return Zenoh's ``access_control`` for the router of a site.
+
+    Args:
+        people: Roles by common name of the certificates of people, with any hand.
+        hands: Hands by common name of their certificates. Each speaks for itself alone.
+    """
+    settings = _allowed("*", {name: {name: role} for name, role in people.items()})
+    for name, hand in hands.items():
+        settings["rules"].append(_all(hand, network_key(hand, "**")))
+        settings["subjects"].append(_subject(name))
+        settings["policies"].append({"rules": [hand], "subjects": [name]})
+    return settings
 
 
 def gate_access_control(hand: str, zid: str, name: str, role: Role) -> dict[str, Any]:
@@ -67,19 +93,22 @@ def gate_access_control(hand: str, zid: str, name: str, role: Role) -> dict[str,
         role: Its role.
     """
     settings = _allowed(hand, {HERE: {name: role}})
-    settings["rules"].append(
-        {
-            "id": "all",
-            "permission": "allow",
-            "flows": ["ingress", "egress"],
-            "messages": list(_MESSAGES),
-            "key_exprs": ["**"],
-        }
-    )
+    settings["rules"].append(_all("all", "**"))
     # The hand itself, and what goes to it, which was judged when it came in.
     settings["subjects"].append({"id": "hand", "zids": [zid]})
     settings["policies"].append({"rules": ["all"], "subjects": ["hand"]})
     return settings
+
+
+def _all(name: str, keys: str) -> dict[str, Any]:
+    """Return the rule that allows all messages on some keys."""
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": ["ingress", "egress"],
+        "messages": list(_MESSAGES),
+        "key_exprs": [keys],
+    }
 
 
 def _allowed(hand: str, subjects: Mapping[str, Mapping[str, Role]]) -> dict[str, Any]:
@@ -106,6 +135,8 @@ def _subject(way: str) -> dict[str, Any]:
         return {"id": way, "link_protocols": [LOCAL]}
     if way == PLAIN:
         return {"id": way, "link_protocols": list(_UNPROTECTED)}
+    if way == _ROUTER:  # a hand itself has no other links with TLS
+        return {"id": way, "link_protocols": ["tls"]}
     return {"id": way, "link_protocols": ["tls"], "cert_common_names": [way]}
 
 
@@ -133,6 +164,8 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
 def _presence(hand: str) -> Iterable[dict[str, Any]]:
     """Return the rules for what all admitted clients may do."""
     yield _rule("token", "ingress", ["liveliness_token"], hand, [f"{CLIENTS}/*"])
+    # A router passes on only tokens that it was asked for.
+    yield _rule("tokens", "egress", ["declare_liveliness_subscriber"], hand, [f"{CLIENTS}/*"])
     find = _rule(
         "find", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], hand, [ALIVE]
     )

@@ -126,6 +126,34 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
     return entry, identity_text(name, _key_text(key), _text(certificate), authority)
 
 
+def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
+    """Make a folder with what a hand needs to connect to the router of a site.
+
+    Args:
+        folder: The site's folder.
+        hand: The hand. A certificate that it had before is refused from now on.
+        to: The folder that is made.
+        days: Validity of the hand's certificate.
+
+    Raises:
+        ConfigError: if the folder exists, or the files of the authority cannot be used.
+    """
+    known, common = _known(folder), secrets.token_hex(_RANDOM)
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = _issued(folder, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
+    try:
+        to.mkdir(mode=0o700)
+    except OSError as error:
+        raise ConfigError(f"cannot be made: {reason(error)}", path=to) from None
+    others = {name: other for name, other in known.hands.items() if other != hand}
+    _write(replace(known, hands={**others, common: hand}))
+    write_private(to / HAND_KEY, _key_text(key))
+    write_private(to / HAND, _text(certificate))
+    write_private(to / AUTHORITY, (folder / AUTHORITY).read_text("ascii"))
+    until = certificate.not_valid_after_utc.timestamp()
+    _write(replace(known, folder=to, until=until, hands={}))
+
+
 def revoke(folder: Path, name: str) -> list[Person]:
     """Revoke certificates in a hand's folder; return those that were admitted before.
 
@@ -276,5 +304,5 @@ def _write(known: Credentials) -> None:
         for client in known.people
     ]
     spare = {name: role.name.lower() for name, role in known.spare.items()}
-    text = json.dumps({"until": known.until, "people": entries, "spare": spare}, indent=2)
-    write_private(known.folder / PEOPLE, text + "\n")
+    document = {"until": known.until, "people": entries, "spare": spare, "hands": dict(known.hands)}
+    write_private(known.folder / PEOPLE, json.dumps(document, indent=2) + "\n")

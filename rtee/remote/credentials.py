@@ -36,6 +36,9 @@ PEOPLE = "people.json"
 AUTHORITY, AUTHORITY_KEY = "authority.crt", "authority.key"
 HAND, HAND_KEY = "hand.crt", "hand.key"
 
+_TLS = "transport/link/tls/"
+"""Beginning of Zenoh's settings of TLS."""
+
 _FILES = (PEOPLE, AUTHORITY, AUTHORITY_KEY, HAND, HAND_KEY)
 
 _LONGEST = 65536
@@ -95,12 +98,14 @@ class Credentials:
     Attributes:
         until: Expiry of the hand's certificate [s since 1970].
         spare: Roles by common name, of the certificates that may be made next, in this order.
+        hands: Hands by common name of their certificates, for the list of a router.
     """
 
     folder: Path
     people: tuple[Person, ...] = ()
     until: float = 0.0
     spare: Mapping[str, Role] = field(default_factory=dict)
+    hands: Mapping[str, str] = field(default_factory=dict)
     _stamp: tuple[int, int] = field(default=(-1, -1), repr=False)
 
     def read(self) -> bool:
@@ -117,7 +122,7 @@ class Credentials:
             if stamp == self._stamp:
                 return False
             # The stamp is older than the text: a list replaced in between is read again.
-            self.people, self.until, self.spare = _people(path)
+            self.people, self.until, self.spare, self.hands = _people(path)
             self._stamp = stamp
             return True
         except OSError as error:
@@ -183,7 +188,9 @@ class Credentials:
         }
 
 
-def _people(path: Path) -> tuple[tuple[Person, ...], float, Mapping[str, Role]]:
+def _people(
+    path: Path,
+) -> tuple[tuple[Person, ...], float, Mapping[str, Role], Mapping[str, str]]:
     try:
         document = json.loads(path.read_text("utf-8"))
         people = tuple(
@@ -196,7 +203,9 @@ def _people(path: Path) -> tuple[tuple[Person, ...], float, Mapping[str, Role]]:
             for entry in document["people"]
         )
         spare = {str(k): Role[str(v).upper()] for k, v in document["spare"].items()}
-        return people, float(document["until"]), spare
+        listed = document.get("hands", {})  # absent in lists of earlier versions
+        hands = {str(name): check_name(str(hand), "hand") for name, hand in listed.items()}
+        return people, float(document["until"]), spare, hands
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"is not a list of people: {error!r}", path=path) from None
 
@@ -207,6 +216,29 @@ def check_private(path: Path) -> None:
         raise ConfigError(
             "holds a key that others can read; type: chmod 600 " + str(path), path=path
         )
+
+
+def router_link(certificates: Mapping[str, str]) -> dict[str, Any]:
+    """Return Zenoh's settings for connecting to a router with the files of `Credentials.files`."""
+    return {
+        f"{_TLS}root_ca_certificate": certificates["authority"],
+        f"{_TLS}connect_private_key": certificates["key"],
+        f"{_TLS}connect_certificate": certificates["certificate"],
+        f"{_TLS}enable_mtls": True,
+        # As for clients: the authority has made a single server certificate.
+        f"{_TLS}verify_name_on_connect": False,
+    }
+
+
+def router_certificates(certificates: Mapping[str, str]) -> dict[str, Any]:
+    """Return Zenoh's settings for a router with the files of `Credentials.files`."""
+    return {
+        f"{_TLS}root_ca_certificate": certificates["authority"],
+        f"{_TLS}listen_private_key": certificates["key"],
+        f"{_TLS}listen_certificate": certificates["certificate"],
+        f"{_TLS}enable_mtls": True,
+        f"{_TLS}close_link_on_expiration": True,
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,15 +253,14 @@ class Identity:
 
     def settings(self) -> dict[str, Any]:
         """Return Zenoh's settings for connecting with this certificate."""
-        tls = "transport/link/tls/"
         return {
-            f"{tls}root_ca_certificate_base64": _base64(self.blocks["authority"]),
-            f"{tls}connect_private_key_base64": _base64(self.blocks["key"]),
-            f"{tls}connect_certificate_base64": _base64(self.blocks["certificate"]),
-            f"{tls}enable_mtls": True,
+            f"{_TLS}root_ca_certificate_base64": _base64(self.blocks["authority"]),
+            f"{_TLS}connect_private_key_base64": _base64(self.blocks["key"]),
+            f"{_TLS}connect_certificate_base64": _base64(self.blocks["certificate"]),
+            f"{_TLS}enable_mtls": True,
             # The hand's own authority has made a single server certificate, which is valid at any
             # address of the hand.
-            f"{tls}verify_name_on_connect": False,
+            f"{_TLS}verify_name_on_connect": False,
         }
 
 

@@ -12,7 +12,7 @@ from rtee.errors import ConfigError
 from rtee.hand.config_schema import SecuritySettings
 from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.access import access_control, gate_access_control
-from rtee.remote.credentials import Credentials, person, secure_folder
+from rtee.remote.credentials import Credentials, person, router_link, secure_folder
 from rtee.remote.identities import Admitted, admit_local
 from rtee.remote.session import TLS, is_safe
 
@@ -44,7 +44,8 @@ class Endpoints(Protocol):
 
 def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
     """Return the certificates of a hand, not yet read; ``None`` if its endpoints need none."""
-    if not any(endpoint.startswith(TLS) for endpoint in endpoints.listen):
+    everywhere = [*endpoints.listen, *endpoints.connect]
+    if not any(endpoint.startswith(TLS) for endpoint in everywhere):
         return None
     return Credentials(endpoints.security.folder or secure_folder(hand))
 
@@ -56,8 +57,6 @@ def exposed(endpoints: Endpoints) -> list[str]:
     """
     everywhere = [*endpoints.listen, *endpoints.connect]
     unsafe = [endpoint for endpoint in everywhere if not is_safe(endpoint)]
-    # A router that the hand connects to passes on messages from anybody who reaches the router.
-    unsafe += [each for each in endpoints.connect if each.startswith(TLS)]
     if unsafe and not endpoints.security.insecure:
         raise ConfigError(
             f"whoever reaches {', '.join(unsafe)} could move the hand: listen on"
@@ -73,8 +72,8 @@ class Protection:
 
     Attributes:
         settings: Zenoh's settings for the hand.
-        certificates: Files with ``authority``, ``certificate`` and ``key`` for its door, if it
-            listens on TLS.
+        certificates: Files with ``authority``, ``certificate`` and ``key`` for its door or its link
+            to a router, if it uses TLS.
 
     Raises `ConfigError` if an endpoint admits everybody and hand.yaml does not allow it, or there
     are no certificates.
@@ -88,9 +87,15 @@ class Protection:
                 hand,
                 ", ".join(unsafe),
             )
-        plain = [each for each in endpoints.listen if not each.startswith(TLS)]
-        # Messages through a router carry no certificate of the client behind it.
-        self._plain = bool(plain or endpoints.connect)
+        everywhere = [*endpoints.listen, *endpoints.connect]
+        self._plain = any(not each.startswith(TLS) for each in everywhere)
+        routed = any(each.startswith(TLS) for each in endpoints.connect)
+        if routed and any(each.startswith(TLS) for each in endpoints.listen):
+            raise ConfigError(
+                "a hand listens on tls/… or connects to a router by tls/…, not both: the"
+                " certificates of the one are not those of the other",
+                key="remote",
+            )
         self._hand = hand
         self._credentials = credentials_of(hand, endpoints)
         self.certificates: Mapping[str, str] = {}
@@ -102,7 +107,10 @@ class Protection:
             admitted = {name: rights.role for name, rights in self._admitted.items()}
             # Zenoh reads its rules once, so they must include the names of later certificates.
             self._known = {**self._credentials.spare, **admitted}
-        self.settings = {"access_control": access_control(hand, self._known, plain=self._plain)}
+        access = access_control(hand, self._known, plain=self._plain, routed=routed)
+        self.settings: dict[str, Any] = {"access_control": access}
+        if routed:
+            self.settings |= router_link(self.certificates)
 
     def rules(self, zid: str) -> dict[str, Any]:
         """Return Zenoh's rules for the gateways of the hand's door, by common name.

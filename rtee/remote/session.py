@@ -198,6 +198,17 @@ def open_listening(
     listen: Sequence[str], connect: Sequence[str], further: Mapping[str, Any] | None = None
 ) -> zenoh.Session:
     """Open a session that listens on endpoints; as `open_server`, which makes it for a hand."""
+    try:
+        return open_session(listening(listen, connect, further))
+    except (OSError, zenoh.ZError) as error:
+        where = ", ".join([*listen, *connect])
+        raise ConfigError(f"the network endpoint {where} cannot be used: {_words(error)}") from None
+
+
+def listening(
+    listen: Sequence[str], connect: Sequence[str], further: Mapping[str, Any] | None = None
+) -> zenoh.Config:
+    """Return Zenoh's settings for `open_listening`."""
     settings = {
         "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
@@ -211,11 +222,7 @@ def open_listening(
         # Batches of 64 KiB that are buffered for a client, the most that Zenoh allows.
         "transport/link/tx/queue/size/interactive_high": 16,
     }
-    try:
-        return open_session(_configured(settings | dict(further or {})))
-    except (OSError, zenoh.ZError) as error:
-        where = ", ".join([*listen, *connect])
-        raise ConfigError(f"the network endpoint {where} cannot be used: {_words(error)}") from None
+    return _configured(settings | dict(further or {}))
 
 
 def most_sessions() -> int:
@@ -258,6 +265,8 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
     """
     check_endpoints(endpoints)
     settings: dict[str, Any] = {
+        # A router does not pass on messages between two peers.
+        "mode": "client",
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/exit_on_failure": True,

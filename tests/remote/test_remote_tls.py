@@ -289,9 +289,11 @@ async def test_an_endpoint_without_certificates_must_be_allowed(
     with pytest.raises(ConfigError, match=r"could move the hand.*insecure: true"):
         async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
             pass
-    with pytest.raises(ConfigError, match="could move the hand"):
-        async with serving(hand, library, config=Config(Remote(connect=["tls/router:7447"]))):
-            pass
+    for router, why in (("tcp", "could move the hand"), ("tls", "rtee secure init")):
+        config = Config(Remote(connect=[f"{router}/router:7447"]))
+        with pytest.raises(ConfigError, match=why):
+            async with serving(hand, library, config=config):
+                pass
     config = Config(Remote(listen=[endpoint], security=SecuritySettings(insecure=True)))
     async with serving(hand, library, config=config):
         assert "can move the hand" in caplog.text

@@ -1,0 +1,125 @@
+"""A router between hands and clients, which see nothing of each other but through it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, closing, contextmanager
+from pathlib import Path
+
+import anyio
+import pytest
+
+import rtee
+from rtee.errors import ConfigError, LeaseHeld, RemoteError
+from rtee.hand.config_schema import SecuritySettings
+from rtee.messages.requests import Role
+from rtee.remote import credentials
+from rtee.remote.credentials import Credentials
+from rtee.remote.router import router_settings
+from rtee.remote.session import open_listening
+
+from .serving import (
+    LASTING,
+    Config,
+    Remote,
+    Served,
+    free_endpoint,
+    make_hand,
+    make_library,
+    serving,
+    until,
+)
+
+pytestmark = pytest.mark.anyio
+
+
+@contextmanager
+def routing(endpoint: str, site: Credentials | None) -> Iterator[None]:
+    """Run a router for as long as the context lasts."""
+    with closing(open_listening([endpoint], (), router_settings(site, [endpoint]))):
+        yield
+
+
+@asynccontextmanager
+async def behind(
+    endpoint: str, folder: Path, secured: bool, *names: str
+) -> AsyncIterator[list[Served]]:
+    """Run hands that connect to a router."""
+    async with AsyncExitStack() as stack:
+        hands = []
+        for name in names:
+            own = SecuritySettings(folder=folder / name if secured else None, insecure=not secured)
+            config = Config(Remote(connect=[endpoint], security=own))
+            hand = make_hand(folder, name)
+            opened = serving(hand, make_library(hand), config=config)
+            hands.append(await stack.enter_async_context(opened))
+        yield hands
+
+
+async def test_a_router_as_it_comes_passes_on_all(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with routing(endpoint, None):
+        async with behind(endpoint, tmp_path, False, "left"):
+            async with rtee.connect(endpoint=endpoint, wait=60.0) as remote:
+                assert (await remote.do("Trig", "index", intensity=0.2)).reached
+                assert (await anext(remote.states(50.0))).names
+                assert await remote.stop() == {"sim": True}
+            # The way on the hand's own computer is there, too.
+            async with rtee.connect("left") as here:
+                assert (await here.status()).hand == "left"
+
+
+async def test_two_hands_and_three_clients_with_certificates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authority = pytest.importorskip("rtee.remote.authority", reason="needs the extra secure")
+    site, files = tmp_path / "site", {}
+    authority.make_authority(site, "site")
+    for name, role in (("ann", Role.OPERATOR), ("bob", Role.OPERATOR), ("eve", Role.OBSERVER)):
+        files[name] = tmp_path / f"{name}.pem"
+        authority.write_private(files[name], authority.add_client(site, name, role)[1])
+    for name in ("left", "right"):
+        authority.add_hand(site, name, tmp_path / name)
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+
+    @asynccontextmanager
+    async def client(name: str, hand: str) -> AsyncIterator[rtee.RemoteHand]:
+        monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(files[name]))
+        async with rtee.connect(hand, endpoint=endpoint, wait=60.0) as remote:
+            yield remote
+
+    with routing(endpoint, Credentials(site)):
+        async with (
+            behind(endpoint, tmp_path, True, "left", "right") as (left, right),
+            client("ann", "left") as ann,
+            client("bob", "right") as bob,
+            client("eve", "left") as eve,
+        ):
+            assert [each.client.partition(".")[0] for each in (ann, bob, eve)] == [*files]
+            events = eve.events()
+            running = await ann.start("Trig", "index", **LASTING)
+            assert (await bob.do("Trig", "index", intensity=0.2)).reached
+            # Each hand has its own lease, and clients of another keep out of it.
+            async with client("bob", "left") as second:
+                with pytest.raises(LeaseHeld):
+                    await second.do("Trig", "index")
+            # The router drops what a role may not, and whoever it is may stop.
+            with pytest.raises(RemoteError), anyio.fail_after(300):
+                await eve.hold()
+            assert await eve.stop() == {"sim": True}
+            async for event in events:
+                if event.kind == "stop":
+                    break
+            assert not (await running.result()).reached
+            assert [len(each.watcher.goals) for each in (left, right)] == [1, 1]
+            # Who is revoked is refused as soon as the hand's copy of the list says so.
+            way = left.server._identities.way(ann.client)
+            authority.revoke(tmp_path / "left", "ann")
+            await until(lambda: left.server._identities._admitted(way) is None)
+            with pytest.raises(RemoteError):
+                await ann.status()
+
+
+def test_what_cannot_be_secured_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="write tls/HOST:PORT"):
+        router_settings(Credentials(tmp_path), ["tcp/0.0.0.0:7447"])
