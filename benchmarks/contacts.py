@@ -20,9 +20,10 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import RteeError
 from rtee.hand.catalog import hand_names
+from rtee.trials.bench import Bench, bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import OBJECTS, Bench, bench, mass_of
+from rtee.trials.result import OBJECTS, mass_of
 from rtee.types import Goal
 
 GRASPS = (

@@ -29,9 +29,9 @@ from rtee.actions.types import Action
 from rtee.errors import RteeError
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.plan import plan_grasps
+from rtee.trials.bench import Bench, bench
 from rtee.trials.planned import checked
 from rtee.trials.store import FILE_NAME, read_results
-from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, run_trial
 
 FOLDER = Path(__file__).parents[1] / "experiments" / "objects"

@@ -23,8 +23,8 @@ from common import Table
 
 from rtee.errors import RteeError, SimulationUnstable
 from rtee.loop.plan import make_plan
+from rtee.trials.bench import Bench, bench
 from rtee.trials.grasp_truth import RATE, Case, Thing, Truth, Unfit, try_case
-from rtee.trials.sweep import Bench, bench
 from rtee.types import Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -14,7 +14,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from rtee.trials.sweep import bench
+from rtee.trials.bench import bench
 from rtee.trials.tasks import RATE, End, Task, TaskTrial, Way, run_task
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -16,8 +16,8 @@ from common import Table, command_line
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.running.run import RunOptions, run_hands
+from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import bench
 from rtee.types import Goal
 
 HEADLESS = (

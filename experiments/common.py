@@ -21,11 +21,11 @@ from rtee.log.plot_png import write_png
 from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
+from rtee.trials.bench import Bench, bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
 from rtee.trials.robust_places import robust_places
-from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
 from rtee.types import Feedback
 

@@ -16,8 +16,8 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.loop.observer import LoopObserver
 from rtee.sample import FloatArray
+from rtee.trials.bench import Bench, bench
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import Bench, bench
 from rtee.trials.variation import Variation, draw, interval
 from rtee.types import Goal
 

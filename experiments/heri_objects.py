@@ -21,8 +21,8 @@ from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
 from rtee.log.recording import Recording
 from rtee.loop.plan import OPEN
+from rtee.trials.bench import bench
 from rtee.trials.pictures import Stills
-from rtee.trials.sweep import bench
 from rtee.trials.transfer import LOST, run_transfer
 from rtee.trials.transfer_result import Transfer
 

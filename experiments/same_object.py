@@ -17,9 +17,9 @@ from experiments.common import Outcome, main, plot_of, recording, strip
 from experiments.wires import on_the_wire, wired
 from rtee.log import read
 from rtee.loop.plan import OPEN
+from rtee.trials.bench import bench
 from rtee.trials.pictures import Stills
 from rtee.trials.stance import Stance, standing
-from rtee.trials.sweep import bench
 from rtee.trials.transfer import OFF, SLIDE, TILT, run_transfer
 from rtee.trials.transfer_result import Transfer
 from rtee.trials.variation import interval

@@ -18,8 +18,8 @@ from rtee.hand.model import Hand
 from rtee.log import Recording, read
 from rtee.loop.plan import OPEN
 from rtee.sample import FloatArray
+from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import bench
 from rtee.types import Goal
 
 TOLERANCE = 0.01

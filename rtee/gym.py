@@ -27,8 +27,8 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import pose_vector
 from rtee.errors import ConfigError, SimulationUnstable
 from rtee.sample import FloatArray
+from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import bench
 
 RATE: Final = 30.0
 """Steps per second [Hz], as policies that were learnt from cameras have it."""

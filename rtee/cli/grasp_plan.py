@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import Hand, JsonOption
+from rtee.cli._sweep import meshes_in
 from rtee.cli.define import Replace
 
 if TYPE_CHECKING:
@@ -23,11 +24,12 @@ _CHECKED = 3
 def grasp_plan(
     hand: Hand,
     object_: Annotated[
-        str,
+        list[str],
         typer.Option(
             "--object",
-            metavar="SHAPE|MESH",
-            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a mesh file.",
+            metavar="SHAPE|MESH|FOLDER",
+            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a mesh file, or a "
+            "folder of them; may be repeated.",
         ),
     ],
     mass: Annotated[float, typer.Option(help="Mass of the object [kg].")] = 0.1,
@@ -54,15 +56,16 @@ def grasp_plan(
     replace: Replace = False,
     json_: JsonOption = False,
 ) -> None:
-    """Rank a hand's actions for an object, and say why.
+    """Rank a hand's actions for an object, or for each of several, and say why.
 
-    Exit status 1 when no action can hold it.
+    Exit status 1 when no action can hold one of them.
 
     Example: rtee grasp-plan schunk_svh --object cylinder:0.03x0.12 --check
     """
-    from rtee.errors import needing_extra
+    from rtee.errors import ConfigError, UserError, needing_extra
 
     with needing_extra("planning a grasp", "extract"):
+        from rtee.hand.meshes import FORMATS
         from rtee.planning.objects import read_object
         from rtee.planning.plan import plan_grasps
     from rtee.actions.build import check_custom_name
@@ -74,18 +77,43 @@ def grasp_plan(
     if save is not None:
         check_custom_name(save)
     library = actions_of(hand)
-    target = read_object(object_, mass, scale)
-    ranking = plan_grasps(library.hand, library, target, friction=friction, weight_axis=axis)
-    if check:
-        ranking = _checked(hand, library, target, ranking)
-    if json_:
-        document = to_document(ranking)
+    objects = meshes_in(object_, FORMATS)
+    several = len(objects) > 1
+    if several and save is not None:
+        raise ConfigError("--save is for the grasp of one object")
+    documents: list[dict[str, object]] = []
+    held = True
+    for text in objects:
+        try:
+            target = read_object(text, mass, scale)
+            ranking = plan_grasps(
+                library.hand, library, target, friction=friction, weight_axis=axis
+            )
+            if check:
+                ranking = _checked(hand, library, target, ranking)
+        except UserError as error:
+            documents.append({"hand": library.hand.name, "object": text, "error": str(error)})
+            if json_ and not several:
+                print(json.dumps(documents[0], indent=2))
+            if not several:
+                raise
+            held = False
+            if not json_:
+                print(f"{text}: {error}")
+            continue
         # All plans were ranked: `--top` only shortens what is printed.
-        print(json.dumps({**document, "plans": document["plans"][:top]}, indent=2))
-    else:
-        _show(ranking, top)
-    # A grasp that lost the object in dynamics is not stored.
-    if not ranking.plans or (ranking.plans[0].check and not ranking.plans[0].check.held):
+        document = to_document(ranking)
+        documents.append({**document, "plans": document["plans"][:top]})
+        if not json_:
+            if several:
+                print(f"{text}:")
+            _show(ranking, top)
+        # A grasp that lost the object in dynamics is not stored.
+        first = ranking.plans[0] if ranking.plans else None
+        held &= first is not None and (first.check is None or first.check.held)
+    if json_:
+        print(json.dumps(documents if several else documents[0], indent=2))
+    if not held:
         raise typer.Exit(1)
     if save is not None:
         _save(library, save, ranking, replace, json_)
@@ -110,8 +138,8 @@ def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ra
     from rtee.loop.configure import loop_settings
 
     with needing_extra("trying grasps in simulation", "sim"):
+        from rtee.trials.bench import RATE
         from rtee.trials.planned import checked
-        from rtee.trials.sweep import RATE
     settings = loop_settings(load_configured(hand_folder(name)[0])[1], rate=RATE)
     return checked(library.hand, library, settings, target, ranking, _CHECKED)
 

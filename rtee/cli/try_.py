@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
-from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,9 +13,10 @@ import typer
 
 from rtee import monotonic
 from rtee.cli._common import FrictionOption, complete_hand, owned
+from rtee.cli._sweep import JobsOption, meshes_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Sequence
 
     from rtee.actions.fingerprints import Fingerprints
     from rtee.trials.trial import Trial, TrialResult
@@ -41,8 +41,8 @@ def try_(
         typer.Option(
             "--object",
             metavar="SHAPE",
-            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a mesh; may be "
-            "repeated.",
+            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a mesh, or a folder "
+            "of meshes; may be repeated.",
         ),
     ] = None,
     intensity: Annotated[
@@ -77,12 +77,20 @@ def try_(
     all_: Annotated[
         bool, typer.Option("--all", help="All actions with all standard objects; resumable.")
     ] = False,
+    until: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=0.99,
+            metavar="RATE",
+            help="Leave variations out once the interval lies to one side of this rate, such as "
+            "0.7; all are tried unless given.",
+        ),
+    ] = None,
     again: Annotated[
         bool, typer.Option("--again", help="With --all: repeat trials whose results are known.")
     ] = False,
-    jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=0, help="Processes; 0: one per processor.")
-    ] = 0,
+    jobs: JobsOption = 0,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -91,7 +99,11 @@ def try_(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where --all writes its results, if not with the hand."),
+        typer.Option(
+            metavar="FOLDER|FILE",
+            help="Where --all writes its results, if not with the hand: files of Parquet in a "
+            "folder, or a small .yaml.",
+        ),
     ] = None,
     task: Annotated[
         list[str] | None,
@@ -141,6 +153,10 @@ def try_(
     """
     from rtee.errors import ConfigError, needing_extra
 
+    if object_:
+        with needing_extra("a trial", "sim"):
+            from rtee.drivers.mujoco.objects import MESHES
+        object_ = meshes_in(object_, MESHES)
     if task:
         from rtee.cli.try_task import TaskOptions, try_tasks
 
@@ -161,8 +177,9 @@ def try_(
         raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
 
     with needing_extra("a trial", "sim"):
+        from rtee.trials.bench import bench
         from rtee.trials.result import CHOOSING, OBJECTS, mass_of
-        from rtee.trials.sweep import all_trials, bench
+        from rtee.trials.sweep import all_trials
         from rtee.trials.trial import Trial
 
     name = _resolved(hand)
@@ -174,7 +191,7 @@ def try_(
         if friction is not None:
             raise ConfigError("--all takes the friction that is usual, and varies it")
         varied = _VARIATIONS if variations is None else variations
-        trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed, choosing)
+        trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed, choosing, until)
         results = _all(name, trials, jobs, again, cluster, out)
         _show(results, json_)
         return
@@ -193,6 +210,7 @@ def try_(
             variations=variations or 0,
             seed=seed,
             choosing=choosing,
+            wanted=until,
         )
         for shape in shapes
     ]
@@ -228,8 +246,8 @@ def _resolved(hand: str) -> str:
 
 def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:
     from rtee.hand.files import make_folder
+    from rtee.trials.bench import bench
     from rtee.trials.recorded import recorder_for
-    from rtee.trials.sweep import bench
     from rtee.trials.trial import run_trial
 
     ready = bench(name)
@@ -266,24 +284,70 @@ def _all(
     out: Path | None,
 ) -> list[TrialResult]:
     """Run the trials that have no stored result yet; store each result as it arrives."""
-    from rtee.actions.fingerprints import Fingerprints
     from rtee.drivers.mujoco.objects import MESHES
     from rtee.errors import ConfigError
     from rtee.objects.shape import parse_object
-    from rtee.trials.store import FILE_NAME, read_results
-    from rtee.trials.sweep import bench, sweep, sweep_on_cluster
+    from rtee.trials.bench import bench
 
     # Refuse a mistyped object once, before any process starts.
     for shape in {trial.object: None for trial in trials}:
         parse_object(shape, MESHES)
-    ready = bench(name)
-    path, made_with = out or ready.folder / FILE_NAME, Fingerprints.of(ready.folder, ready.library)
     if not trials:
         raise ConfigError(
-            f"hand '{ready.hand.name}' has no actions to try; find its primitives first: "
+            f"hand '{bench(name).hand.name}' has no actions to try; find its primitives first: "
             f"rtee extract {name} --save"
         )
+    if out is None or out.suffix in (".yaml", ".yml"):
+        return _all_in_file(name, trials, jobs, again, cluster, out)
+    return _all_in_folder(name, trials, jobs, again, cluster, out)
+
+
+def _all_in_folder(
+    name: str, trials: Sequence[Trial], jobs: int, again: bool, cluster: str | None, out: Path
+) -> list[TrialResult]:
+    from rtee.cli._sweep import followed, workers_for
+    from rtee.trials.answers import Answers
+    from rtee.trials.result import TrialResult
+    from rtee.trials.sweep import Sweep
+
+    known = Answers(out)
+    workers = workers_for([name], [trial.object for trial in trials], jobs, cluster, len(trials))
+    sweep = Sweep(workers, known, again=again)
+    for trial in trials:
+        sweep.add(name, trial)
+    words = _Words(len(trials), again, out)
+    found = {
+        answer.trial.key: answer
+        for *_, answer in followed(sweep, known.write, lambda: words(known.added))
+        if isinstance(answer, TrialResult)
+    }
+    return [found[trial.key] for trial in trials]
+
+
+def _all_in_file(
+    name: str,
+    trials: Sequence[Trial],
+    jobs: int,
+    again: bool,
+    cluster: str | None,
+    out: Path | None,
+) -> list[TrialResult]:
+    from rtee.actions.fingerprints import Fingerprints
+    from rtee.cli._sweep import followed, workers_for
+    from rtee.errors import ConfigError
+    from rtee.trials.bench import bench
+    from rtee.trials.result import TrialResult
+    from rtee.trials.store import FILE_NAME, MOST, read_results
+    from rtee.trials.sweep import Sweep
+
+    ready = bench(name)
+    path, made_with = out or ready.folder / FILE_NAME, Fingerprints.of(ready.folder, ready.library)
     known = read_results(path, made_with)
+    if len(known.keys() | {trial.key for trial in trials}) > MOST:
+        raise ConfigError(
+            f"{len(trials)} results are too many for {path}, which holds {MOST}; give --out a "
+            "folder, for files of Parquet"
+        )
     old = read_results(path).keys() - known.keys()
     if old:
         print(
@@ -300,12 +364,13 @@ def _all(
             path = owned(ready.folder) / FILE_NAME
         keep = _Kept(_unfinished(path) if old else path, made_with, known)
         keep.write()  # fails now rather than after the trials, if the file cannot be written
-        # A container or taskset may leave fewer processors than the computer has.
-        processes = jobs or len(os.sched_getaffinity(0))
-        coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
-        # Closing ends the processes at once when this is interrupted.
-        with keep.until_done(len(todo), again), closing(coming):
-            for result in _with_progress(coming, len(todo)):
+        shapes = [trial.object for trial in todo]
+        sweep = Sweep(workers_for([name], shapes, jobs, cluster, len(todo)))
+        for trial in todo:
+            sweep.add(name, trial)
+        words = _Words(len(todo), again, keep.path)
+        for *_, result in followed(sweep, keep.write, lambda: words(keep.taken)):
+            if isinstance(result, TrialResult):
                 keep.add(result)
     # Outdated results of other actions stay if all that was asked for was known.
     if old and _unfinished(path).exists():
@@ -319,7 +384,9 @@ def _done(trial: Trial, known: TrialResult | None) -> bool:
     if known is None:
         return False
     # The key of a trial has none of these, so that a result with others is replaced.
-    before, wanted = ((each.variations, each.seed, each.choosing) for each in (known.trial, trial))
+    before, wanted = (
+        (each.variations, each.seed, each.choosing, each.wanted) for each in (known.trial, trial)
+    )
     return before == wanted
 
 
@@ -332,14 +399,14 @@ class _Kept:
     """Results of a sweep, written to a file as they arrive."""
 
     def __init__(self, path: Path, made_with: Fingerprints, known: dict[str, TrialResult]) -> None:
-        self._path, self._made_with, self._known = path, made_with, known
+        self.path, self.taken = path, 0
+        self._made_with, self._known = made_with, known
         self._write_at = 0.0
-        self._taken = 0
 
     def add(self, result: TrialResult) -> None:
         """Add a result; write the file unless writing has taken too large a share of the time."""
         self._known[result.trial.key] = result
-        self._taken += 1
+        self.taken += 1
         if monotonic.now() >= self._write_at:
             self.write()
 
@@ -348,51 +415,25 @@ class _Kept:
         from rtee.trials.store import write_results
 
         begun = monotonic.now()
-        write_results(self._path, self._made_with, self._known.values())
+        write_results(self.path, self._made_with, self._known.values())
         ended = monotonic.now()
         self._write_at = ended + (ended - begun) * (1.0 / _WRITING - 1.0)
 
-    @contextmanager
-    def until_done(self, total: int, again: bool) -> Iterator[None]:
-        """Write the results when the context ends; on an interruption, print how many exist."""
-        from rtee.errors import WorkerLost
 
-        def once(*_: object) -> None:
-            # Some programs signal the process and then its group; ignore the second signal.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-            raise KeyboardInterrupt
+@dataclass(frozen=True, slots=True)
+class _Words:
+    """Says what is kept of a sweep that was ended."""
 
-        before = signal.signal(signal.SIGINT, once)
-        try:
-            yield
-        except KeyboardInterrupt:
-            self.write()  # first, since the sentence says that they are kept
-            print(f"rtee: interrupted; {self._words(total, again)}", file=sys.stderr)
-            raise
-        except WorkerLost as error:
-            self.write()
-            raise WorkerLost(f"{error}; {self._words(total, again)}") from error
-        finally:
-            self.write()
-            signal.signal(signal.SIGINT, before)
+    total: int
+    again: bool
+    path: Path
 
-    def _words(self, total: int, again: bool) -> str:
-        same = "the same command without --again" if again else "the same command"
+    def __call__(self, taken: int) -> str:
+        same = "the same command without --again" if self.again else "the same command"
         return (
-            f"the results of {self._taken} of {total} trials are kept in {self._path};"
+            f"the results of {taken} of {self.total} trials are kept in {self.path};"
             f" {same} does the others"
         )
-
-
-def _with_progress(results: Iterable[TrialResult], total: int) -> Iterable[TrialResult]:
-    if not sys.stderr.isatty():
-        yield from results
-        return
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(stderr=True)
-    yield from track(results, "trying", total=total, console=console, transient=True)
 
 
 def _show(results: Sequence[TrialResult], as_json: bool) -> None:
@@ -420,7 +461,7 @@ def _rate(result: TrialResult) -> str:
     """Return in words in how many variations an object was held; ``""`` without variations."""
     from rtee.trials.variation import interval
 
-    tries = result.trial.variations
+    tries = result.tries
     if tries == 0:
         return ""
     low, high = interval(result.survived, tries)
@@ -438,7 +479,7 @@ def _table(results: Sequence[TrialResult]) -> None:
     rows: dict[str, dict[str, Any]] = {}
     for result in results:
         name = result.trial.what
-        tries = result.trial.variations
+        tries = result.tries
         word = f"{result.survived}/{tries}" if tries else f"{result.slip * 1e3:.1f}"
         word = word if result.held else "–" if result.fits else "no fit"
         rows.setdefault(name, {})[result.trial.object] = word

@@ -55,7 +55,7 @@ def try_tasks(
     from rtee.errors import needing_extra
 
     with needing_extra("a trial", "sim"):
-        from rtee.trials.sweep import bench
+        from rtee.trials.bench import bench
         from rtee.trials.tasks import RATE, run_task
 
     trials = _trials(action, tuple(elements), objects, options)

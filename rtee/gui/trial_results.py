@@ -65,7 +65,7 @@ def rate(result: TrialResult) -> str:
 
     Empty if there were no variations.
     """
-    tries = result.trial.variations
+    tries = result.tries
     if not (tries and result.held):
         return ""
     low, high = interval(result.survived, tries)

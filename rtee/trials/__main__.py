@@ -52,7 +52,7 @@ def _write(out: TextIO, said: dict[str, Any]) -> None:
 def _try(job: Job, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO) -> None:
     """Try actions on the object, one after the other."""
     with needing_extra("trying an action", "sim"):
-        from rtee.trials.sweep import bench
+        from rtee.trials.bench import bench
         from rtee.trials.trial import run_trial
     from rtee.trials.result import Trial, TrialResult
     from rtee.trials.store import to_document
@@ -101,8 +101,8 @@ def _plan(job: Job, out: TextIO) -> None:
     if not job.checked or not ranking.plans:
         return
     with needing_extra("trying grasps in simulation", "sim"):
+        from rtee.trials.bench import RATE
         from rtee.trials.planned import checked
-        from rtee.trials.sweep import RATE
     most = min(job.checked, len(ranking.plans))
     _write(out, {"progress": 0.4, "text": f"trying the best {most} in simulation"})
     ranking = checked(hand, library, loop_settings(config, rate=RATE), thing, ranking, most)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from rtee.drivers.mujoco.objects import MESHES
@@ -11,8 +12,9 @@ from rtee.errors import ConfigError
 from rtee.hand.load import hand_folder
 from rtee.hand.model import Hand
 from rtee.objects.shape import parse_object
+from rtee.trials.bench import bench
 from rtee.trials.result import Trial, TrialResult
-from rtee.trials.sweep import bench, sweep
+from rtee.trials.sweep import Local, Sweep
 
 
 def run_trials(
@@ -49,8 +51,14 @@ def run_trials(
     if len(set(trials)) != len(trials):
         raise ConfigError("the same trial stands twice in the batch, and would end the same")
     found: dict[Trial, TrialResult] = {}
-    for result in sweep(str(folder), trials, jobs or len(os.sched_getaffinity(0))):
-        found[result.trial] = result
-        if on_result is not None:
-            on_result(result)
+    processes = min(jobs or len(os.sched_getaffinity(0)), len(trials))
+    sweep = Sweep(Local(processes))
+    for trial in trials:
+        sweep.add(str(folder), trial)
+    with closing(sweep.run()) as coming:
+        for *_, result in coming:
+            if isinstance(result, TrialResult):
+                found[result.trial] = result
+                if on_result is not None:
+                    on_result(result)
     return [found[trial] for trial in trials]

@@ -25,10 +25,10 @@ from rtee.hand.model import Hand
 from rtee.loop.measured import Measured
 from rtee.loop.plan import Plan, make_plan
 from rtee.sample import FloatArray
+from rtee.trials.bench import Bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP, TURN, said_lost, turned
-from rtee.trials.sweep import Bench
 from rtee.types import Goal, OnContact, Result
 
 RATE: Final = 500.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rtee.log import Recorder, RecorderSettings
-from rtee.trials.sweep import Bench
+from rtee.trials.bench import Bench
 
 
 def recorder_for(ready: Bench, folder: Path) -> Recorder:

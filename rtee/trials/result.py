@@ -50,6 +50,8 @@ class Trial:
         variations: How often it is tried with variations of object, place and friction.
         seed: Seed of the variations.
         choosing: By how many tries with variation a place is chosen.
+        wanted: The rate of success that is asked for: variations are left out once the interval of
+            the rate lies to one side of it; ``None``: all are tried.
     """
 
     action: str
@@ -62,6 +64,7 @@ class Trial:
     variations: int = 0
     seed: int = 0
     choosing: int = CHOOSING
+    wanted: float | None = None
 
     @property
     def what(self) -> str:
@@ -92,6 +95,8 @@ class TrialResult:
         position: Where the object was put in the hand's base frame [m].
         survived: In how many of the trial's variations it was held, too; what is lost without
             variation is not varied, and counts as lost in all of them.
+        fits: It is not too wide or heavy for the hand.
+        left: How many variations were left out, since the others had decided.
     """
 
     trial: Trial
@@ -106,3 +111,9 @@ class TrialResult:
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     survived: int = 0
     fits: bool = True
+    left: int = 0
+
+    @property
+    def tries(self) -> int:
+        """How many variations were tried."""
+        return self.trial.variations - self.left

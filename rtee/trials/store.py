@@ -18,6 +18,9 @@ from rtee.trials.variation import interval
 FILE_NAME = TRIALS
 """The file with the results in a hand's folder."""
 
+MOST = 1500
+"""Results that a file may hold: it is read up to 1 MB, and one takes up to 0.6 kB."""
+
 METHOD = 4
 """How trials are made: raised whenever the draws, the physics or what counts as held change, so
 that earlier results cannot be compared and count as outdated. A better search for places does not
@@ -53,7 +56,7 @@ def to_document(result: TrialResult) -> dict[str, Any]:
 
 def _varied(result: TrialResult) -> dict[str, Any]:
     """Return what a trial's variations showed; nothing where there were none."""
-    tries = result.trial.variations
+    trial, tries = result.trial, result.tries
     if tries == 0:
         return {}
     low, high = interval(result.survived, tries)
@@ -62,8 +65,9 @@ def _varied(result: TrialResult) -> dict[str, Any]:
             "tried": tries,
             "held": result.survived,
             "interval": [round(low, 3), round(high, 3)],
-            "seed": result.trial.seed,
-            **({} if result.trial.choosing == CHOOSING else {"choosing": result.trial.choosing}),
+            "seed": trial.seed,
+            **({} if trial.choosing == CHOOSING else {"choosing": trial.choosing}),
+            **({} if trial.wanted is None else {"of": trial.variations, "wanted": trial.wanted}),
         }
     }
 
@@ -82,12 +86,14 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         float(entry["intensity"]),
         float(entry["mass"]),
         friction=None if "friction" not in entry else float(entry["friction"]),
-        variations=int(varied["tried"]) if varied else 0,
+        variations=int(varied.get("of", varied["tried"])) if varied else 0,
         seed=int(varied["seed"]) if varied else 0,
         choosing=int(varied.get("choosing", CHOOSING)) if varied else CHOOSING,
+        wanted=float(varied["wanted"]) if varied and "wanted" in varied else None,
     )
     survived = int(varied["held"]) if varied else 0
-    if not 0 <= survived <= trial.variations:
+    left = trial.variations - int(varied["tried"]) if varied else 0
+    if not 0 <= survived <= trial.variations - left:
         raise ValueError(f"{survived} of {trial.variations} variations are held")
     x, y, z = (float(value) for value in entry["position"])
     return TrialResult(
@@ -103,6 +109,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         (x, y, z),
         survived,
         bool(entry.get("fits", True)),
+        left,
     )
 
 

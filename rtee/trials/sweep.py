@@ -1,57 +1,35 @@
-"""Many trials on all processors: the actions of a hand with a standard set of objects."""
+"""Many tasks of trials on all processors, or on a cluster: the most urgent first."""
 
 from __future__ import annotations
 
-import gc
-import importlib
+import heapq
+import itertools
+import json
 import multiprocessing
 import os
 import signal
 import threading
+from collections import Counter
 from collections.abc import Generator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from functools import lru_cache
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import Any
+from typing import Final, Protocol
 
 from rtee import child
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, RteeError, WorkerLost, needing_extra
-from rtee.hand.load import hand_folder, load_configured
-from rtee.hand.model import Hand
-from rtee.loop.configure import loop_settings
-from rtee.loop.settings import LoopSettings
+from rtee.errors import UserError, WorkerLost
+from rtee.hand.validation import validated
+from rtee.trials.answers import Answers
 from rtee.trials.result import CHOOSING, OBJECTS, mass_of
-from rtee.trials.trial import Trial, TrialResult, run_trial
+from rtee.trials.trial import Trial
+from rtee.trials.work import Answer, MadeWith, Task, answer_of, perform, perform_apart, to_text
 
-RATE = 250.0
-"""Ticks per second of a trial [Hz]."""
+_TRIES: Final = 3
+"""How often a task is tried: elsewhere, where there is another place."""
 
-
-@dataclass(frozen=True)
-class Bench:
-    """A hand ready for trials."""
-
-    hand: Hand
-    library: ActionLibrary
-    settings: LoopSettings
-    folder: Path
-
-
-@lru_cache(maxsize=4)
-def bench(name: str, rate: float = RATE) -> Bench:
-    """Load a hand, by name or folder, for trials at a rate [Hz].
-
-    Raises:
-        UserError: for every mistake in its files.
-    """
-    hand, config = load_configured(name)
-    folder = hand_folder(name)[0]
-    library = ActionLibrary.load(hand, folder / "actions")
-    return Bench(hand, library, loop_settings(config, rate=rate), folder)
+_LOOK: Final = 2.0
+"""How often workers that say nothing are looked after [s]."""
 
 
 def all_trials(
@@ -60,6 +38,7 @@ def all_trials(
     variations: int = 0,
     seed: int = 0,
     choosing: int = CHOOSING,
+    wanted: float | None = None,
 ) -> list[Trial]:
     """Return the trials of all actions with all objects, in order."""
     return [
@@ -71,80 +50,181 @@ def all_trials(
             variations=variations,
             seed=seed,
             choosing=choosing,
+            wanted=wanted,
         )
         for action in library
         for shape in objects
     ]
 
 
-def attempt(name: str, trial: Trial) -> TrialResult:
-    """Run one trial of a hand; the result of a trial that cannot be run says why."""
-    ready = bench(name)
-    try:
-        return run_trial(ready.hand, ready.library, ready.settings, trial)
-    except RteeError as error:
-        return TrialResult(trial, False, str(error))
+class Workers(Protocol):
+    """Where tasks are done."""
+
+    @property
+    def capacity(self) -> int:
+        """How many tasks are given at once."""
+
+    def submit(self, hand: str, task: Task) -> Future[str]:
+        """Give a task of a hand; the future's result is that of `perform`."""
+
+    def check(self) -> None:
+        """Raise `WorkerLost` if nobody is left who works."""
+
+    def failed(self, error: BaseException) -> None:
+        """Prepare that a task which failed is tried again, or raise why it is not."""
+
+    def refuse(self, worker: str, why: str) -> None:
+        """Give a worker no further tasks, or raise where that ends all."""
+
+    def close(self) -> None:
+        """End; what is not done is given up."""
 
 
-@lru_cache(maxsize=1)
-def _freeze_loaded(name: str) -> None:
-    """Have the garbage collector leave alone, from now on, what is loaded once a hand is.
+class Local:
+    """Processes of this computer, or this process for a single job.
 
-    It stays anyway, and looking through all modules again and again takes 6 % of a trial's time.
+    They end with this one, however it ends, and with `close`: at once, giving up what they are at.
     """
-    bench(name)
-    gc.freeze()
 
+    def __init__(self, jobs: int) -> None:
+        """Start so many processes."""
+        self._pool: ProcessPoolExecutor | None = None
+        self.capacity = jobs + 1 if jobs > 1 else 1
+        if jobs < 2:
+            return
+        context = multiprocessing.get_context("spawn")
+        self._leash, self._held = context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(
+            jobs, mp_context=context, initializer=end_with, initargs=(self._leash,)
+        )
 
-def _attempt_apart(name: str, trial: Trial) -> TrialResult:
-    """Do one trial in a process that does nothing else."""
-    _freeze_loaded(name)
-    return attempt(name, trial)
-
-
-def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResult]:
-    """Do trials in several processes; results come as they are done.
-
-    The processes end with this one, however it ends, and with the iteration: at once, what they are
-    at is given up.
-
-    Args:
-        name: The hand, by name or folder.
-        trials: What is tried.
-        jobs: Number of processes.
-
-    Raises:
-        WorkerLost: if one of the processes was ended from outside.
-    """
-    if jobs < 2 or len(trials) < 2:
-        for trial in trials:
-            yield attempt(name, trial)
-        return
-    context = multiprocessing.get_context("spawn")
-    leash, held = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(
-        min(jobs, len(trials)), mp_context=context, initializer=end_with, initargs=(leash,)
-    )
-    with pool:
+    def submit(self, hand: str, task: Task) -> Future[str]:
+        """Give a task to a process; a single job does it now."""
+        if self._pool is None:
+            done: Future[str] = Future()
+            done.set_result(perform(hand, to_text(task)))
+            return done
+        # Ctrl-C, which a terminal sends to all processes, is left to this one: the others, which
+        # the pool starts as it needs them, are born with it blocked.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            # Ctrl-C, which a terminal sends to all processes, is left to this one: the others are
-            # born with it blocked.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             with child.spawning():
-                futures = [pool.submit(_attempt_apart, name, trial) for trial in trials]
+                return self._pool.submit(perform_apart, hand, to_text(task))
+        finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            # All processes are started by now; each has its own copy of this end.
-            leash.close()
-            for future in as_completed(futures):
-                yield future.result()
-        except BrokenProcessPool as error:
+
+    def check(self) -> None:
+        """Do nothing: a lost process is told by its task."""
+
+    def failed(self, error: BaseException) -> None:
+        """Raise why."""
+        if isinstance(error, BrokenProcessPool):
             raise WorkerLost(
                 "a process that did trials was ended from outside, perhaps for want of memory"
             ) from error
-        finally:
+        raise error
+
+    def refuse(self, worker: str, why: str) -> None:
+        """Raise `WorkerLost`: all processes read the same files, so these have changed."""
+        raise WorkerLost(f"{worker} read files that have changed since the sweep began: {why}")
+
+    def close(self) -> None:
+        """End the processes at once."""
+        if self._pool is not None:
             # First, since leaving the pool waits for processes, and only this ends those at work.
-            held.close()
-            pool.shutdown(wait=False, cancel_futures=True)
+            self._held.close()
+            self._pool.shutdown(cancel_futures=True)
+            self._leash.close()
+
+
+class Sweep:
+    """Does tasks of hands; those of the lowest rank first, and what is known not again.
+
+    Attributes:
+        ended: How many tasks have an answer.
+        left: How many have none yet.
+    """
+
+    def __init__(
+        self, workers: Workers, known: Answers | None = None, *, again: bool = False
+    ) -> None:
+        """Start without tasks.
+
+        Args:
+            workers: Who does them.
+            known: Answers of before; new ones are added.
+            again: Do also what has an answer.
+        """
+        self.ended = 0
+        self._workers, self._known, self._again = workers, known, again
+        self._queue: list[tuple[int, int, str, Task]] = []
+        self._running: dict[Future[str], tuple[int, int, str, Task]] = {}
+        self._number = itertools.count()
+        self._tries = Counter[int]()
+
+    @property
+    def left(self) -> int:
+        """How many tasks have no answer yet."""
+        return len(self._queue) + len(self._running)
+
+    def add(self, hand: str, task: Task, rank: int = 0) -> None:
+        """Add a task of a hand, by name or folder; also while others are done."""
+        heapq.heappush(self._queue, (rank, next(self._number), hand, task))
+
+    def run(self) -> Generator[tuple[str, Task, Answer]]:
+        """Do the tasks; yield each, with its hand, and the answer as it comes.
+
+        Raises:
+            WorkerLost: if nobody is left who works, or a task ends each of its workers.
+        """
+        try:
+            while self.left:
+                while self._queue and len(self._running) < self._workers.capacity:
+                    entry = heapq.heappop(self._queue)
+                    *_, hand, task = entry
+                    known = None
+                    if self._known is not None and not self._again:
+                        known = self._known.find(task, MadeWith.of(hand, task))
+                    if known is not None:
+                        self.ended += 1
+                        yield hand, task, known
+                        continue
+                    self._running[self._workers.submit(hand, task)] = entry
+                ended, _ = wait(self._running, _LOOK, FIRST_COMPLETED)
+                self._workers.check()
+                for future in ended:
+                    entry = self._running.pop(future)
+                    *_, hand, task = entry
+                    answer = self._answer(future, entry)
+                    if answer is None:
+                        heapq.heappush(self._queue, entry)
+                        continue
+                    self.ended += 1
+                    yield hand, task, answer
+        finally:
+            self._workers.close()
+
+    def _answer(self, future: Future[str], entry: tuple[int, int, str, Task]) -> Answer | None:
+        """Return what a worker answered; ``None`` if the task has to be tried again."""
+        _, number, hand, task = entry
+        self._tries[number] += 1
+        error = None if future.cancelled() else future.exception()
+        if future.cancelled() or error is not None:
+            reason = error or WorkerLost("it was cancelled")
+            if isinstance(error, UserError) or self._tries[number] >= _TRIES:
+                raise reason
+            self._workers.failed(reason)
+            return None
+        said = json.loads(future.result())
+        expected, used = MadeWith.of(hand, task), validated(MadeWith, said["made_with"])
+        difference = expected.difference(used)
+        if difference:
+            self._workers.refuse(said["worker"], difference)
+            return None
+        answer = answer_of(task, said["answer"])
+        if self._known is not None:
+            self._known.add(hand, task, used, said["worker"], answer)
+        return answer
 
 
 def end_with(leash: Connection) -> None:
@@ -159,28 +239,3 @@ def end_with(leash: Connection) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, name="leash", daemon=True).start()
-
-
-def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Generator[TrialResult]:
-    """Do trials on a Dask cluster; results come as they are done, equal to those of `sweep`.
-
-    Args:
-        name: The hand, by name or by a folder that all workers see.
-        trials: What is tried.
-        address: Address of the cluster's scheduler.
-
-    Raises:
-        MissingExtra: if Dask is missing.
-        ConfigError: if the scheduler does not answer.
-    """
-    with needing_extra("a sweep on a cluster", "sweep"):
-        distributed: Any = importlib.import_module("distributed")
-    try:
-        client = distributed.Client(address, timeout=10)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"no Dask scheduler answers at '{address}': {error}") from error
-    with client:
-        # Not pure: equal calls must not be answered from memory, since the hand's files may change.
-        futures = [client.submit(attempt, name, trial, pure=False) for trial in trials]
-        for future in distributed.as_completed(futures):
-            yield future.result()

@@ -19,9 +19,9 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, SimulationUnstable
 from rtee.planning.objects import read_object
+from rtee.trials.bench import Bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import Bench
 from rtee.types import Goal, OnContact
 
 RATE: Final = 500.0

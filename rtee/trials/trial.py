@@ -25,7 +25,7 @@ from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
 from rtee.trials.robust_places import misfit, robust_places
 from rtee.trials.trial_run import TrialRun, Watch
-from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, draw
+from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, decided, draw
 
 Progress = Callable[[int, int], None]
 """Told how many of how many variations were tried."""
@@ -376,6 +376,8 @@ class _Varied:
             survived += self.run(here.place, variation).held()
             if self._progress is not None:
                 self._progress(number + 1, count)
+            if decided(survived, number + 1, self._trial.wanted):
+                return replace(here.result, survived=survived, left=count - number - 1)
         return replace(here.result, survived=survived)
 
     def at(self, place: Place, free: Places, origin: _Tried) -> _Tried:

@@ -136,3 +136,9 @@ def interval(successes: int, tries: int) -> tuple[float, float]:
     scale = 1.0 + square / tries
     # Rounding may lead out of 0 to 1 when all tries succeed, or none.
     return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+def decided(successes: int, tries: int, wanted: float | None) -> bool:
+    """Return whether the interval of a rate lies to one side of the rate that is wanted, if any."""
+    low, high = interval(successes, tries)
+    return wanted is not None and not low <= wanted <= high

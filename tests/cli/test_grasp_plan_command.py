@@ -52,6 +52,17 @@ def test_it_says_which_action_and_why(run: Run) -> None:
     assert "the object in the hand's base frame: x 0 mm" in out
 
 
+def test_each_of_several_objects_has_an_answer(run: Run) -> None:
+    status, out, _ = run("--object", "sphere:0.02", "--object", "sphere:0.06", "--json")
+    first, second = json.loads(out)
+    assert status == 1
+    assert from_document(first).plans
+    assert second["object"] == "sphere:0.06"
+    assert "does not fit: width 120 mm" in second["error"]
+    status, out, _ = run("--object", "sphere:0.06", "--json")
+    assert (status, json.loads(out)) == (2, second)
+
+
 def test_json_is_the_whole_ranking(run: Run) -> None:
     status, out, _ = run("--object", "cylinder:0.02x0.1", "--mass", "0.4", "--json", "--top", "1")
     ranking = from_document(json.loads(out))

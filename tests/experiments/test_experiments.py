@@ -27,9 +27,9 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.log import read
 from rtee.testing.browser import find_browser
+from rtee.trials.bench import bench
 from rtee.trials.pictures import Stills
 from rtee.trials.recorded import recorder_for
-from rtee.trials.sweep import bench
 from rtee.trials.trial import Trial, run_trial
 
 

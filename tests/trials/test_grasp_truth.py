@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from rtee.trials.bench import bench
 from rtee.trials.grasp_truth import RATE, Case, Thing, try_case
-from rtee.trials.sweep import bench
 
 FORCES = {"wsg50": 20.0, "robotiq_hand_e": 30.0, "schunk_egu": 40.0, "onrobot_rg2": 12.0}
 """The force asked for [N]: of linear grippers with heavy drives, and of a linkage."""

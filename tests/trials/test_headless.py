@@ -23,9 +23,9 @@ from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings, Recording, read
 from rtee.log.check import check
 from rtee.loop.configure import loop_settings
+from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.recorded import recorder_for
-from rtee.trials.sweep import bench
 from rtee.types import DeviceSpec, Goal, Reference
 
 pytestmark = pytest.mark.anyio

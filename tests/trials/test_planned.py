@@ -12,8 +12,8 @@ pytest.importorskip("mujoco")
 
 from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
+from rtee.trials.bench import Bench, bench
 from rtee.trials.planned import check_plan, checked
-from rtee.trials.sweep import Bench, bench
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ pytest.importorskip("mujoco")
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.errors import ConfigError, GoalRejected, RteeError
-from rtee.trials.sweep import bench
+from rtee.trials.bench import bench
 from rtee.trials.tasks import BREAKS, RATE, End, Task, TaskTrial, Way, _Run, run_task
 
 GRIPPER = "robotiq_2f_85"

@@ -11,8 +11,8 @@ pytest.importorskip("mujoco")
 
 from rtee.errors import UnknownAction
 from rtee.log import read
+from rtee.trials.bench import bench
 from rtee.trials.recorded import recorder_for
-from rtee.trials.sweep import bench
 from rtee.trials.transfer import MOMENTS, OFF, SLIDE, run_transfer
 from rtee.trials.transfer_result import Transfer, TransferResult
 from rtee.trials.trial import Trial, run_trial

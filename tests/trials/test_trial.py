@@ -28,6 +28,7 @@ from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.trials import trial as trial_module
 from rtee.trials import variation as variation_module
+from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
 from rtee.trials.result import OBJECTS
@@ -39,15 +40,10 @@ from rtee.trials.store import (
     to_document,
     write_results,
 )
-from rtee.trials.sweep import (
-    all_trials,
-    attempt,
-    bench,
-    sweep,
-    sweep_on_cluster,
-)
+from rtee.trials.sweep import all_trials
 from rtee.trials.trial import Trial, TrialResult, run_trial
 from rtee.trials.variation import CHOOSING_FROM, EXPLORING_FROM, Variation, draw
+from rtee.trials.work import attempt
 from rtee.types import Result
 
 GRIPPER = "robotiq_2f_85"
@@ -251,25 +247,6 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
         read_results(path)
 
 
-def test_a_sweep_of_two_processes_equals_single_trials(held: TrialResult) -> None:
-    small = Trial("Grasp", object="sphere:0.02")
-    found = {result.trial: result for result in sweep(GRIPPER, [BALL, small], jobs=2)}
-    assert found[BALL] == held
-    assert found[small] == attempt(GRIPPER, small)
-
-
-@pytest.mark.heavy
-def test_a_cluster_of_two_workers_gives_the_same_results(held: TrialResult) -> None:
-    distributed = pytest.importorskip("distributed")
-    small = Trial("Grasp", object="sphere:0.02", variations=1)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        coming = sweep_on_cluster(GRIPPER, [BALL, small], cluster.scheduler_address)
-        found = {result.trial: result for result in coming}
-    assert found == {BALL: held, small: attempt(GRIPPER, small)}
-
-
 def test_all_actions_meet_all_objects() -> None:
     library = bench(GRIPPER).library
     trials = all_trials(library, ["sphere:0.02", "drill"])
@@ -315,6 +292,19 @@ def test_an_open_mesh_is_told_beside_the_result(tmp_path: Path) -> None:
     assert outcome.exit_code == 1
     assert json.loads(outcome.stdout)["fits"] is False
     assert outcome.stderr.startswith(f"note: {path}: the mesh is open, 3 of its edges have only ")
+
+
+def test_a_folder_means_the_meshes_in_it(tmp_path: Path) -> None:
+    for name in ("b.obj", "a.stl"):
+        trimesh.creation.box((0.2, 0.2, 0.2)).export(tmp_path / name)
+    command = [GRIPPER, "Grasp", "--object", str(tmp_path), "--json"]
+    outcome = CliRunner().invoke(app_of(try_), command)
+    assert outcome.exit_code == 1
+    assert [Path(each["object"]).name for each in json.loads(outcome.stdout)] == ["a.stl", "b.obj"]
+    command = [GRIPPER, "--all", "--object", str(tmp_path / "a.stl"), "--out", str(tmp_path / "o")]
+    outcome = CliRunner().invoke(app_of(try_), [*command, "--jobs", "1"])
+    assert outcome.exit_code == 0, outcome.output
+    assert list((tmp_path / "o").glob("*.parquet"))
 
 
 def test_all_resumes_what_is_known(tmp_path: Path) -> None:

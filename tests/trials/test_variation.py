@@ -23,11 +23,11 @@ from rtee.hand.load import load_hand
 from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
+from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.result import CHOOSING
 from rtee.trials.robust_places import robust_places
 from rtee.trials.store import from_document, read_results, to_document, write_results
-from rtee.trials.sweep import attempt, bench
 from rtee.trials.trial import (
     Trial,
     TrialResult,
@@ -50,6 +50,7 @@ from rtee.trials.variation import (
     draw,
     interval,
 )
+from rtee.trials.work import attempt
 
 GRIPPER = "robotiq_2f_85"
 

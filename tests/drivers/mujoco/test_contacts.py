@@ -17,9 +17,9 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError
 from rtee.hand.catalog import hand_names
 from rtee.hand.load import load_hand, load_model
+from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.sweep import bench
 from rtee.types import Goal
 
 GRAVITY = 9.81

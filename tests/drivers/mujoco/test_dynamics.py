@@ -22,8 +22,8 @@ from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.load import hand_folder, load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.trials.grasp_placement import Places
-from rtee.trials.sweep import attempt
 from rtee.trials.trial import Trial
+from rtee.trials.work import attempt
 
 
 def simulate(hand: Hand, **options: object) -> Simulation:

@@ -1,0 +1,133 @@
+"""What commands that run sweeps share: who works, progress, and what is kept of an ended one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from rtee import monotonic
+
+if TYPE_CHECKING:
+    from rtee.trials.sweep import Sweep, Workers
+    from rtee.trials.work import Answer, Task
+
+_EVERY: Final = 60.0
+"""How often progress is told where no terminal shows it [s]."""
+
+JobsOption = Annotated[
+    int, typer.Option("--jobs", "-j", min=0, help="Processes; 0: one per processor.")
+]
+
+
+def workers_for(
+    hands: Iterable[str], objects: Iterable[str], jobs: int, cluster: str | None, count: int
+) -> Workers:
+    """Return the workers of a cluster, or processes, no more than tasks at once."""
+    from rtee.hand.load import hand_folder
+    from rtee.trials.cluster import Cluster
+    from rtee.trials.sweep import Local
+
+    if cluster:
+        folders = {hand: hand_folder(hand)[0] for hand in hands}
+        return Cluster(
+            cluster, folders, objects, lambda text: print(f"rtee: {text}", file=sys.stderr)
+        )
+    # A container or taskset may leave fewer processors than the computer has.
+    return Local(min(jobs or len(os.sched_getaffinity(0)), count))
+
+
+def _tell(text: str) -> None:
+    print(f"rtee: {text}", file=sys.stderr, flush=True)
+
+
+def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
+    """Return objects as given, and instead of a folder the meshes in it, sorted by name.
+
+    Raises:
+        ConfigError: if a folder has none.
+    """
+    from rtee.errors import ConfigError
+
+    found: list[str] = []
+    for text in objects:
+        if not Path(text).is_dir():
+            found.append(text)
+            continue
+        meshes = [p for p in sorted(Path(text).iterdir()) if p.suffix.lower() in set(formats)]
+        if not meshes:
+            raise ConfigError(
+                f"there is no mesh ({', '.join(formats)}) in this folder", path=Path(text)
+            )
+        found += map(str, meshes)
+    return found
+
+
+def followed(
+    sweep: Sweep, keep: Callable[[], None], words: Callable[[], str]
+) -> Iterator[tuple[str, Task, Answer]]:
+    """Run a sweep with its progress; when it is ended early, say in words what is kept.
+
+    Args:
+        sweep: The sweep.
+        keep: Writes what there is.
+        words: What is kept where.
+    """
+    # Closing ends the processes at once when this is interrupted.
+    with _kept(keep, words), closing(sweep.run()) as coming:
+        yield from _with_progress(coming, sweep)
+
+
+@contextmanager
+def _kept(keep: Callable[[], None], words: Callable[[], str]) -> Iterator[None]:
+    from rtee.errors import WorkerLost
+
+    def once(*_: object) -> None:
+        # Some programs signal the process and then its group; ignore the second signal.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, once)
+    try:
+        yield
+    except KeyboardInterrupt:
+        keep()  # first, since the sentence says that they are kept
+        print(f"rtee: interrupted; {words()}", file=sys.stderr)
+        raise
+    except WorkerLost as error:
+        keep()
+        raise WorkerLost(f"{error}; {words()}") from error
+    finally:
+        keep()
+        signal.signal(signal.SIGINT, before)
+
+
+def _with_progress(
+    coming: Iterable[tuple[str, Task, Answer]], sweep: Sweep
+) -> Iterator[tuple[str, Task, Answer]]:
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+        columns = "trying", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            shown = bar.add_task("trying", total=sweep.left)
+            for each in coming:
+                bar.update(shown, completed=sweep.ended, total=sweep.ended + sweep.left)
+                yield each
+        return
+    began = told = monotonic.now()
+    for each in coming:
+        now = monotonic.now()
+        if now - told >= _EVERY:
+            told = now
+            left = (now - began) / sweep.ended * sweep.left / 60.0
+            done = f"{sweep.ended} of {sweep.ended + sweep.left}"
+            _tell(f"{done} done, about {left:.0f} min left")
+        yield each

@@ -1,0 +1,39 @@
+"""A hand ready for trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from rtee.actions.library import ActionLibrary
+from rtee.hand.load import hand_folder, load_configured
+from rtee.hand.model import Hand
+from rtee.loop.configure import loop_settings
+from rtee.loop.settings import LoopSettings
+
+RATE = 250.0
+"""Ticks per second of a trial [Hz]."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A hand ready for trials."""
+
+    hand: Hand
+    library: ActionLibrary
+    settings: LoopSettings
+    folder: Path
+
+
+@lru_cache(maxsize=8)
+def bench(name: str, rate: float = RATE) -> Bench:
+    """Load a hand, by name or folder, for trials at a rate [Hz].
+
+    Raises:
+        UserError: for every mistake in its files.
+    """
+    hand, config = load_configured(name)
+    folder = hand_folder(name)[0]
+    library = ActionLibrary.load(hand, folder / "actions")
+    return Bench(hand, library, loop_settings(config, rate=rate), folder)
