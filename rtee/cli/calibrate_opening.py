@@ -57,7 +57,7 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
 
     async def execute(remote: RemoteHand) -> None:
         # A person's fingers are at the hand: no other client may move it between blocks.
-        async with remote.held():
+        async with remote.lease():
             for action, opening in chosen:
                 await _Blocks(remote, library, home, action, opening).measure()
 

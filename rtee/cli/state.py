@@ -174,10 +174,10 @@ def _table(name: str, newest: State) -> Table:
     title = f"{name}, tick {newest.tick}"
     if prefix:
         title += f" (names of actuators begin with {prefix})"
-    if not math.isnan(newest.opening):
+    if newest.opening is not None:
         title += f"; opening {1e3 * newest.opening:.1f} mm"
-    if not math.isnan(newest.force):
-        title += f", force {newest.force:.1f} ± {newest.force_error:.1f} N"
+    if newest.force is not None:
+        title += f", force {newest.force:.1f} ± {newest.force_error or 0.0:.1f} N"
         title += f" by the {newest.force_source}"
     # Quantities that no actuator measures are left out.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(newest, c).tolist()))]

@@ -74,7 +74,7 @@ class Kinematics:
                 mask[joint - 1] = 1.0
         return mask
 
-    def link_pose(self, u: FloatArray, link: str) -> FloatArray:
+    def link_pose(self, link: str, u: FloatArray) -> FloatArray:
         """Return a link's pose in the base frame at actuator positions ``(n,)`` [rad | m].
 
         Returns:

@@ -40,19 +40,19 @@ class State(TickRecord):
         names: Names of the actuators, in the order of the arrays.
         joint_names: Names of all moving joints.
         joint_position: Positions of the joints ``(m,)`` [rad | m].
-        opening: Opening of the fingertips of the last action that has openings [m]; ``NaN``:
+        opening: Opening of the fingertips of the last action that has openings [m]; ``None``:
             unknown.
-        force: Estimated force between the fingertips [N]; ``NaN``: unknown.
-        force_error: Error of the estimate [N].
+        force: Estimated force between the fingertips [N]; ``None``: unknown.
+        force_error: Error of the estimate [N]; ``None``: unknown.
         force_source: Source of the estimate, as in `rtee.types.Result`.
     """
 
     names: tuple[str, ...]
     joint_names: tuple[str, ...]
     joint_position: FloatArray
-    opening: float = math.nan
-    force: float = math.nan
-    force_error: float = math.nan
+    opening: float | None = None
+    force: float | None = None
+    force_error: float | None = None
     force_source: str = ""
 
     @property
@@ -166,6 +166,7 @@ def decode_state(data: Data) -> State:
         joint_position=fields["joint_position"],
         channels=channels_of(fields["channel"], fields["channel_length"], fields["channel_value"]),
         force_source=fields["force_source"],
-        **{name: fields[name] for name in _GRIP_FIELDS},
+        # Messages have no optional numbers.
+        **{name: fields[name] for name in _GRIP_FIELDS if not math.isnan(fields[name])},
         **{name: fields[name] for name in COLUMNS},
     )

@@ -158,7 +158,7 @@ class Poses:
         if len(chosen) == 1:
             pose = self._scene.geometry.kinematics.link_pose
             u = self._closing.way.at(1.0)
-            at = {f.name: pose(u, f.tip or "")[:3, 3] for f in there}
+            at = {f.name: pose(f.tip or "", u)[:3, 3] for f in there}
             others = [f for f in there if f is not chosen[0]]
             others.sort(key=lambda f: float(np.linalg.norm(at[f.name] - at[chosen[0].name])))
             chosen += others[:1]

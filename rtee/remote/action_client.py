@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import TypedDict, Unpack
 
 from rtee.actions.build import StepPlan
 from rtee.actions.types import (
@@ -29,24 +28,6 @@ _NOWHERE = Posture({}, ())
 
 _PLANNED_WITHIN = 90.0
 """Time to wait for a plan [s]: up to four other plans may be waiting before it."""
-
-
-class GraspOptions(TypedDict, total=False):
-    """Options for planning grasps of an object.
-
-    Attributes:
-        mass: Its mass [kg]; 0.1 unless given.
-        friction: Coefficient of friction; 0.5 unless given.
-        scale: Brings a mesh to metres; 1 unless given.
-        weight_axis: Direction of its weight in the hand's base frame; along its reach unless given.
-        top: Number of grasps to return; 5 unless given.
-    """
-
-    mass: float
-    friction: float
-    scale: float
-    weight_axis: tuple[float, ...]
-    top: int
 
 
 class ActionClient:
@@ -91,23 +72,44 @@ class ActionClient:
         """
         return str((await self._link.ask("trials"))["data"])
 
-    async def grasp_plan(self, thing: str, **options: Unpack[GraspOptions]) -> Ranking:
+    async def grasp_plan(
+        self,
+        object: str,  # noqa: A002 - as on the command line
+        *,
+        mass: float = 0.1,
+        friction: float = 0.5,
+        scale: float = 1.0,
+        weight_axis: Sequence[float] = (),
+        top: int = 5,
+    ) -> Ranking:
         """Return the actions that suit an object, best first, with the reasons; nothing moves.
 
         The hand plans with its stored actions, in a process beside the loop. Its computer needs the
         extra ``extract``.
 
         Args:
-            thing: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
+            object: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
                 ``capsule:RADIUSxLENGTH`` [m], ``drill``, or the path of a local mesh file, which is
                 sent.
-            options: See `GraspOptions`.
+            mass: Its mass [kg].
+            friction: Coefficient of friction.
+            scale: Brings a mesh to metres.
+            weight_axis: Direction of its weight in the hand's base frame; along its reach unless
+                given.
+            top: Number of grasps to return.
 
         Raises:
             ConfigError: if the object or an option makes no sense.
             RequestRejected: if the hand refuses the request, with the reason.
         """
-        question = question_about(thing, **options)
+        question = question_about(
+            object,
+            mass=mass,
+            friction=friction,
+            scale=scale,
+            weight_axis=tuple(weight_axis),
+            top=top,
+        )
         fields = {name: getattr(question, name) for name in Question.__dataclass_fields__}
         # The file itself is sent: a path would name a file of the hand's computer.
         reply = await self._link.ask("grasp_plan", fields, within=_PLANNED_WITHIN)

@@ -179,8 +179,8 @@ class BlockingHand:
     """A running hand, made by `connect_blocking`.
 
     It has the methods of `RemoteHand`, which wait for their results, except for
-    `collected_states`. Use it as a context, or close it by `close`; the end of the program closes
-    it, too.
+    `collected_states`. Use it as a context, or leave the hand by `disconnect`; the end of the
+    program does so, too.
 
     Attributes:
         name: The hand's name.
@@ -213,7 +213,7 @@ class BlockingHand:
         atexit.unregister(self._exit)
         self._opened.__exit__(kind, error, trace)
 
-    def close(self) -> None:
+    def disconnect(self) -> None:
         """Leave the hand; may be called more than once."""
         self.__exit__(None, None, None)
 
@@ -236,9 +236,9 @@ class BlockingHand:
             yield BlockingStream(self._portal, stream)
 
     @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
+    def lease(self) -> Iterator[None]:
         """Hold the lease for as long as the context lasts."""
-        with _entered(self._portal, self._hand.held()):
+        with _entered(self._portal, self._hand.lease()):
             yield
 
     start = _starting(RemoteHand.start)
@@ -259,8 +259,8 @@ class BlockingHand:
     admit_agents = _waiting(RemoteHand.admit_agents)
     set_gains = _waiting(RemoteHand.set_gains)
     record = _waiting(RemoteHand.record)
-    acquire = _waiting(RemoteHand.acquire)
-    release = _waiting(RemoteHand.release)
+    acquire_lease = _waiting(RemoteHand.acquire_lease)
+    release_lease = _waiting(RemoteHand.release_lease)
 
     state = _waiting(RemoteHand.state)
     states = _iterating(RemoteHand.states)

@@ -56,15 +56,15 @@ class LeaseClient:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._acquired = False
-        self._holding = 0  # open contexts of `held`
+        self._holding = 0  # open contexts of `lease`
         self.jogged = False
 
-    async def acquire(self) -> None:
-        """Acquire the lease: until `release`, no other client may move the hand."""
+    async def acquire_lease(self) -> None:
+        """Acquire the lease: until `release_lease`, no other client may move the hand."""
         await self._link.request("acquire")
         self._acquired = True
 
-    async def release(self) -> None:
+    async def release_lease(self) -> None:
         """Release the lease."""
         await self._link.request("release")
         self._acquired = self.jogged = False
@@ -81,10 +81,10 @@ class LeaseClient:
                 await self._link.request("release", within=_LEAVE_WITHIN)
 
     @contextlib.asynccontextmanager
-    async def held(self) -> AsyncIterator[None]:
+    async def lease(self) -> AsyncIterator[None]:
         """Hold the lease for as long as the context lasts.
 
-        After `acquire`, and inside another such context, the lease is kept at the end.
+        After `acquire_lease`, and inside another such context, the lease is kept at the end.
         """
         refused = False
         self._holding += 1
@@ -101,7 +101,7 @@ class LeaseClient:
             if not (refused or self._acquired or self._holding):
                 # Shielded: a cancelled task must not keep the lease from other clients.
                 with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                    await self.release()
+                    await self.release_lease()
 
 
 def _part(
@@ -123,8 +123,8 @@ class RemoteHand:
     and `ReachClient`.
 
     Requests that move the hand are refused with `LeaseHeld` while another client holds the lease.
-    A client holds the lease while its own goal or stream runs, and from `acquire` to `release`;
-    `stop` needs no lease.
+    A client holds the lease while its own goal or stream runs, and from `acquire_lease` to
+    `release_lease`; `stop` needs no lease.
 
     Attributes:
         name: The hand's name.
@@ -160,10 +160,10 @@ class RemoteHand:
 
     stream = _part("_streams", StreamClient.stream)
 
-    acquire = _part("_lease", LeaseClient.acquire)
-    release = _part("_lease", LeaseClient.release)
+    acquire_lease = _part("_lease", LeaseClient.acquire_lease)
+    release_lease = _part("_lease", LeaseClient.release_lease)
+    lease = _part("_lease", LeaseClient.lease)
     leave = _part("_lease", LeaseClient.leave)
-    held = _part("_lease", LeaseClient.held)
 
     state = _part("_monitoring", Monitoring.state)
     states = _part("_monitoring", Monitoring.states)

@@ -45,7 +45,7 @@ class ReachClient:
         approach: Sequence[float] | None = None,
         retreat: float = 0.1,
         tolerance: float = 0.003,
-        thing: str = "",
+        object: str = "",  # noqa: A002 - as on the command line
         object_pose: ArrayLike | None = None,
     ) -> ReachedGrasp:
         """Return the postures and palm poses for a grasp of a planner; nothing moves.
@@ -63,7 +63,7 @@ class ReachClient:
             approach: Direction in which the palm approaches.
             retreat: Distance of the palm before the approach [m].
             tolerance: Largest distance of a fingertip from its contact [m].
-            thing: Shape of the object, such as ``box:0.04x0.04x0.1`` [m]. The result's
+            object: Shape of the object, such as ``box:0.04x0.04x0.1`` [m]. The result's
                 ``collisions`` then include those of links with the object, besides those among
                 links.
             object_pose: Pose of the object ``(4, 4)`` in the planner's frame; identity by default.
@@ -76,7 +76,7 @@ class ReachClient:
         if object_pose is not None:
             numbers = _numbers(object_pose, (4, 4), "the object's pose is 4 by 4 numbers")
             question = replace(question, object_pose=tuple(numbers))
-        question = replace(question, object=thing)
+        question = replace(question, object=object)
         question.check()
         reply = await self._link.ask("reach", question.words()["reach"], within=_REACHED_WITHIN)
         return from_document(json.loads(reply["data"]))

@@ -114,7 +114,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
     hand = geometry.hand
     rest = _tips(geometry, hand.rest)
     moves = _tips(geometry, hand.rest + _FIRST_PART * (farthest(hand) - hand.rest)) - rest
-    base = geometry.kinematics.link_pose(hand.rest, _palm(hand))[:3, 3]
+    base = geometry.kinematics.link_pose(_palm(hand), hand.rest)[:3, 3]
     up = _snapped(_unit(rest.mean(axis=0) - base, np.array([0.0, 0.0, 1.0])))
     moves -= np.outer(moves @ up, up)  # only the motion across the fingers matters
     total = float(np.linalg.norm(moves, axis=1).sum())

@@ -102,7 +102,7 @@ class _Fit:
         own = {hand.actuator_index(name) for name in finger.own or finger.actuators}
         moved = [j.child for j in path if j.moving and hand.transmission.moves(rows[j.name]) in own]
         link = moved[0] if moved else finger.base
-        return np.array(self._tips.kinematics.link_pose(self._rest, link)[:3, 3])
+        return np.array(self._tips.kinematics.link_pose(link, self._rest)[:3, 3])
 
     def _end(self, finger: Finger) -> tuple[int, FloatArray]:
         """Return the body of a fingertip and its farthest point in the frame of its link."""
@@ -123,7 +123,7 @@ class _Fit:
     def _tip(self, name: str, u: FloatArray) -> FloatArray:
         """Return where a tip is at positions ``(n,)`` [m]."""
         link = str(self._hand.finger(name).tip)
-        pose = self._tips.kinematics.link_pose(u, link)
+        pose = self._tips.kinematics.link_pose(link, u)
         found: FloatArray = pose[:3, :3] @ self._ends[name][1] + pose[:3, 3]
         return found
 

@@ -274,7 +274,8 @@ class Gripper(ActionPart):
         """Return the newest position [rad | m] and effort [N·m | N], of a joint or of the gap."""
         state = self._face.latest
         if not joint:
-            return state.opening, state.force
+            opening, force = state.opening, state.force
+            return math.nan if opening is None else opening, math.nan if force is None else force
         row = state.names.index(joint)
         return float(state.position[row]), float(state.effort[row])
 

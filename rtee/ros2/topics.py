@@ -166,7 +166,7 @@ class Topics(Part):
             where = self._transforms.at(state.joint_position)
             self._tf.publish(self._moving.encode(state.wall_ns, *where))
         for publisher, value in ((self._opening, state.opening), (self._force, state.force)):
-            if publisher is not None and not math.isnan(value) and publisher.heard:
+            if publisher is not None and value is not None and publisher.heard:
                 publisher.publish(self._number(data=value))
         if any(publisher.heard for _, publisher in self._tips):
             self._publish_forces(state)

@@ -158,7 +158,7 @@ async def test_a_flood_waits_for_its_turn(hand: Hand, library: ActionLibrary) ->
 
 async def test_two_agents_and_a_person_take_turns(hand: Hand, library: ActionLibrary) -> None:
     async with both(hand, library, Gate.ACT) as (served, one), model(Gate.ACT) as other:
-        async with rtee.connect("small", client="ann") as person, person.held():
+        async with rtee.connect("small", client="ann") as person, person.lease():
             for agent in (one, other):
                 assert "the hand is held by 'ann-" in await agent.refused("do", **TRIG)
         assert served.watcher.goals == []

@@ -101,7 +101,7 @@ def test_mjcf_moves_in_mujoco_as_the_hand_does(out: Path, name: str) -> None:
                 data.qpos[model.joint(joint).qposadr[0]] = value
             mujoco.mj_kinematics(model, data)
             for link in hand.urdf.links:
-                pose, body = kinematics.link_pose(u, link), model.body(link).id
+                pose, body = kinematics.link_pose(link, u), model.body(link).id
                 assert data.xpos[body] == pytest.approx(pose[:3, 3], abs=LINEAR)
                 assert data.xmat[body] == pytest.approx(pose[:3, :3].ravel(), abs=LINEAR)
 
@@ -122,7 +122,7 @@ def test_both_move_in_pinocchio_as_the_hand_does(out: Path, name: str, suffix: s
             )
         pin.framesForwardKinematics(model, data, q)
         for link in hand.urdf.links:
-            pose, frame = kinematics.link_pose(u, link), data.oMf[model.getFrameId(link)]
+            pose, frame = kinematics.link_pose(link, u), data.oMf[model.getFrameId(link)]
             assert frame.translation == pytest.approx(pose[:3, 3], abs=LINEAR)
             assert frame.rotation == pytest.approx(pose[:3, :3], abs=LINEAR)
 
@@ -139,7 +139,7 @@ def test_the_urdf_loads_in_mujoco_with_every_link_and_coupling(out: Path, name: 
         mujoco.mj_kinematics(model, data)
         for link in set(hand.urdf.links) - {hand.base}:
             assert data.xpos[model.body(link).id] == pytest.approx(
-                kinematics.link_pose(u, link)[:3, 3], abs=LINEAR
+                kinematics.link_pose(link, u)[:3, 3], abs=LINEAR
             )
 
 

@@ -168,7 +168,7 @@ def test_what_is_coupled_with_a_held_joint_is_held(
     assert hand.joint_names == ("a_1",)
     text = notes_of(tmp_path / "hand.xml")
     assert all(f"joint '{name}' is held" in text for name in ("a_2", "b_1", "b_2"))
-    turn = Kinematics(hand).link_pose(hand.rest, "b")[:3, :3]
+    turn = Kinematics(hand).link_pose("b", hand.rest)[:3, :3]
     # Its axis is -y.
     assert np.arctan2(turn[2, 0], turn[0, 0]) == pytest.approx(bent)
 
@@ -685,7 +685,7 @@ def test_every_shape_is_where_mujoco_has_it(odd: Path) -> None:
                 if model.geom_bodyid[geom] == model.body(link).id and model.geom_contype[geom]
             ]
             ours = [
-                kinematics.link_pose(u, link) @ [*shape.xyz, 1.0]
+                kinematics.link_pose(link, u) @ [*shape.xyz, 1.0]
                 for shape in hand.urdf.links[link].collisions
                 if not (shape.kind == "sphere" and link == "finger")  # a capsule's ends
             ]
@@ -766,7 +766,7 @@ def test_every_hand_read_back_moves_as_it_did(tmp_path: Path, name: str) -> None
     for share in (0.0, 0.3, 1.0):
         u = np.where(np.isfinite(hand.lower), hand.lower + share * (hand.upper - hand.lower), share)
         for link in hand.urdf.links:
-            assert ours.link_pose(u, link) == pytest.approx(theirs.link_pose(u, link), abs=close)
+            assert ours.link_pose(link, u) == pytest.approx(theirs.link_pose(link, u), abs=close)
 
 
 def refused(folder: Path, text: str | bytes) -> ModelError:
@@ -950,8 +950,8 @@ def test_a_hand_is_taken_out_of_a_floating_robot_among_free_objects(tmp_path: Pa
     assert (hand.lower, hand.upper) == (pytest.approx(alone.lower), pytest.approx(alone.upper))
     u = 0.5 * np.array(alone.upper)
     for link in ("a_tip", "b_tip"):
-        assert Kinematics(hand).link_pose(u, link) == pytest.approx(
-            Kinematics(alone).link_pose(u, link), abs=1e-9
+        assert Kinematics(hand).link_pose(link, u) == pytest.approx(
+            Kinematics(alone).link_pose(link, u), abs=1e-9
         )
 
 

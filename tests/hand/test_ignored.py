@@ -54,7 +54,7 @@ def test_they_stand_at_rest_like_fixed_joints(folder: Path) -> None:
     assert not hand.transmission.jacobian(hand.rest)[rows].any()
     whole = load(folder, "rest: {rh_WRJ1: 0.3, rh_FFJ3: 0.1}\n")
     tip = "rh_ffdistal"
-    poses = [Kinematics(h).link_pose(h.rest, tip) for h in (hand, whole)]
+    poses = [Kinematics(h).link_pose(tip, h.rest) for h in (hand, whole)]
     assert np.allclose(*poses, atol=1e-12)
 
 

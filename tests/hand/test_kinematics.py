@@ -46,10 +46,10 @@ def test_tip_jacobian_is_the_derivative_of_the_tips_pose(name: str) -> None:
     for u in postures(hand, 2):
         for finger in hand.fingers:
             pose, jacobian = tip_pose_and_jacobian(hand, str(finger.tip), u)
-            np.testing.assert_allclose(pose, kinematics.link_pose(u, str(finger.tip)), atol=1e-12)
+            np.testing.assert_allclose(pose, kinematics.link_pose(str(finger.tip), u), atol=1e-12)
             for i, direction in enumerate(np.eye(len(u))):
                 ends = [
-                    pin.SE3(kinematics.link_pose(u + s * direction, str(finger.tip)))
+                    pin.SE3(kinematics.link_pose(str(finger.tip), u + s * direction))
                     for s in (-step, step)
                 ]
                 linear = (ends[1].translation - ends[0].translation) / (2 * step)
@@ -70,6 +70,6 @@ def test_an_actuator_of_another_finger_does_not_move_the_tip() -> None:
 def test_unknown_names_are_refused() -> None:
     kinematics = Kinematics(load_hand("schunk_svh"))
     with pytest.raises(UnknownLink):
-        kinematics.link_pose(kinematics.hand.rest, "no_such_link")
+        kinematics.link_pose("no_such_link", kinematics.hand.rest)
     with pytest.raises(UnknownLink):
         tip_pose_and_jacobian(kinematics.hand, "no_such_link", kinematics.hand.rest)

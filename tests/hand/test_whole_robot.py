@@ -135,15 +135,15 @@ def test_the_hand_below_a_root_has_its_own_frame(tmp_path: Path, outside: Outsid
     assert (hand.joint_names, hand.fingers) == (alone.joint_names, alone.fingers)
     u = np.array([0.3, 0.5])
     for link in ("left_distal", "right_distal"):
-        found, truth = (Kinematics(h).link_pose(u, link) for h in (hand, alone))
+        found, truth = (Kinematics(h).link_pose(link, u) for h in (hand, alone))
         assert found == pytest.approx(truth, abs=1e-12)
     assert ("base_link" in hand.urdf.links) == (outside is Outside.RIGID)
     if outside is Outside.RIGID:
         whole = Kinematics(load_model(path))
-        at_palm = np.linalg.inv(whole.link_pose(np.zeros(2), "palm"))
+        at_palm = np.linalg.inv(whole.link_pose("palm", np.zeros(2)))
         for link in ("base_link", "arm_link_1", "arm_link_3"):
-            truth = at_palm @ whole.link_pose(np.zeros(2), link)
-            assert Kinematics(hand).link_pose(u, link) == pytest.approx(truth, abs=1e-12)
+            truth = at_palm @ whole.link_pose(link, np.zeros(2))
+            assert Kinematics(hand).link_pose(link, u) == pytest.approx(truth, abs=1e-12)
     primitives = [
         {(p.name, p.elements): [e.depth for e in p.evidence] for p in extract(h, jobs=1).primitives}
         for h in (alone, hand)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -58,9 +59,9 @@ def encode_state(given: State) -> bytes:
             "name": given.names,
             "joint": given.joint_names,
             "joint_position": given.joint_position,
-            "opening": given.opening,
-            "force": given.force,
-            "force_error": given.force_error,
+            "opening": math.nan if given.opening is None else given.opening,
+            "force": math.nan if given.force is None else given.force,
+            "force_error": math.nan if given.force_error is None else given.force_error,
             "force_source": given.force_source,
             "channel": names,
             "channel_length": lengths,

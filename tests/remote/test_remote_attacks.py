@@ -115,7 +115,7 @@ async def test_nobody_moves_the_hand_under_the_name_of_its_holder(
     hand: Hand, library: ActionLibrary, mode: str, intruders: list[Intruder]
 ) -> None:
     async with serving(hand, library) as served, rtee.connect("small") as victim:
-        await victim.acquire()
+        await victim.acquire_lease()
         bad = await intruder(served, mode, intruders)
         holder = (await victim.status()).holder
         assert holder == victim.client
@@ -164,7 +164,7 @@ async def test_names_in_messages_are_not_believed(hand: Hand, library: ActionLib
         rtee.connect("small", client="one") as one,
         rtee.connect("small", client="two") as two,
     ):
-        await one.acquire()
+        await one.acquire_lease()
         two._goals._link.client = one.client  # what it writes into its messages
         with pytest.raises(LeaseHeld):
             await two.do("fist")
@@ -172,7 +172,7 @@ async def test_names_in_messages_are_not_believed(hand: Hand, library: ActionLib
             await two.hold()
         with pytest.raises(LeaseHeld):
             await two.jog({"near": 0.5})
-        await two.release()
+        await two.release_lease()
         assert (await one.status()).holder == one.client
         assert list(await two.stop()) == ["sim"], "stop needs no permission"
         event = await served.event("stop")
@@ -266,7 +266,7 @@ async def test_actions_and_recording_are_the_holders(
         rtee.connect("small") as holder,
         rtee.connect("small") as other,
     ):
-        await holder.acquire()
+        await holder.acquire_lease()
         bad = await intruder(served, mode, intruders)
         for name in ("remove", "store"):
             question = REQUESTS[name].question.encode(

@@ -61,7 +61,7 @@ def test_the_blocking_twin_does_what_the_other_does(served: Served, hand: Hand) 
         remote.hold()
         remote.jog({"near": 0.1})
         remote.set_gains({"time_constant": 0.05})
-        with remote.held():
+        with remote.lease():
             assert remote.status().holder == remote.client
 
 
@@ -88,16 +88,16 @@ def test_a_goal_can_be_watched_and_cancelled(served: Served) -> None:
             goal.cancel()
     assert goal.done
     assert goal.result().cancelled
-    remote.close()
-    remote.close()
+    remote.disconnect()
+    remote.disconnect()
 
 
 def test_who_has_left_the_hand_is_told_to_connect_again(served: Served) -> None:
     remote = rtee.connect_blocking("small")
-    remote.close()
+    remote.disconnect()
     with pytest.raises(NoHand, match="connect again"):
         remote.status()
-    with pytest.raises(NoHand, match="connect again"), remote.held():
+    with pytest.raises(NoHand, match="connect again"), remote.lease():
         pass
     with pytest.raises(NoHand, match="connect again"), remote.stream():
         pass
@@ -148,7 +148,7 @@ def test_leaving_the_hand_ends_a_wait_in_another_thread(served: Served) -> None:
         begun.wait()
         listening = pool.submit(list, remote.states(50.0))
         next(states)
-        remote.close()
+        remote.disconnect()
         for ended in (waiting, listening):
             with pytest.raises(NoHand, match="this client has left"):
                 ended.result(10.0)

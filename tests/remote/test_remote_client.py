@@ -163,31 +163,31 @@ async def test_a_taken_hand_stays_taken_until_given_back(
     hand: Hand, library: ActionLibrary
 ) -> None:
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
-        async with one.held():
+        async with one.lease():
             with pytest.raises(LeaseHeld):
-                await two.acquire()
+                await two.acquire_lease()
             assert (await one.do("Trig", "index", intensity=0.1)).reached
-        await two.acquire()
-        await two.release()
+        await two.acquire_lease()
+        await two.release_lease()
 
 
 async def test_a_hand_is_held_until_the_outermost_context_ends(
     hand: Hand, library: ActionLibrary
 ) -> None:
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
-        async with one.held():
-            async with one.held():
+        async with one.lease():
+            async with one.lease():
                 pass
             with pytest.raises(LeaseHeld):
-                await two.acquire()
-        await two.acquire()
+                await two.acquire_lease()
+        await two.acquire_lease()
         with pytest.raises(LeaseHeld):
-            async with one.held():
+            async with one.lease():
                 pass
-        async with two.held():
+        async with two.lease():
             pass
         assert (await one.status()).holder == two.client, "it has acquired the hand besides"
-        await two.release()
+        await two.release_lease()
 
 
 async def test_who_gives_up_before_it_holds_the_hand_does_not_keep_it(
@@ -196,10 +196,10 @@ async def test_who_gives_up_before_it_holds_the_hand_does_not_keep_it(
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
         with anyio.CancelScope() as scope:
             scope.cancel()  # while the answer is waited for
-            async with one.held():
+            async with one.lease():
                 pass
-        await two.acquire()
-        await two.release()
+        await two.acquire_lease()
+        await two.release_lease()
 
 
 async def test_stop_needs_no_lease(hand: Hand, library: ActionLibrary) -> None:

@@ -133,7 +133,7 @@ async def test_who_puts_too_much_is_not_heard_for_a_while_and_others_are(
         assert list(await flood.stop()) == ["sim"]
         await flood.jog({"near": 0.1})  # is sent until the hand listens again
         await until(lambda: not link._fast._unmatched)
-        await flood.release()
+        await flood.release_lease()
         assert (await flood.do("Trig", "index", intensity=0.2)).reached
         inboxes = served.server.inboxes._inboxes
         assert sorted(inboxes) == sorted([flood.client, other.client])

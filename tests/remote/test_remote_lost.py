@@ -28,7 +28,7 @@ async def main():
         elif sys.argv[1] == "jog":
             await hand.jog({"near": 1.0}, 0.1)
         elif sys.argv[1] == "acquire":
-            await hand.acquire()
+            await hand.acquire_lease()
         print("there", flush=True)
         await anyio.sleep_forever()
 anyio.run(main)
@@ -129,8 +129,8 @@ async def test_a_client_that_holds_nothing_may_leave(hand: Hand, library: Action
         process.kill()
         await process.aclose()
         async with rtee.connect("small") as one:
-            await one.acquire()
-            await one.release()
+            await one.acquire_lease()
+            await one.release_lease()
         async with rtee.connect("small") as two:
             assert (await two.do("Trig", "index", intensity=0.1)).reached
         assert [event.kind for event in served.watcher.events].count("client_lost") == 0
@@ -143,7 +143,7 @@ async def test_leaving_after_a_jog_is_no_loss(hand: Hand, library: ActionLibrary
         async with rtee.connect("small") as next_one:
             assert (await next_one.status()).holder == "", "it may be moved by others at once"
             await next_one.jog({"near": 0.5}, 0.5)
-            await next_one.acquire()
+            await next_one.acquire_lease()
         lost = await served.event("client_lost")
         assert lost.source == next_one.client, "what was taken was not given back"
         assert [event.kind for event in served.watcher.events].count("client_lost") == 1

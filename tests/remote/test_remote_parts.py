@@ -234,7 +234,7 @@ def _compare(hand: Hand, u: np.ndarray) -> None:
         if finger.tip is None:
             continue
         pose, jacobian = tip_pose_and_jacobian(hand, finger.tip, u)
-        np.testing.assert_allclose(pose, kinematics.link_pose(u, finger.tip), atol=1e-12)
+        np.testing.assert_allclose(pose, kinematics.link_pose(finger.tip, u), atol=1e-12)
         np.testing.assert_allclose(jacobian, _by_pinocchio(kinematics, finger.tip, u), atol=1e-12)
 
 

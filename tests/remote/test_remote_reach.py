@@ -67,18 +67,18 @@ def test_contacts_are_done_without_leaving_an_action(remote: BlockingHand) -> No
 
 def test_a_grasp_that_meets_the_object_is_refused(remote: BlockingHand) -> None:
     before = remote.state().position
-    clear = remote.reach(width=0.03, pose=POSE, thing="box:0.03x0.03x0.06")
+    clear = remote.reach(width=0.03, pose=POSE, object="box:0.03x0.03x0.06")
     assert clear.collisions == ()
-    met = remote.reach(width=0.03, pose=POSE, thing="box:0.4x0.02x0.02", object_pose=POSE)
+    met = remote.reach(width=0.03, pose=POSE, object="box:0.4x0.02x0.02", object_pose=POSE)
     assert {each.links[1] for each in met.collisions} == {"object"}
     with pytest.raises(ConfigError, match=r"has collisions: .* mm inside of object"):
         remote.grasp_at(met)
     assert remote.state().position == pytest.approx(before)
     assert remote.grasp_at(met, stage="pre_grasp", despite_collisions=True).reached
     with pytest.raises(RequestRejected, match="is not an object; write"):
-        remote.reach(width=0.03, pose=POSE, thing="../secret.stl")
+        remote.reach(width=0.03, pose=POSE, object="../secret.stl")
     with pytest.raises(ConfigError, match="the object's pose is 4 by 4"):
-        remote.reach(width=0.03, pose=POSE, thing="sphere:0.01", object_pose=np.eye(3))
+        remote.reach(width=0.03, pose=POSE, object="sphere:0.01", object_pose=np.eye(3))
 
 
 @pytest.mark.heavy

@@ -155,9 +155,9 @@ async def test_bad_samples_are_refused_in_one_sentence(
             for wrong in ({"near": "0.1"}, {1: 0.1}, [0.1]):
                 with pytest.raises(GoalRejected, match="target of a sample"):
                     await stream.send(wrong)  # type: ignore[arg-type]
-        with pytest.raises(RequestRejected, match="was closed|its client ended it"):
+        with pytest.raises(RequestRejected, match=r"was closed|its client ended it"):
             await stream.send({"near": 0.1})
-        with pytest.raises(RequestRejected, match="was closed|its client ended it"):
+        with pytest.raises(RequestRejected, match=r"was closed|its client ended it"):
             await anext(stream.pace())
 
 

@@ -170,7 +170,7 @@ async def test_a_revoked_client_sees_and_does_nothing_any_more(
             as_user(bob)
             async with rtee.connect(endpoint=endpoint) as other, other.collected_states() as others:
                 events = remote.events()
-                await remote.acquire()
+                await remote.acquire_lease()
                 await until(lambda: len(seen.drain()) > 0)
                 people.authority.revoke(people.folder, "ann")
                 # What it held is free again, as if the client were lost.

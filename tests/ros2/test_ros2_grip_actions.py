@@ -244,7 +244,7 @@ async def test_cancel_holds_and_a_new_goal_replaces(settings: Ros2Settings) -> N
         assert (await first.result(30)).state is GoalState.ABORTED
         assert (await second.result(30)).state is GoalState.SUCCEEDED
         async with connect(NAME) as other:
-            async with other.held():
+            async with other.lease():
                 with pytest.raises(GoalRejected):
                     await client.send_goal(slow)
             third = await client.send_goal(slow)

@@ -44,7 +44,7 @@ async def test_triggers(hand: Hand, library: ActionLibrary, settings: Ros2Settin
         assert "stop" in [event.kind for event in served.watcher.events]
         recovered = await robot.call("/small/recover", TRIGGER)
         assert recovered.success
-        async with connect("small") as client, client.held():
+        async with connect("small") as client, client.lease():
             refused = await robot.call("/small/do/fist", TRIGGER)
         assert not refused.success
         assert "is held by" in refused.message

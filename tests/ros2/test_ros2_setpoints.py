@@ -123,7 +123,7 @@ async def test_a_goal_of_another_client_is_not_disturbed(
     async with a_hand_in_ros(hand, library, settings) as (served, robot):
         publisher = await robot.talk("/small/commands", COMMANDS)
         message = publisher.type.message(data=[0.4, 0.3, 0.01])
-        async with connect("small") as client, client.held():
+        async with connect("small") as client, client.lease():
             await repeat(publisher, message, lambda: bool(_refusals(caplog)))
             assert near(served, [0.0, 0.0, 0.0])
         assert "is held by" in _refusals(caplog)[0]

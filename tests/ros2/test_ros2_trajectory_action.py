@@ -217,7 +217,7 @@ async def test_preempted(hand: Hand, library: ActionLibrary, settings: Ros2Setti
 
 async def test_held_by_another(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -> None:
     async with acting(hand, library, settings) as (served, _, client):
-        async with connect("small") as other, other.held():
+        async with connect("small") as other, other.lease():
             state, _, text = told(await done(client, LONG))
             assert state is GoalState.ABORTED
             assert "is held by" in text

@@ -96,7 +96,7 @@ def closed(hand: Hand) -> FloatArray:
 def tips(hand: Hand, u: FloatArray) -> FloatArray:
     """Return the fingertips' origins ``(k, 3)`` [m] in the base frame."""
     kinematics = Kinematics(hand)
-    origins = [kinematics.link_pose(u, f.tip)[:3, 3] for f in hand.fingers if f.tip is not None]
+    origins = [kinematics.link_pose(f.tip, u)[:3, 3] for f in hand.fingers if f.tip is not None]
     return np.array(origins).reshape(-1, 3)
 
 

@@ -285,7 +285,9 @@ class JogPanel:
 
     async def _acquire_or_release(self) -> None:
         try:
-            await (self._remote.acquire() if self._hold.value else self._remote.release())
+            await (
+                self._remote.acquire_lease() if self._hold.value else self._remote.release_lease()
+            )
         except RemoteError:
             self._hold.value = False
             raise
@@ -334,7 +336,7 @@ class JogPanel:
         """Release the lease if it is held; do not wait long for a hand that has gone."""
         if self._hold.value:
             with contextlib.suppress(RemoteError), anyio.move_on_after(_LEAVE_WITHIN):
-                await self._remote.release()
+                await self._remote.release_lease()
 
     def follow(self, state: State) -> None:
         """Move the sliders with the hand while nobody jogs."""

@@ -65,11 +65,18 @@ class TablePanel:
 
     def show_state(self, state: State) -> None:
         """Show a measured state."""
-        self._grip.visible = not math.isnan(state.opening)
-        force = "" if math.isnan(state.force) else f"{state.force:.1f} ± {state.force_error:.1f}"
+        self._grip.visible = state.opening is not None
+        force = "" if state.force is None else f"{state.force:.1f} ± {state.force_error or 0.0:.1f}"
         self._grip.content = table(
             ("", "opening [mm]", "force [N]", "by"),
-            [["fingertips", f"{1e3 * state.opening:.1f}", force or "–", state.force_source or "–"]],
+            [
+                [
+                    "fingertips",
+                    f"{1e3 * (state.opening or 0.0):.1f}",
+                    force or "–",
+                    state.force_source or "–",
+                ]
+            ],
         )
         rows = [
             [

@@ -171,11 +171,11 @@ def test_its_fingertips_are_where_they_were_published(
     for half, x, z in table:
         pose = np.array(hand.rest)
         pose[hand.actuator_index("index_flexion")] = finger(amazing, "index", half, -half)[0]
-        place = kinematics.link_pose(pose, "index_distal") @ np.array([0.0, 0.0, 0.0351, 1.0])
+        place = kinematics.link_pose("index_distal", pose) @ np.array([0.0, 0.0, 0.0351, 1.0])
         assert place[[0, 2]] * 1e3 == pytest.approx([x, z], abs=1.3)
     pose = np.array(hand.rest)
     pose[hand.actuator_index("thumb_flexion")] = finger(amazing, "thumb", 0, 0)[0]
-    place = kinematics.link_pose(pose, "thumb_distal") @ np.array([0.0, 0.0, 0.0351, 1.0])
+    place = kinematics.link_pose("thumb_distal", pose) @ np.array([0.0, 0.0, 0.0351, 1.0])
     assert place[:3] * 1e3 == pytest.approx([86.1, 44.2, 85.3], abs=1.3)
 
 

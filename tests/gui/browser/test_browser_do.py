@@ -127,7 +127,7 @@ def test_an_action_made_elsewhere_appears_in_every_window_and_goes(
 def test_who_holds_the_hand_is_named_and_what_is_refused_is_said(
     window: Window, other: BlockingHand
 ) -> None:
-    other.acquire()
+    other.acquire_lease()
     try:
         window.status(f"held by {other.client}")
         card = window.folder("PinchTight", unfold=True)
@@ -142,7 +142,7 @@ def test_who_holds_the_hand_is_named_and_what_is_refused_is_said(
         window.button("STOP").click()
         window.told("confirmed by")
     finally:
-        other.release()
+        other.release_lease()
     window.status("held by nobody")
 
 
