@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -154,15 +155,15 @@ def plot(
     png: Annotated[bool, typer.Option(help="Make a picture.")] = True,
 ) -> None:
     """Plot positions, references and efforts with the spans of the actions."""
-    from rtee.log.figure import By, figure
+    from rtee.log.figure import By, figure, read_for
     from rtee.log.playback import fingers
-    from rtee.log.reader import read
 
     if by is not None and by not in list(By):
         raise LogError(f"--by should be 'actuator' or 'finger', not '{by}'")
-    recording = read(_paths(file, series))
+    pieces = read_for(_paths(file, series), start, end)
+    recording = next(pieces)
     drawing = figure(
-        recording,
+        chain((recording,), pieces),
         by=None if by is None else By(by),
         actuators=actuator or (),
         start=start,
@@ -215,9 +216,8 @@ def export(
     ] = None,
 ) -> None:
     """Write a recording's topics as CSV, Parquet or NumPy files."""
-    from rtee.log.export import Format
+    from rtee.log.export import Format, read_for
     from rtee.log.export import export as write
-    from rtee.log.reader import read
 
     if kind is None:
         if output.suffix in (".csv", ".parquet"):
@@ -234,7 +234,8 @@ def export(
         kind = "npz" if output.suffix == ".npz" else "csv"
     if kind not in list(Format):
         raise LogError(f"--format should be csv, parquet or npz, not '{kind}'")
-    for path in write(read(_paths(file, series)), output, Format(kind), topic or ()):
+    pieces = read_for(_paths(file, series), topic or ())
+    for path in write(pieces, output, Format(kind), topic or ()):
         print(path)
 
 

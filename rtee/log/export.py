@@ -7,17 +7,19 @@ import csv
 import dataclasses
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtee.errors import LogError, needing_extra, suggestion
+from rtee.log.reader import windows
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
 from rtee.log.sink import reason
+from rtee.log.spool import Column, Spool, Table
 from rtee.messages import topics
 from rtee.messages.convert import plain
 from rtee.messages.state import ACTUATOR_COLUMNS
@@ -26,7 +28,7 @@ from rtee.types import Result
 if TYPE_CHECKING:
     import pandas
 
-_ROWS = 10_000  # rows converted to Python numbers at a time, which take some megabytes
+_GROUP = 5  # pieces of a row group: 50,000 rows of a hundred columns take 40 MB
 
 
 class Format(StrEnum):
@@ -43,7 +45,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     If the file cannot be written, removes it and raises `LogError`.
     """
-    try:
+    with _failing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export.") as folder:
             temporary = Path(folder, path.name)
@@ -52,46 +54,74 @@ def replacing(path: Path) -> Iterator[Path]:
                 # Before the rename, so that a power cut cannot leave an empty file at the path.
                 os.fsync(stream.fileno())
             os.replace(temporary, path)
+
+
+@contextlib.contextmanager
+def _failing(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise LogError(f"cannot be written: {reason(error)}", path=path) from error
 
 
+def read_for(paths: Sequence[Path], only: Sequence[str] = ()) -> Iterator[Recording]:
+    """Read what `export` needs of a recording, piece by piece."""
+    wanted = {*_checked(only)}
+    # Plans name their goals by numbers, and readings their sensors.
+    more = {topics.PLANS: topics.GOALS, topics.TOUCH: topics.TOUCH_SENSORS}
+    wanted |= {more[name] for name in wanted & more.keys()}
+    return windows(paths, only=wanted)
+
+
 def export(
-    recording: Recording, output: Path, kind: Format, only: Sequence[str] = ()
+    recording: Recording | Iterable[Recording],
+    output: Path,
+    kind: Format,
+    only: Sequence[str] = (),
 ) -> list[Path]:
     """Write the topics of a recording, or ``only`` some, as tables; return the files written.
 
+    The recording may come in pieces (`read_for`): whatever its length, few are in memory at once.
     CSV and Parquet make a folder with one file per topic; NPZ makes one file with all columns,
     named ``<topic>/<column>``. Columns of joints are named ``position.<joint>`` and so on. Raises
     `LogError` if there is nothing to export, or a file cannot be written.
     """
-    topic_tables = tables(recording, only)
-    if not topic_tables:
-        raise LogError("holds nothing that could be exported", path=recording.paths[0])
-    if kind is Format.NPZ:
-        _write_npz(output, topic_tables)
-        return [output]
     if kind is Format.PARQUET:
         # Imported before the first file is written, so that a missing extra leaves no files.
         _parquet()
-    written = []
-    for name, table in topic_tables.items():
-        path = output / f"{name}.{kind}"
-        with replacing(path) as temporary:
-            (_write_csv if kind is Format.CSV else _write_parquet)(temporary, table)
-        written.append(path)
-    return written
+    folder = output.parent if kind is Format.NPZ else output
+    path, spools = output, dict[str, Spool]()
+    with _failing(output), contextlib.ExitStack() as stack:
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary = stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix=".export."))
+        for piece in (recording,) if isinstance(recording, Recording) else recording:
+            path = piece.paths[0]
+            for name, table in tables(piece, only).items():
+                if name not in spools:
+                    spools[name] = Spool(Path(temporary, name))
+                    stack.callback(spools[name].close)
+                spools[name].add(table)
+        if not spools:
+            raise LogError("holds nothing that could be exported", path=path)
+        if kind is Format.NPZ:
+            _write_npz(output, spools)
+            return [output]
+        written = []
+        for name in (name for name in TABLES if name in spools):
+            path = output / f"{name}.{kind}"
+            with replacing(path) as new:
+                (_write_csv if kind is Format.CSV else _write_parquet)(new, spools[name])
+            written.append(path)
+        return written
 
 
-def _write_csv(path: Path, table: Table) -> None:
+def _write_csv(path: Path, spool: Spool) -> None:
     # Line ends are up to the writer of CSV, as its documentation asks.
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(table)
-        count = len(table["t"])
-        for begin in range(0, count, _ROWS):
-            part = [column[begin : begin + _ROWS].tolist() for column in table.values()]
-            writer.writerows(zip(*part, strict=True))
+        writer.writerow(spool.kinds())
+        for table in spool.tables():
+            writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
 
 
 def _parquet() -> Any:
@@ -101,10 +131,29 @@ def _parquet() -> Any:
     return pyarrow
 
 
-def _write_parquet(path: Path, table: Table) -> None:
+def _write_parquet(path: Path, spool: Spool) -> None:
     pyarrow = _parquet()
-    columns = {name: pyarrow.array(column) for name, column in table.items()}
-    pyarrow.parquet.write_table(pyarrow.table(columns), path, compression="zstd")
+    text, number = pyarrow.string(), pyarrow.from_numpy_dtype
+    kinds = {name: text if k.kind == "U" else number(k) for name, k in spool.kinds().items()}
+    schema = pyarrow.schema(kinds)
+    with pyarrow.parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+        for table in spool.tables(_GROUP):
+            writer.write_table(pyarrow.table(table, schema=schema))
+
+
+def _write_npz(path: Path, spools: Mapping[str, Spool]) -> None:
+    with (
+        replacing(path) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for topic, spool in ((name, spools[name]) for name in TABLES if name in spools):
+            for name, kind in spool.kinds().items():
+                # As `numpy.savez_compressed` does, without the whole column in memory.
+                with archive.open(f"{topic}/{name}.npy", "w", force_zip64=True) as stream:
+                    head = {"descr": kind.str, "fortran_order": False, "shape": (spool.rows,)}
+                    np.lib.format.write_array_header_1_0(stream, head)
+                    for part in spool.column(name):
+                        stream.write(part.tobytes())
 
 
 def to_pandas(recording: Recording, topic: str = topics.ACTUATOR_STATES) -> pandas.DataFrame:
@@ -127,20 +176,6 @@ def to_pandas(recording: Recording, topic: str = topics.ACTUATOR_STATES) -> pand
         import pandas
     return pandas.DataFrame(tables(recording, [topic]).get(topic, {"t": []})).set_index("t")
 
-
-def _write_npz(path: Path, topic_tables: Mapping[str, Table]) -> None:
-    arrays: dict[str, Any] = {
-        f"{topic}/{name}": column
-        for topic, table in topic_tables.items()
-        for name, column in table.items()
-    }
-    with replacing(path) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
-
-
-Column = NDArray[Any]
-Table = dict[str, Column]
-"""Columns of the same length by name."""
 
 _WIDE = ("position", "velocity", "effort")
 _LARGEST = 2**63 - 1  # largest number of 64 bits with a sign
@@ -305,8 +340,13 @@ def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
 
     Raises `LogError` if a topic does not exist.
     """
+    wanted = _checked(only)
+    chosen = {name: make(recording) for name, make in _MAKERS.items() if name in wanted}
+    return {name: table for name, table in chosen.items() if len(table["t"])}
+
+
+def _checked(only: Sequence[str]) -> Sequence[str]:
     for name in only:
         if name not in _MAKERS:
             raise LogError(f"unknown topic '{name}'; {suggestion(name, _MAKERS)}")
-    chosen = {name: make(recording) for name, make in _MAKERS.items() if not only or name in only}
-    return {name: table for name, table in chosen.items() if len(table["t"])}
+    return only or TABLES

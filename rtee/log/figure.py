@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import cycle
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import LogError
 from rtee.log.labels import Band, Label, bands_of, labels_of
-from rtee.log.recording import ActuatorSeries, JointSeries, Recording
+from rtee.log.reader import windows
+from rtee.log.recording import Entry, JointSeries, Recording, Span, TouchSeries
+from rtee.loop.plan import Plan
+from rtee.messages import topics
 from rtee.sample import FloatArray
+from rtee.touch import TouchSensor
+from rtee.types import Event, Feedback, Goal, Result
 
 MOST_POINTS = 4000
 """Most points of a line, twice a screen's width in pixels; thinning keeps every peak."""
@@ -42,6 +50,22 @@ DRAWN = frozenset(
     }
 )
 """Kinds of events that a plot shows."""
+
+_JOINTS = ("position", "effort")
+_TOPICS = (
+    topics.ACTUATOR_STATES,
+    topics.JOINT_STATES,
+    topics.REFERENCE,
+    topics.TOUCH,
+    topics.TOUCH_SENSORS,
+    topics.GOALS,
+    topics.PLANS,
+    topics.FEEDBACK,
+    topics.RESULTS,
+    topics.EVENTS,
+    topics.OBJECT,
+    topics.ROBOT_DESCRIPTION,
+)
 
 
 class By(StrEnum):
@@ -139,8 +163,46 @@ def thinned(
     return t[chosen], values[chosen]
 
 
+class _Lines:
+    """The points of lines, thinned as they come, for a plot from a time to another [s]."""
+
+    def __init__(self, start: float, end: float) -> None:
+        self._start, self._end = start, end
+        self._parts: dict[tuple[str, ...], list[tuple[FloatArray, FloatArray]]] = {}
+
+    def add(self, series: JointSeries | TouchSeries, values: Mapping[tuple[str, ...], Any]) -> None:
+        """Add points of lines, by key; they are later than those before."""
+        within = (series.t >= self._start) & (series.t <= self._end)
+        t = series.t[within]
+        if not len(t):
+            return
+        # More than the line may have in the end: what is thinned twice keeps every peak, too.
+        share = (t[-1] - t[0]) / max(self._end - self._start, 1e-9)
+        most = 8 + int(4 * share * MOST_POINTS)
+        for key, column in values.items():
+            self._parts.setdefault(key, []).append(thinned(t, column[within], most))
+
+    def __contains__(self, key: tuple[str, ...]) -> bool:
+        return key in self._parts
+
+    def points(self, *key: str) -> tuple[FloatArray, FloatArray]:
+        """Return the times and values of a line."""
+        t, values = zip(*self._parts[key], strict=True)
+        return thinned(np.concatenate(t), np.concatenate(values))
+
+    def measured(self, kind: str) -> bool:
+        """Return whether any line of a kind, with which its key begins, has a number."""
+        parts = (part for key, parts in self._parts.items() if key[0] == kind for part in parts)
+        return any(not np.isnan(values).all() for _, values in parts)
+
+
+def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> Iterator[Recording]:
+    """Read what `figure` needs of a recording, piece by piece."""
+    return windows(paths, only=_TOPICS, start=start, end=end)
+
+
 def figure(
-    recording: Recording,
+    recording: Recording | Iterable[Recording],
     *,
     by: By | None = None,
     actuators: Sequence[str] = (),
@@ -151,7 +213,7 @@ def figure(
     """Return the plot of a recording, from ``start`` to ``end`` since its start [s].
 
     Args:
-        recording: The recording.
+        recording: The recording, or its pieces (`read_for`), of which few are in memory at once.
         by: Subject of a row; by default, fingers if there are more than six actuators.
         actuators: Actuators to show; all unless given.
         start: Begin of the plot [s].
@@ -161,40 +223,53 @@ def figure(
     Raises:
         LogError: if there is nothing to show, or an actuator is unknown.
     """
-    states = recording.states
-    chosen = list(actuators) or list(states.names)
-    for name in chosen:
-        states.index(name)
+    pieces = iter((recording,) if isinstance(recording, Recording) else recording)
+    first = piece = next(pieces)
     begin = 0.0 if start is None else start
-    until = recording.duration if end is None else end
-    within = (states.t >= begin) & (states.t <= until)
-    if not within.any():
-        when = " in that time" if len(states) else ""
-        raise LogError(f"holds no states{when}", path=recording.paths[0])
-    groups = _groups(chosen, by, fingers or {})
-    efforts, label = _efforts(recording, within)
+    until = first.duration if end is None else end
+    chosen = list(actuators)
+    lines = _Lines(begin, until)
+    sensors: dict[str, tuple[TouchSensor, ...]] = {}
+    told = _Told([], [], [], [], [])
+    while True:
+        chosen = chosen or list(piece.states.names)
+        _add(lines, piece, chosen)
+        sensors |= {device: series.sensors for device, series in piece.touch.items()}
+        told.add(piece)
+        following = next(pieces, None)
+        if following is None:
+            break
+        piece = following
+    if not chosen or ("position", chosen[0]) not in lines:
+        when = "" if start is end is None else " in that time"
+        raise LogError(f"holds no states{when}", path=first.paths[0])
+    efforts, label = _efforts(lines)
     rows = []
-    for title, names in groups.items():
+    for title, names in _groups(chosen, by, fingers or {}).items():
         positions: list[Line] = []
         forces: list[Line] = []
         for name in names:
             # By the index among all chosen actuators, so that every row has the same colours.
             colour = COLOURS[chosen.index(name) % len(COLOURS)]
-            column = states.index(name)
-            positions += _position_lines(recording, name, colour, begin, until)
-            if efforts is not None:
-                t, values = thinned(states.t[within], efforts[within, column])
-                forces.append(Line(name, t, values, colour, dashed=False, group=name))
+            for into, kind in (
+                (positions, "position"),
+                (positions, "reference"),
+                (forces, efforts),
+            ):
+                if (kind, name) in lines:
+                    dashed = kind == "reference"
+                    shown = f"{name} reference" if dashed else name
+                    into.append(Line(shown, *lines.points(kind, name), colour, dashed, name))
         rows.append(Row(title, tuple(positions), tuple(forces)))
-    rows += _touch_rows(recording, begin, until)
-    bands = bands_of(recording.spans, begin, until)
+    rows += _touch_rows(lines, sensors)
+    bands = bands_of(told.spans(first), begin, until)
     marks = [
         (entry.t, entry.value.text if entry.value.kind == "mark" else entry.value.kind)
-        for entry in recording.events
-        if entry.value.kind in DRAWN and begin <= entry.t <= until
+        for entry in told.events
+        if begin <= entry.t <= until
     ]
     return Figure(
-        title=_title(recording),
+        title=_title(first),
         rows=tuple(rows),
         bands=bands,
         marks=tuple(t for t, _ in marks),
@@ -205,26 +280,80 @@ def figure(
     )
 
 
-def _touch_rows(recording: Recording, start: float, end: float) -> Iterator[Row]:
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What a plot needs of goals and events, without the rest of them."""
+
+    goals: list[Entry[Goal]]
+    plans: list[Entry[Plan]]
+    feedback: list[Entry[Feedback]]
+    results: list[Entry[Result]]
+    events: list[Entry[Event]]
+
+    def add(self, piece: Recording) -> None:
+        self.goals.extend(piece.goals)
+        # The action alone: grips are long.
+        self.plans.extend(
+            replace(e, value=replace(e.value, legs=(), grip=None)) for e in piece.plans
+        )
+        for entry in piece.feedback:
+            # Only where another inner action begins.
+            known = self.feedback[-1].value if self.feedback else Feedback("", 0.0)
+            if (entry.value.goal_id, entry.value.inner) != (known.goal_id, known.inner):
+                self.feedback.append(entry)
+        self.results.extend(piece.results)
+        self.events.extend(entry for entry in piece.events if entry.value.kind in DRAWN)
+
+    def spans(self, whole: Recording) -> list[Span]:
+        return replace(
+            whole,
+            goals=self.goals,
+            plans=self.plans,
+            feedback=self.feedback,
+            results=self.results,
+        ).spans
+
+
+def _add(lines: _Lines, piece: Recording, names: Sequence[str]) -> None:
+    states, reference = piece.states, piece.reference
+    if states.names:
+        columns = {name: states.index(name) for name in names}
+        kinds = ("position", "effort", "current") if len(piece.actuator_states) else _JOINTS
+        lines.add(
+            states,
+            {(kind, n): getattr(states, kind)[:, k] for kind in kinds for n, k in columns.items()},
+        )
+    named = {name: reference.index(name) for name in names if name in reference.names}
+    lines.add(reference, {("reference", n): reference.position[:, k] for n, k in named.items()})
+    for device, series in piece.touch.items():
+        begin = 0
+        for index, sensor in enumerate(series.sensors):
+            taxels = series.values[:, begin : begin + sensor.taxels]
+            begin += sensor.taxels
+            largest = taxels.max(axis=1) if taxels.ndim > 1 else taxels
+            found = {"sum": series.totals[:, index], "largest": largest}
+            lines.add(series, {(kind, device, sensor.name): v for kind, v in found.items()})
+
+
+def _touch_rows(lines: _Lines, sensors: Mapping[str, tuple[TouchSensor, ...]]) -> Iterator[Row]:
     """Yield a row for each device and unit of touch sensors."""
-    for device, series in recording.touch.items():
-        within = (series.t >= start) & (series.t <= end)
-        for unit in dict.fromkeys(sensor.unit for sensor in series.sensors):
-            sums: list[Line] = []
-            largest: list[Line] = []
-            begin = 0
-            for index, sensor in enumerate(series.sensors):
-                taxels = series.values[within, begin : begin + sensor.taxels]
-                begin += sensor.taxels
-                if sensor.unit != unit:
-                    continue
-                colour = COLOURS[index % len(COLOURS)]
-                for into, values in ((sums, series.totals[within, index]), (largest, taxels)):
-                    if values.ndim > 1:
-                        values = values.max(axis=1)
-                    t, thin = thinned(series.t[within], values)
-                    into.append(Line(sensor.name, t, thin, colour, dashed=False, group=sensor.name))
-            yield Row(f"touch: {device}", tuple(sums), tuple(largest), unit)
+    for device, its in sensors.items():
+        for unit in dict.fromkeys(sensor.unit for sensor in its):
+            sums, largest = (
+                tuple(
+                    Line(
+                        s.name,
+                        *lines.points(kind, device, s.name),
+                        colour,
+                        dashed=False,
+                        group=s.name,
+                    )
+                    for s, colour in zip(its, cycle(COLOURS), strict=False)
+                    if s.unit == unit and (kind, device, s.name) in lines
+                )
+                for kind in ("sum", "largest")
+            )
+            yield Row(f"touch: {device}", sums, largest, unit)
 
 
 def _title(recording: Recording) -> str:
@@ -254,30 +383,11 @@ def _groups(
     return groups
 
 
-def _position_lines(
-    recording: Recording, name: str, colour: str, start: float, end: float
-) -> list[Line]:
-    lines = []
-    series: tuple[tuple[JointSeries, bool], ...] = (
-        (recording.states, False),
-        (recording.reference, True),
-    )
-    for source, dashed in series:
-        if name not in source.names:
-            continue
-        within = (source.t >= start) & (source.t <= end)
-        t, values = thinned(source.t[within], source.position[within, source.index(name)])
-        label = f"{name} reference" if dashed else name
-        lines.append(Line(label, t, values, colour, dashed, name))
-    return lines
-
-
-def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
-    """Return the values and label of the right column: efforts, or currents as a substitute."""
-    states = recording.states
+def _efforts(lines: _Lines) -> tuple[str, str]:
+    """Return kind and label of the right column: efforts, or currents as a substitute."""
     # A device may measure neither, or only currents, without a known torque constant.
-    if not np.isnan(states.effort[within]).all():
-        return states.effort, "effort [N·m | N]"
-    if isinstance(states, ActuatorSeries) and not np.isnan(states.current[within]).all():
-        return states.current, "current [A]"
-    return None, "effort"
+    if lines.measured("effort"):
+        return "effort", "effort [N·m | N]"
+    if lines.measured("current"):
+        return "current", "current [A]"
+    return "", "effort"

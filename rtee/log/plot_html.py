@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def write_html(figure: Figure, path: Path) -> None:
         unit = left[left.index("[") :]
         drawing.update_yaxes(title_text=f"{html.escape(row.title)}<br>{unit}", row=number, col=1)
         drawing.update_yaxes(title_text=right, row=number, col=2)
-    _spans(drawing, figure, count)
+    drawing.update_layout(shapes=[*_shapes(figure)], annotations=[*_names(figure)])
     _lay_out(drawing, figure)
     # Embedding Plotly adds some megabytes, but the page opens without a network.
     text = drawing.to_html(include_plotlyjs=True, full_html=True, config={"scrollZoom": True})
@@ -95,33 +96,38 @@ def _trace(go: Any, line: Line, *, named: bool) -> Any:
     )
 
 
-def _spans(drawing: Any, figure: Figure, rows: int) -> None:
-    """Shade the spans over all panels, with their names above the first ones."""
-    for row in range(1, rows + 1):
-        for column in (1, 2):
-            place = {"row": row, "col": column}
-            for band in figure.bands:
-                start, end = max(band.span.start, figure.start), min(band.span.end, figure.end)
-                if band.inner:
-                    drawing.add_vline(x=start, line_width=1, line_color=band.colour, **place)
-                    continue
-                drawing.add_vrect(
-                    x0=start, x1=end, fillcolor=band.colour, opacity=0.12, line_width=0, **place
-                )
-            for t in figure.marks:
-                drawing.add_vline(
-                    x=t, line_width=1, line_dash="dot", line_color=MARK_COLOUR, **place
-                )
+def _shapes(figure: Figure) -> Iterator[dict[str, Any]]:
+    """Yield what shades the spans over all panels, for the two columns.
+
+    All go into the layout at once: one by one, each would be compared with those before.
+    """
+    for axis in ("x", "x2"):
+        place = {"xref": axis, "yref": "paper", "y0": 0, "y1": 1}
+        for band in figure.bands:
+            start, end = max(band.span.start, figure.start), min(band.span.end, figure.end)
+            if band.inner:
+                line = {"width": 1, "color": band.colour}
+                yield {"type": "line", "x0": start, "x1": start, "line": line, **place}
+            else:
+                fill = {"fillcolor": band.colour, "opacity": 0.12, "line": {"width": 0}}
+                yield {"type": "rect", "x0": start, "x1": end, **fill, **place}
+        for t in figure.marks:
+            line = {"width": 1, "dash": "dot", "color": MARK_COLOUR}
+            yield {"type": "line", "x0": t, "x1": t, "line": line, **place}
+
+
+def _names(figure: Figure) -> Iterator[dict[str, Any]]:
+    """Yield the names above the first panels."""
     for label in figure.labels:
-        drawing.add_annotation(
-            x=label.t,
-            xref="x",
-            y=1.0,
-            yref="paper",
-            yshift=4 + _LANE_HEIGHT * label.lane,
-            text=html.escape(label.text),
-            showarrow=False,
-            xanchor="left",
-            yanchor="bottom",
-            font={"size": 11, "color": label.colour},
-        )
+        yield {
+            "x": label.t,
+            "xref": "x",
+            "y": 1.0,
+            "yref": "paper",
+            "yshift": 4 + _LANE_HEIGHT * label.lane,
+            "text": html.escape(label.text),
+            "showarrow": False,
+            "xanchor": "left",
+            "yanchor": "bottom",
+            "font": {"size": 11, "color": label.colour},
+        }

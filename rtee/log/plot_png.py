@@ -88,13 +88,16 @@ def _row(row: Row, left: Any, right: Any, figure: Figure) -> None:
 
 def _shade(panel: Any, figure: Figure) -> None:
     """Shade the spans and draw where inner actions and marks begin."""
-    for band in figure.bands:
-        start, end = max(band.span.start, figure.start), min(band.span.end, figure.end)
-        if not band.inner:
-            panel.axvspan(start, end, color=band.colour, alpha=0.13, linewidth=0)
-        panel.axvline(start, color=band.colour, linewidth=0.7, alpha=0.7)
-    for t in figure.marks:
-        panel.axvline(t, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
+    across = {"transform": panel.get_xaxis_transform()}  # from the lower to the upper edge
+    for colour in dict.fromkeys(band.colour for band in figure.bands):
+        # All of a colour at once: an hour may have thousands.
+        bands = [band for band in figure.bands if band.colour == colour]
+        ends = [(max(b.span.start, figure.start), min(b.span.end, figure.end)) for b in bands]
+        shaded = [(a, z - a) for b, (a, z) in zip(bands, ends, strict=True) if not b.inner]
+        panel.broken_barh(shaded, (0, 1), color=colour, alpha=0.13, linewidth=0, **across)
+        starts = [start for start, _ in ends]
+        panel.vlines(starts, 0, 1, color=colour, linewidth=0.7, alpha=0.7, **across)
+    panel.vlines(figure.marks, 0, 1, color=MARK_COLOUR, linewidth=0.8, linestyle=":", **across)
 
 
 def _name(panel: Any, figure: Figure) -> None:

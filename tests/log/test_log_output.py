@@ -36,16 +36,20 @@ from rtee.cli.log import app
 from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
-from rtee.log import Recording, read, to_pandas
+from rtee.log import Recording, read, reader, to_pandas
 from rtee.log.dataclass_json import to_json
 from rtee.log.export import TABLES, Format, export, tables
+from rtee.log.export import read_for as export_pieces
 from rtee.log.figure import MOST_POINTS, By, figure, thinned
+from rtee.log.figure import read_for as plot_pieces
 from rtee.log.file_index import index_file
 from rtee.log.info import info
+from rtee.log.labels import bands_of, labels_of
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
 from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
+from rtee.log.spool import Spool
 from rtee.loop.settings import LoopSettings
 from rtee.types import Event, Goal
 
@@ -79,6 +83,41 @@ def test_info_of_a_cut_off_file_says_so(story: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(story.read_bytes()[:-300])
     assert any("not closed" in note for note in info([path]).recording.notes)
+
+
+def test_pieces_give_the_same_tables_and_the_same_plot(
+    recording: Recording, story: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader, "_WINDOW", 300_000_000)
+    pieces = export_pieces([story])
+    whole, parts = tmp_path / "whole.npz", tmp_path / "parts.npz"
+    export(recording, whole, Format.NPZ)
+    export(pieces, parts, Format.NPZ)
+    with np.load(whole) as first, np.load(parts) as second:
+        assert first.files == second.files
+        for name in first.files:
+            np.testing.assert_array_equal(first[name], second[name], name)
+    drawn, pieced = figure(recording), figure(plot_pieces([story], None, None))
+    assert (drawn.bands, drawn.marks, drawn.labels) == (pieced.bands, pieced.marks, pieced.labels)
+    for row, other in zip(drawn.rows, pieced.rows, strict=True):
+        for line, same in zip(
+            row.positions + row.efforts, other.positions + other.efforts, strict=True
+        ):
+            assert line.name == same.name
+            assert line.values.tobytes() == same.values.tobytes()
+
+
+def test_a_column_has_one_type_whatever_its_pieces_have(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "table")
+    spool.add({"t": np.zeros(2), "a": np.array(["", ""]), "n": np.array([1, 2]), "s": np.ones(2)})
+    late = {"a": np.array([0.5]), "n": np.array([2**63], dtype=np.uint64), "s": np.array(["text"])}
+    spool.add({"t": np.ones(1), **late, "new": np.array([3.0])})
+    (table,) = spool.tables(2)
+    spool.close()
+    assert table["n"].tolist() == [1, 2, 2**63]
+    assert table["s"].tolist() == ["1.0", "1.0", "text"]
+    np.testing.assert_array_equal(table["a"], [np.nan, np.nan, 0.5])
+    np.testing.assert_array_equal(table["new"], [np.nan, np.nan, 3.0])
 
 
 # --- tables and export ---------------------------------------------------------------------------
@@ -185,8 +224,8 @@ def test_the_longest_span_has_its_name(recording: Recording) -> None:
     span = recording.spans[0]
     many = [replace(span, name="short", start=i / 50, end=i / 50 + 0.02) for i in range(90)]
     long = replace(span, name="long", start=0.9, end=1.7)
-    object.__setattr__(crowded := replace(recording), "spans", [*many, long])
-    names = {label.text for label in figure(crowded).labels}
+    bands = bands_of([*many, long], 0.0, 2.0)
+    names = {label.text for label in labels_of(bands, [], 0.0, 2.0)}
     assert "long" in names
 
 
