@@ -545,6 +545,7 @@ def test_the_command_makes_the_user_and_takes_it_away(root: Path, hand: Path) ->
     assert "was not installed by `rtee deploy`; installed are: none" in again.stderr
 
 
+@pytest.mark.samples("/etc/passwd", "../jaw")
 @pytest.mark.parametrize("name", ["../jaw", "/etc/passwd", "", "jaw\n"])
 def test_a_name_is_no_path(root: Path, hand: Path, name: str) -> None:
     install(root, hand)

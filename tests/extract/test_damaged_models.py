@@ -27,7 +27,7 @@ def distorted(draw: st.DrawFn, text: str) -> str:
     return text
 
 
-@pytest.mark.samples("two_finger_mimic", "dagana")
+@pytest.mark.samples("two_finger_mimic")
 @pytest.mark.parametrize("name", ["two_finger_mimic", "dagana", "robotiq_2f_140", "onrobot_3fg15"])
 @settings(
     max_examples=12,

@@ -101,6 +101,7 @@ def test_pinches_reach_98_percent_of_the_deepest_known(name: str, shared: Path) 
         assert deepest * 1000 >= 0.98 * PINCHES[name][elements] - 0.05
 
 
+@pytest.mark.samples("robotiq_*", "test_ee", "two_finger*")
 @pytest.mark.parametrize("name", LOOSE)
 def test_loose_pinches_are_as_expected(name: str, shared: Path) -> None:
     assert set(of_kind(shared, name, "PinchLoose")) == LOOSE[name]

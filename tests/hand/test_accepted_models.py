@@ -133,7 +133,7 @@ MODELS: Mapping[str, Callable[[], Robot | str]] = {
 PINCH = ("PinchTight", "PinchLoose")
 
 
-@pytest.mark.samples("moveit", "claw")
+@pytest.mark.samples("claw")
 @pytest.mark.parametrize("name", MODELS)
 def test_it_goes_all_the_way(
     name: str,

@@ -127,6 +127,7 @@ with Recorder(hand, settings(folder), rate=100.0) as recorder:
 """
 
 
+@pytest.mark.samples("90")
 @pytest.mark.parametrize("after", [20, 90, 140])
 def test_a_killed_process_loses_at_most_a_second(tmp_path: Path, after: int) -> None:
     tests = str(Path(__file__).resolve().parents[1])

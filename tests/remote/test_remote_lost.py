@@ -63,6 +63,7 @@ async def printed_line(process: anyio.abc.Process) -> bytes:
     return line[:-1]
 
 
+@pytest.mark.samples("goal")
 @pytest.mark.parametrize("how", ["goal", "jog", "acquire"])
 async def test_a_killed_client_that_holds_the_hand_is_noticed(
     hand: Hand, library: ActionLibrary, how: str
