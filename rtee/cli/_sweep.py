@@ -25,6 +25,35 @@ JobsOption = Annotated[
     int, typer.Option("--jobs", "-j", min=0, help="Processes; 0: one per processor.")
 ]
 
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="A sweep on the Dask cluster with this scheduler."),
+]
+
+
+def resolved(hand: str) -> str:
+    """Return a hand's name, or the absolute path of its folder for other processes."""
+    return str(Path(hand).resolve()) if os.sep in hand else hand  # a bare name is looked up
+
+
+def tell_of_meshes(objects: Iterable[str]) -> None:
+    """Print what is assumed about objects that are meshes, beside the results on stdout."""
+    from rtee.errors import needing_extra
+    from rtee.objects.shape import is_shape
+
+    meshes = [text for text in dict.fromkeys(objects) if not is_shape(text)]
+    if not meshes:
+        return
+    with needing_extra("a trial", "sim"):
+        from rtee.drivers.mujoco.objects import MESHES
+        from rtee.objects.shape import parse_object
+        from rtee.planning.objects import read_object
+    for text in meshes:
+        # Refused for what the simulation reads, which is less than the planner does.
+        parse_object(text, MESHES)
+        for note in read_object(text).notes:
+            print(f"note: {text}: {note}", file=sys.stderr)
+
 
 def workers_for(
     hands: Iterable[str], objects: Iterable[str], jobs: int, cluster: str | None, count: int
@@ -129,5 +158,5 @@ def _with_progress(
             told = now
             left = (now - began) / sweep.ended * sweep.left / 60.0
             done = f"{sweep.ended} of {sweep.ended + sweep.left}"
-            _tell(f"{done} done, about {left:.0f} min left")
+            _tell(f"{done} done, about {max(left, 1.0):.0f} min left")
         yield each

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import typer
 
 from rtee import monotonic
 from rtee.cli._common import FrictionOption, complete_hand, owned
-from rtee.cli._sweep import JobsOption, meshes_in
+from rtee.cli._sweep import ClusterOption, JobsOption, meshes_in, resolved, tell_of_meshes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -91,12 +90,7 @@ def try_(
         bool, typer.Option("--again", help="With --all: repeat trials whose results are known.")
     ] = False,
     jobs: JobsOption = 0,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS", help="With --all: on the Dask cluster with this scheduler."
-        ),
-    ] = None,
+    cluster: ClusterOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -169,9 +163,9 @@ def try_(
             raise ConfigError("which action? give its name, such as Grasp")
         if intensity != 1.0:
             raise ConfigError("--task closes until contact; leave --intensity out")
-        _tell_of_meshes(object_ or [])
+        tell_of_meshes(object_ or [])
         options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
-        try_tasks(_resolved(hand), action, elements or [], object_ or [], options, json_)
+        try_tasks(resolved(hand), action, elements or [], object_ or [], options, json_)
         return
     if reflexes is not None or force or max_force or width:
         raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
@@ -182,8 +176,8 @@ def try_(
         from rtee.trials.sweep import all_trials
         from rtee.trials.trial import Trial
 
-    name = _resolved(hand)
-    _tell_of_meshes(object_ or [])
+    name = resolved(hand)
+    tell_of_meshes(object_ or [])
     choosing = CHOOSING if choose_by is None else choose_by
     if all_:
         if action is not None or pictures is not None or log is not None:
@@ -218,30 +212,6 @@ def try_(
     _show(results, json_)
     if not all(result.held for result in results):
         raise typer.Exit(1)
-
-
-def _tell_of_meshes(objects: Sequence[str]) -> None:
-    """Print what is assumed about objects that are meshes, beside the results on stdout."""
-    from rtee.errors import needing_extra
-    from rtee.objects.shape import is_shape
-
-    meshes = [text for text in dict.fromkeys(objects) if not is_shape(text)]
-    if not meshes:
-        return
-    with needing_extra("a trial", "sim"):
-        from rtee.drivers.mujoco.objects import MESHES
-        from rtee.objects.shape import parse_object
-        from rtee.planning.objects import read_object
-    for text in meshes:
-        # Refused for what the simulation reads, which is less than the planner does.
-        parse_object(text, MESHES)
-        for note in read_object(text).notes:
-            print(f"note: {text}: {note}", file=sys.stderr)
-
-
-def _resolved(hand: str) -> str:
-    """Return a hand's name, or the absolute path of its folder for other processes."""
-    return str(Path(hand).resolve()) if os.sep in hand else hand  # a bare name is looked up
 
 
 def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:

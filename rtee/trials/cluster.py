@@ -117,14 +117,14 @@ class Cluster:
 
     def submit(self, hand: str, task: Task) -> Future[str]:
         """Give a task of a hand to a worker that may do it."""
-        text = to_text(task)
         shape = object_of(task)
-        if shape in self._objects:
-            text = to_text(with_object(task, f"objects/{self._objects[shape]}"))
+        file = f"objects/{self._objects[shape]}" if shape in self._objects else ""
         executor = self._client.get_executor(
             pure=False, workers=list(self._workers()) if self._out else None
         )
-        done: Future[str] = executor.submit(_perform, self._archive, self._hands[hand], text)
+        done: Future[str] = executor.submit(
+            _perform, self._archive, self._hands[hand], file, to_text(task)
+        )
         return done
 
     def check(self) -> None:
@@ -171,18 +171,21 @@ class Cluster:
         self._client.close()
 
 
-def _perform(archive: str, hand: str, text: str) -> str:
+def _perform(archive: str, hand: str, file: str, text: str) -> str:
     """Do a task on a worker, with the files that came with it."""
     worker: Any = importlib.import_module("distributed").get_worker()
     place = Path(worker.local_directory)
     with _ALONE:
         folder = place / archive.removesuffix(".zip")
         if not folder.exists():
-            with zipfile.ZipFile(place / archive) as file, new_tree(folder) as fresh:
-                file.extractall(fresh)
+            with zipfile.ZipFile(place / archive) as packed, new_tree(folder) as fresh:
+                packed.extractall(fresh)
         task = from_text(text)
-        shape = object_of(task)
-        if not is_shape(shape):
-            text = to_text(with_object(task, str(folder / shape)))
-        said = json.loads(perform(str(folder / hand), text))
-    return json.dumps({**said, "worker": worker.address})
+        if file:
+            text = to_text(with_object(task, str(folder / file)))
+        said = perform(str(folder / hand), text)
+    if file:
+        # What is said about the object names its path, which is another one here.
+        here, there = (json.dumps(path)[1:-1] for path in (str(folder / file), object_of(task)))
+        said = said.replace(here, there)
+    return json.dumps({**json.loads(said), "worker": worker.address})

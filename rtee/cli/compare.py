@@ -1,0 +1,142 @@
+"""`rtee compare`: which hand holds which parts, and which hand, or which two, hold all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from rtee import monotonic
+from rtee.cli._common import JsonOption, complete_hand
+from rtee.cli._sweep import (
+    ClusterOption,
+    JobsOption,
+    followed,
+    meshes_in,
+    resolved,
+    tell_of_meshes,
+    workers_for,
+)
+
+if TYPE_CHECKING:
+    from rtee.trials.comparison import Comparison
+
+_EVERY: Final = 30.0
+"""How often the page is written while it fills [s]."""
+
+
+def compare(
+    hands: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="HAND…", help="Names of hands, or folders.", autocompletion=complete_hand
+        ),
+    ],
+    objects: Annotated[
+        list[str],
+        typer.Option(
+            metavar="FOLDER",
+            help="A folder of meshes in metres, or one object as for rtee try; may be repeated.",
+        ),
+    ],
+    mass: Annotated[float, typer.Option(min=0.001, max=100.0, help="Mass of each [kg].")] = 0.1,
+    variations: Annotated[
+        int, typer.Option(min=1, max=1000, help="Variations of an action on a part, at most.")
+    ] = 20,
+    wanted: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=0.99,
+            metavar="RATE",
+            help="Share of the variations in which a part has to be held; variations end once the "
+            "interval lies to one side of it.",
+        ),
+    ] = 0.7,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the variations.")] = 0,
+    jobs: JobsOption = 0,
+    cluster: ClusterOption = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Where the page and the results are written.")
+    ] = Path("comparison"),
+    pictures: Annotated[bool, typer.Option(help="Make a picture of each best grasp.")] = True,
+    json_: JsonOption = False,
+) -> None:
+    """Try the best actions of each hand on each part; tell which hands hold all.
+
+    Everything found is kept: the same command goes on where an ended one has stopped.
+
+    Exit status 1 when no hand, and no two, hold all parts.
+
+    Example: rtee compare robotiq_2f_85 schunk_svh --objects parts
+    """
+    from rtee.errors import needing_extra
+
+    with needing_extra("a comparison", "sim"):
+        from rtee.drivers.mujoco.objects import MESHES
+        from rtee.trials.answers import Answers
+        from rtee.trials.bench import bench
+        from rtee.trials.comparison import Comparison
+        from rtee.trials.result import Trial
+        from rtee.trials.sweep import Sweep
+    from rtee.hand.files import write_atomically
+    from rtee.objects.shape import parse_object
+
+    names = list(dict.fromkeys(resolved(hand) for hand in hands))
+    parts = list(dict.fromkeys(meshes_in(objects, MESHES)))
+    # Every mistake is told before the first task.
+    for name in names:
+        bench(name)
+    for part in parts:
+        parse_object(part, MESHES)
+    tell_of_meshes(parts)
+    like = Trial("", mass=mass, variations=variations, seed=seed, wanted=wanted)
+    found = Comparison(names, parts, like, pictures=pictures)
+    known = Answers(out / "results")
+    page = out / "index.html"
+
+    def keep() -> None:
+        known.write()
+        write_atomically(page, found.page())
+
+    keep()
+    sweep = Sweep(workers_for(names, parts, jobs, cluster, len(found.cells)), known)
+    found.begin(sweep)
+    words = f"what was found is kept in {out}; the same command does the rest"
+    write_at = monotonic.now() + _EVERY
+    for hand, task, answer in followed(sweep, keep, lambda: words):
+        found.take(sweep, hand, task, answer)
+        if monotonic.now() >= write_at:
+            keep()
+            write_at = monotonic.now() + _EVERY
+    if json_:
+        print(json.dumps({**found.document(), "page": str(page)}, indent=2))
+    else:
+        _show(found)
+        print(f"{found.sentence()}\nthe page, with pictures: {page}")
+    if found.covering()[1]:
+        raise typer.Exit(1)
+
+
+def _show(found: Comparison) -> None:
+    from rtee.cli._table import Column, Row, Table
+    from rtee.trials.comparison import name_of
+
+    rows = []
+    for part in found.objects:
+        cells = [name_of(part)]
+        for hand in found.hands:
+            cell = found.cells[hand, part]
+            if cell.best is None:
+                cells.append(cell.why or "no action of the planner")
+                continue
+            low, high = cell.interval
+            cells.append(
+                f"{cell.best.trial.what}\n{cell.best.survived} of {cell.best.tries} "
+                f"({low:.0%} to {high:.0%})\n{cell.force:.1f} N, slip {cell.best.slip * 1e3:.1f} mm"
+            )
+        rows.append(Row(tuple(cells)))
+    columns = (Column("part"), *(Column(name_of(hand)) for hand in found.hands))
+    Table(columns, tuple(rows)).show()
