@@ -5,16 +5,29 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from rtee.cli._common import JsonOption
+from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
 from rtee.cli._table import Column, Row, Table
 
 
-def hands(as_json: JsonOption = False) -> None:
+def hands(
+    running: Annotated[
+        bool, typer.Option("--running", help="Show the hands that run, as 'rtee status --all'.")
+    ] = False,
+    connect: ConnectOptions = None,
+    watch: WatchOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """List the configured hands with their fingers, actuators and devices."""
     from rtee.hand.catalog import hands as all_hands
 
+    if running or watch:
+        show_fleet(connect or [], as_json=as_json, watch=watch)
+        return
     rows = [_row(name, folder) for name, folder in all_hands().items()]
     if as_json:
         print(json.dumps({"hands": rows}, indent=2))

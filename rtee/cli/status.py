@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+import typer
+
+from rtee.cli._common import JsonOption, RunningOption
+from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
 from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal
 from rtee.types import Lifecycle
@@ -17,12 +20,29 @@ if TYPE_CHECKING:
 
 
 def status(
-    hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
+    hand: RunningOption = None,
+    connect: ConnectOptions = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Show all hands as a table, where only one runs, too.")
+    ] = False,
+    watch: WatchOption = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Show the status of a hand's loop and its devices."""
+    """Show the status of a hand's loop and its devices; of several hands one line each.
+
+    Example: rtee status --connect tls/router:7447 --watch
+    """
     from dataclasses import asdict
 
-    hand_status = with_hand(hand, connect, "status", lambda remote: remote.status())
+    from rtee.remote.find import hands_running
+
+    endpoints = connect or []
+    several = len(endpoints) > 1 or (not endpoints and len(hands_running()) > 1)
+    if every or watch or (several and hand is None):
+        show_fleet(endpoints, [hand] if hand else [], as_json=as_json, watch=watch)
+        return
+    endpoint = endpoints[0] if endpoints else None
+    hand_status = with_hand(hand, endpoint, "status", lambda remote: remote.status())
     if as_json:
         print(to_json(asdict(hand_status)))
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from itertools import accumulate
 
 from rtee.types import LoopStatistics
@@ -55,6 +56,16 @@ class Histogram:
         buckets = (bisect_left(seen, percent / 100 * self.count) for percent in percents)
         # The upper end of the last bucket may lie above the longest duration.
         return [min(_upper(min(k, self._last)), self.maximum) * 1e-9 for k in buckets]
+
+    def at_most(self, bounds: Sequence[float]) -> list[int]:
+        """Return how many durations are at most each bound [s], to the width of a bucket."""
+        seen = list(accumulate(self._counts))
+        return [seen[min(_bucket(int(bound * 1e9)), self._last)] for bound in bounds]
+
+    def total(self) -> float:
+        """Return the sum of all durations [s], to the width of a bucket."""
+        # A copy, since another thread may be counting.
+        return sum(n * _upper(k) for k, n in enumerate(tuple(self._counts)) if n) * 1e-9
 
     def clear(self) -> None:
         """Forget all durations."""

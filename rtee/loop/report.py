@@ -14,14 +14,27 @@ log = logging.getLogger(__name__)
 
 
 class Tally(Observer):
-    """Counts how the goals of a hand ended."""
+    """Counts how the goals of a hand ended, and its stops.
+
+    Attributes:
+        ends: Goals by outcome.
+        last: Outcome of the last goal, or an empty string.
+        stops: Stops.
+    """
 
     def __init__(self) -> None:
         self.ends: Counter[str] = Counter()
+        self.last = ""
+        self.stops = 0
 
     def on_result(self, result: Result) -> None:
         """Count a result."""
-        self.ends[result.outcome] += 1
+        self.last = result.outcome
+        self.ends[self.last] += 1
+
+    def on_event(self, event: Event) -> None:
+        """Count a stop."""
+        self.stops += event.kind == "stop"
 
     def text(self) -> str:
         """Return the counts in words."""

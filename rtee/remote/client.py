@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import uuid
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import wraps
 from pathlib import Path
@@ -19,14 +18,12 @@ import anyio
 import anyio.to_thread
 
 from rtee.errors import ConfigError, GoalRejected, NoHand, RemoteError
-from rtee.hand.names import safe_name
-from rtee.messages.requests import HERE, PLAIN, Role
+from rtee.messages.requests import Role
 from rtee.remote.action_client import ActionClient
-from rtee.remote.credentials import common_name, person
 from rtee.remote.find import VARIABLE as CONNECT
 from rtee.remote.find import chosen_here, open_hand
 from rtee.remote.goal import GoalClient
-from rtee.remote.link import Link
+from rtee.remote.link import Link, introduced
 from rtee.remote.monitoring import Monitoring
 from rtee.remote.reaching import ReachClient
 from rtee.remote.stopping import stop_at, stop_path
@@ -359,17 +356,11 @@ async def _linked(
     on_wait: Callable[[str], object] | None,
 ) -> AsyncIterator[tuple[Link, Path | None]]:
     """Open a link to a hand, which does not know this client yet, and find its stop socket."""
-    session, name, way, stops = await open_hand(hand, endpoint, wait, on_wait)
-    # The process id and a random part distinguish clients of the same name. The client's own name
-    # is cut, so that all fits into the 100 characters of a name.
-    own = client[:50].replace(".", "_")  # a dot sets off the person of a certificate
-    owner = "" if way in (HERE, PLAIN) else f"{person(way)}."
-    identity = safe_name(f"{owner}{own}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, name, identity, common_name(way))
+    found = await open_hand(hand, endpoint, wait, on_wait)
     try:
-        yield link, stops
+        async with introduced(found.session, found.hand, found.way, client) as link:
+            yield link, found.stops
     finally:
-        link.leave()
         # Even when cancelled: while the session is open, the client is alive to the hand.
         with anyio.CancelScope(shield=True):
-            await anyio.to_thread.run_sync(link.close)
+            await anyio.to_thread.run_sync(found.session.close)

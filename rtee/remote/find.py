@@ -92,7 +92,11 @@ def chosen_here(hand: str | None) -> Running:
 
 
 async def _here(hand: str | None) -> Found:
-    there = chosen_here(hand)
+    return await open_here(chosen_here(hand))
+
+
+async def open_here(there: Running) -> Found:
+    """Open a session with a hand that runs on this computer; raises `NoHand`."""
     try:
         session = await anyio.to_thread.run_sync(open_client, there.endpoints)
     except NoHand:
@@ -107,14 +111,15 @@ async def _here(hand: str | None) -> Found:
 async def _elsewhere(hand: str | None, endpoint: str) -> Found:
     session = await anyio.to_thread.run_sync(open_client, [endpoint])
     try:
-        names = await anyio.to_thread.run_sync(_alive, session)
+        names = await anyio.to_thread.run_sync(alive, session)
         return Found(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
     except BaseException:  # cancellation, too, since an open session keeps threads
         session.close()  # type: ignore[no-untyped-call]
         raise
 
 
-def _alive(session: zenoh.Session) -> list[str]:
+def alive(session: zenoh.Session) -> list[str]:
+    """Return the names of the hands that a session reaches; blocks until all have answered."""
     tokens = session.liveliness().get(network_key("*", ALIVE), timeout=_ANSWER_WITHIN)
     return [str(reply.ok.key_expr).split("/")[1] for reply in tokens if reply.ok is not None]
 

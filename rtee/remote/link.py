@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import secrets
+import uuid
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import Any
 
+import anyio
+import anyio.to_thread
 import zenoh
 
 from rtee.errors import (
@@ -20,10 +24,23 @@ from rtee.errors import (
     RequestRejected,
     TooManyRequests,
 )
+from rtee.hand.names import safe_name
 from rtee.messages import network_key
 from rtee.messages.identity import Signer
-from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP, Role, topic_for
+from rtee.messages.requests import (
+    ALIVE,
+    CLIENTS,
+    HELLO,
+    HERE,
+    PLAIN,
+    PUT,
+    REQUESTS,
+    STOP,
+    Role,
+    topic_for,
+)
 from rtee.messages.schema import message_type
+from rtee.remote.credentials import common_name, person
 from rtee.remote.fast_requests import FastRequests
 from rtee.remote.session import direct
 
@@ -280,7 +297,7 @@ class Link:
                 return RequestRejected(reply["reason"])
 
     def close(self) -> None:
-        """Undeclare everything and close the session; blocks for a moment."""
+        """Undeclare everything; blocks for a moment."""
         # A broken connection leaves nothing to undeclare.
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
@@ -288,7 +305,33 @@ class Link:
             self._fast.close()
             # After the rest: when it goes, the hand drops this client's inbox and its lease.
             self._token.undeclare()  # type: ignore[no-untyped-call]
-            self._session.close()  # type: ignore[no-untyped-call]
+
+
+@contextlib.asynccontextmanager
+async def introduced(
+    session: zenoh.Session, hand: str, way: str, client: str
+) -> AsyncIterator[Link]:
+    """Open a link to a hand in a session, which may serve others, too; see `Link.connect`.
+
+    Args:
+        session: The session.
+        hand: The hand.
+        way: The access path, see `rtee.remote.find.Found`.
+        client: A name for this client, shown to people.
+    """
+    # The process id and a random part distinguish clients of the same name. The client's own name
+    # is cut, so that all fits into the 100 characters of a name.
+    own = client[:50].replace(".", "_")  # a dot sets off the person of a certificate
+    owner = "" if way in (HERE, PLAIN) else f"{person(way)}."
+    identity = safe_name(f"{owner}{own}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
+    link = Link(session, hand, identity, common_name(way))
+    try:
+        yield link
+    finally:
+        link.leave()
+        # Even when cancelled: while its token is there, the client is alive to the hand.
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(link.close)
 
 
 def _decoded(receive: Callable[[bytes], object], data: bytes) -> None:

@@ -20,6 +20,7 @@ from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
 from rtee.messages.touch import TOUCH, reply_of, touch_of
 from rtee.objects.description import ObjectDescription
+from rtee.remote.counts import Counts, counts_of
 from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
 from rtee.touch import TouchState
@@ -55,6 +56,7 @@ class HandStatus(Value):
         profile: Profile of the references, with the reason if it is not the one in hand.yaml.
         stream: Status of the stream of set-points.
         agents_out: Why agents may not move the hand, in words, or an empty string.
+        counts: What has happened since the hand started.
     """
 
     hand: str
@@ -69,6 +71,7 @@ class HandStatus(Value):
     profile: str = ""
     stream: StreamStatus = field(default_factory=StreamStatus)
     agents_out: str = ""
+    counts: Counts = field(default_factory=Counts)
 
 
 class CollectedStates:
@@ -256,6 +259,7 @@ class Monitoring:
             profile=reply["profile"],
             stream=StreamStatus(**reply["stream"]),
             agents_out=reply["agents_out"],
+            counts=counts_of(reply["counts"]),
         )
 
     async def ready(

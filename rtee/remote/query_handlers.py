@@ -95,7 +95,10 @@ class Recording(Protocol):
 
 
 class QueryHandlers:
-    """Handles the requests of the group ``ask``; the profile of the references is in words."""
+    """Handles the requests of the group ``ask``.
+
+    The profile of the references is in words; ``counts`` returns a ``rtee_msgs/Counts``.
+    """
 
     def __init__(
         self,
@@ -107,9 +110,10 @@ class QueryHandlers:
         streams: Streams,
         recording: Recording | None,
         profile: str,
+        counts: Callable[[], Fields],
     ) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
-        self._agents = agents
+        self._agents, self._counts = agents, counts
         self._streams, self._recording, self._profile = streams, recording, profile
         self._hand, self._library = loop.hand, loop.library
         self._folder = self._library.folder
@@ -201,6 +205,7 @@ class QueryHandlers:
             "profile": self._profile,
             "stream": asdict(stream),
             "agents_out": self._agents.out,
+            "counts": self._counts(),
         }
 
     def _object_description(self, _: Fields) -> Fields:

@@ -21,6 +21,7 @@ import zenoh
 
 from rtee.errors import RequestRejected
 from rtee.loop.handloop import HandLoop
+from rtee.loop.report import Tally
 from rtee.messages import network_key
 from rtee.messages.identity import claim_of
 from rtee.messages.requests import (
@@ -38,6 +39,7 @@ from rtee.remote.agents import Agents
 from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.connections import Connections
+from rtee.remote.counts import Counting
 from rtee.remote.directory import claimed
 from rtee.remote.door import Door
 from rtee.remote.goal_records import GoalRecords
@@ -166,14 +168,26 @@ class Server:
             agents = await in_thread(Agents, place.path)
             commands = CommandHandlers(loop, lease, thread, agents)
             goals = GoalRecords(lease)
-            queries = QueryHandlers(loop, lease, agents, goals, thread, streams, recording, profile)
             identities = Identities(protection.admit)
+            tally = Tally()
+            queries = QueryHandlers(
+                loop,
+                lease,
+                agents,
+                goals,
+                thread,
+                streams,
+                recording,
+                profile,
+                Counting(loop, identities, tally),
+            )
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
             publisher = Publisher(outlets, streams, server.outbox, lease, goals)
-            loop.add_observer(publisher)
-            stack.callback(loop.remove_observer, publisher)
+            for observer in (publisher, tally):
+                loop.add_observer(observer)
+                stack.callback(loop.remove_observer, observer)
             server.declare()
 
             door: Door | None = None

@@ -10,11 +10,13 @@ import anyio
 import pytest
 
 import rtee
+from rtee.cli._fleet import _table as fleet_table
 from rtee.errors import ConfigError, LeaseHeld, RemoteError
 from rtee.hand.config_schema import SecuritySettings
 from rtee.messages.requests import Role
 from rtee.remote import credentials
 from rtee.remote.credentials import Credentials
+from rtee.remote.fleet import following
 from rtee.remote.router import router_settings
 from rtee.remote.session import open_listening
 
@@ -59,14 +61,29 @@ async def behind(
 async def test_a_router_as_it_comes_passes_on_all(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with routing(endpoint, None):
-        async with behind(endpoint, tmp_path, False, "left"):
-            async with rtee.connect(endpoint=endpoint, wait=60.0) as remote:
-                assert (await remote.do("Trig", "index", intensity=0.2)).reached
-                assert (await anext(remote.states(50.0))).names
-                assert await remote.stop() == {"sim": True}
-            # The way on the hand's own computer is there, too.
-            async with rtee.connect("left") as here:
-                assert (await here.status()).hand == "left"
+        async with (
+            behind(endpoint, tmp_path, False, "left"),
+            rtee.connect(endpoint=endpoint, wait=60.0) as remote,
+        ):
+            assert (await remote.do("Trig", "index", intensity=0.2)).reached
+            assert (await anext(remote.states(50.0))).names
+            assert await remote.stop() == {"sim": True}
+            # Who watches many sees it through the router, and on its own computer.
+            nobody = free_endpoint()
+            async with following([endpoint, nobody]) as fleet:
+                await fleet.known()
+                looks = await fleet.look()
+                places = [(look.place.hand, look.place.endpoint) for look in looks]
+                assert places == [("", nobody), ("left", ""), ("left", endpoint)]
+                assert [look.condition for look in looks] == ["absent", "ready", "ready"]
+                assert looks[2].status is not None
+                counts = looks[2].status.counts
+                assert (counts.goals, counts.stops, counts.clients) == ({"reached": 1}, 1, 3)
+                assert counts.lateness == tuple(sorted(counts.lateness))
+                assert 0 < counts.busy[-1] <= looks[2].status.statistics.ticks
+                lines = fleet_table(looks).lines()
+                assert "nobody answers" in lines[1]
+                assert "reached" in lines[3]
 
 
 async def test_two_hands_and_three_clients_with_certificates(

@@ -1,0 +1,227 @@
+"""The hands of a computer and of a site: found, followed and looked at together.
+
+Hands come and go. A `Fleet` searches for them every two seconds, introduces itself to each, and
+asks all at once when somebody wants to know. What is reached through one endpoint shares a session.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import AsyncIterator, Collection, Sequence
+from contextlib import AbstractAsyncContextManager, nullcontext
+from dataclasses import dataclass
+
+import anyio
+import anyio.to_thread
+import zenoh
+from anyio.abc import TaskGroup
+
+from rtee.errors import NoHand, RteeError
+from rtee.messages.state import State
+from rtee.remote.directory import Running
+from rtee.remote.find import Found, alive, hands_running, open_here
+from rtee.remote.link import introduced
+from rtee.remote.monitoring import HandStatus, Monitoring
+from rtee.remote.session import open_client, way_to
+from rtee.types import DeviceStatus, Lifecycle
+
+_SEARCH_EVERY = 2.0
+"""Time between two searches for hands [s]: so long a new one may stay unseen."""
+
+_ANSWER_WITHIN = 2.0
+"""Time for all hands to answer [s]; those that have not by then are shown with the reason."""
+
+_POLL = 0.02
+"""Time between two looks whether all have answered for the first time [s]."""
+
+Opened = AbstractAsyncContextManager[Found]
+"""A hand in a session, which is closed with the context unless others share it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A hand and the endpoint through which it is reached; empty: on this computer."""
+
+    hand: str
+    endpoint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What a hand answered.
+
+    Attributes:
+        place: The hand. Without a name: all at an endpoint where nobody answers.
+        status: Its status; ``None`` if it did not answer.
+        state: Its state; ``None`` if it did not answer.
+        trouble: Why there is no answer, in a sentence, or an empty string.
+    """
+
+    place: Place
+    status: HandStatus | None = None
+    state: State | None = None
+    trouble: str = ""
+
+    @property
+    def idle(self) -> Sequence[DeviceStatus]:
+        """The devices that are not active, those with a fault first."""
+        idle = (
+            [d for d in self.status.devices if d.lifecycle != Lifecycle.ACTIVE]
+            if self.status
+            else []
+        )
+        return sorted(idle, key=lambda device: device.lifecycle is not Lifecycle.FAULT)
+
+    @property
+    def condition(self) -> str:
+        """The hand's condition in a word.
+
+        It is ``absent``, else the lifecycle of a device that is not active, else ``moving``,
+        ``leased`` or ``ready``.
+        """
+        if self.status is None:
+            return "absent"
+        if self.idle:
+            return str(self.idle[0].lifecycle)
+        if self.status.action or self.status.stream.stream:
+            return "moving"
+        return "leased" if self.status.holder else "ready"
+
+    @property
+    def temperature(self) -> float:
+        """The highest temperature of an actuator [°C]; ``NaN``: none is measured."""
+        values = self.state.temperature.tolist() if self.state else []
+        return max((value for value in values if not math.isnan(value)), default=math.nan)
+
+
+class Fleet:
+    """Hands that are followed; made by `following`. With ``names``, these alone."""
+
+    def __init__(self, names: Collection[str]) -> None:
+        self._names = names
+        self._monitors: dict[Place, Monitoring] = {}
+        self._troubles: dict[Place, str] = {}
+        self._followed: set[Place] = set()
+        self._awaited = 0  # searches and hands that have not answered for the first time
+
+    async def known(self) -> None:
+        """Wait until all hands that run now have answered, or have failed to."""
+        while self._awaited:  # noqa: ASYNC110 - it becomes 0 in several places
+            await anyio.sleep(_POLL)
+
+    async def look(self) -> list[Look]:
+        """Return what all hands that are known answer now, by name."""
+        looks = {place: Look(place, trouble=why) for place, why in self._troubles.items()}
+
+        async def ask(place: Place, monitor: Monitoring) -> None:
+            looks[place] = Look(place, trouble="it does not answer")
+            with anyio.move_on_after(_ANSWER_WITHIN):
+                try:
+                    status, state = await monitor.status(), await monitor.state()
+                    looks[place] = Look(place, status, state)
+                except RteeError as error:
+                    looks[place] = Look(place, trouble=str(error))
+
+        async with anyio.create_task_group() as group:
+            for place, monitor in tuple(self._monitors.items()):
+                group.start_soon(ask, place, monitor)
+        return sorted(looks.values(), key=lambda look: (look.place.hand, look.place.endpoint))
+
+    def follow(self, group: TaskGroup, endpoints: Sequence[str], *, here: bool) -> None:
+        """Begin to follow the hands at endpoints, and on this computer."""
+        self._awaited += len(endpoints) + here
+        for endpoint in endpoints:
+            group.start_soon(self._at, group, endpoint)
+        if here:
+            group.start_soon(self._here, group)
+
+    async def _here(self, group: TaskGroup) -> None:
+        first = 1
+        while True:
+            for running in hands_running().values():
+                self._begin(group, Place(running.hand), _opened_here(running))
+            self._awaited, first = self._awaited - first, 0
+            await anyio.sleep(_SEARCH_EVERY)
+
+    async def _at(self, group: TaskGroup, endpoint: str) -> None:
+        nowhere, first = Place("", endpoint), 1
+        session: zenoh.Session | None = None
+        try:
+            while True:
+                try:
+                    if session is None:
+                        session = await anyio.to_thread.run_sync(open_client, [endpoint])
+                    self._troubles[nowhere] = "no hand runs there"
+                    for name in await anyio.to_thread.run_sync(alive, session):
+                        self._troubles.pop(nowhere, None)
+                        found = Found(session, name, way_to(endpoint))
+                        self._begin(group, Place(name, endpoint), nullcontext(found))
+                except NoHand as error:
+                    self._troubles[nowhere] = str(error)
+                self._awaited, first = self._awaited - first, 0
+                await anyio.sleep(_SEARCH_EVERY)
+        finally:
+            await _close(session)
+
+    def _begin(self, group: TaskGroup, place: Place, opened: Opened) -> None:
+        """Begin to follow a hand that was found, unless it is followed already."""
+        if place not in self._followed and (not self._names or place.hand in self._names):
+            self._followed.add(place)
+            self._awaited += 1
+            group.start_soon(self._stay, place, opened)
+
+    async def _stay(self, place: Place, opened: Opened) -> None:
+        """Stay connected to a hand until it goes."""
+        gone, first = anyio.Event(), 1
+        try:
+            async with (
+                opened as found,
+                introduced(found.session, found.hand, found.way, "fleet") as link,
+            ):
+                await link.connect()
+                link.on_gone(gone.set)
+                self._monitors[place] = Monitoring(link)
+                self._troubles.pop(place, None)
+                self._awaited, first = self._awaited - first, 0
+                await gone.wait()
+                self._troubles[place] = "it has gone"
+        except RteeError as error:
+            self._troubles[place] = str(error)
+        finally:
+            self._awaited -= first
+            self._monitors.pop(place, None)
+            self._followed.discard(place)
+
+
+@contextlib.asynccontextmanager
+async def _opened_here(running: Running) -> AsyncIterator[Found]:
+    found = await open_here(running)
+    try:
+        yield found
+    finally:
+        await _close(found.session)
+
+
+async def _close(session: zenoh.Session | None) -> None:
+    if session is not None:
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(session.close)
+
+
+@contextlib.asynccontextmanager
+async def following(
+    endpoints: Sequence[str] = (), names: Collection[str] = (), *, here: bool = True
+) -> AsyncIterator[Fleet]:
+    """Follow hands for as long as the context lasts: those of this computer and at endpoints.
+
+    Args:
+        endpoints: Endpoints of hands and routers on other computers.
+        names: Follow these hands alone.
+        here: Whether to look for hands on this computer.
+    """
+    fleet = Fleet(names)
+    async with anyio.create_task_group() as group:
+        fleet.follow(group, endpoints, here=here)
+        yield fleet
+        group.cancel_scope.cancel()
