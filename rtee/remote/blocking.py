@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import queue
 import threading
+import weakref
 from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
@@ -42,6 +44,28 @@ T = TypeVar("T")
 _END_WITHIN = 5.0
 """Time to wait for the end of a call that is given up, and of the event loop [s]: it takes
 milliseconds, but must not hang a script."""
+
+
+_PORTALS: weakref.WeakSet[BlockingPortal] = weakref.WeakSet()
+"""The event loops of this process."""
+
+_FORKED: weakref.WeakSet[BlockingPortal] = weakref.WeakSet()
+"""Those that it has from the process it was forked from: their threads were left there."""
+
+os.register_at_fork(after_in_child=lambda: _FORKED.update(_PORTALS))
+
+
+def _check_process(portal: BlockingPortal) -> None:
+    if portal in _FORKED:
+        raise NoHand(
+            "this process was forked from one that had connected; start processes by "
+            "multiprocessing.get_context('spawn'), and connect in each of them"
+        )
+
+
+def _close(portal: BlockingPortal, opened: contextlib.ExitStack) -> None:
+    if portal not in _FORKED:
+        opened.close()
 
 
 class BlockingGoal:
@@ -178,6 +202,7 @@ def _iterating(
 class BlockingHand:
     """A running hand, made by `connect_blocking`.
 
+    Any thread may call its methods, several at a time; processes connect themselves.
     It has the methods of `RemoteHand`, which wait for their results, except for
     `collected_states`. Use it as a context, or leave the hand by `disconnect`; the end of the
     program does so, too.
@@ -194,7 +219,7 @@ class BlockingHand:
         self._hand = hand
         self._opened = opened
         # Zenoh's threads must not outlive the interpreter.
-        self._exit = atexit.register(opened.close)
+        self._exit = atexit.register(_close, portal, opened)
         self.name = hand.name
         self.client = hand.client
 
@@ -211,7 +236,8 @@ class BlockingHand:
         """Leave the hand; leaving with an error counts as losing the client, as with `connect`."""
         # Otherwise, the connection's objects would be kept until the program ends.
         atexit.unregister(self._exit)
-        self._opened.__exit__(kind, error, trace)
+        if self._portal not in _FORKED:
+            self._opened.__exit__(kind, error, trace)
 
     def disconnect(self) -> None:
         """Leave the hand; may be called more than once."""
@@ -337,6 +363,7 @@ def _wait(
     Such exceptions are an interrupt (Ctrl-C), those of the handlers of signals, and errors of
     ``meanwhile``, which is called first. Raises `NoHand` if the hand was left.
     """
+    _check_process(portal)
     call = _Call(function)
     try:
         try:
@@ -354,6 +381,7 @@ def _wait(
 @contextlib.contextmanager
 def _entered(portal: BlockingPortal, opened: AbstractAsyncContextManager[T]) -> Iterator[T]:
     """Enter an async context for as long as this one lasts; raises `NoHand` like `_wait`."""
+    _check_process(portal)
     manager = portal.wrap_async_context_manager(opened)
     with contextlib.ExitStack() as stack:
         try:
@@ -365,7 +393,11 @@ def _entered(portal: BlockingPortal, opened: AbstractAsyncContextManager[T]) -> 
             with contextlib.suppress(Exception):
                 manager.__exit__(type(error), error, error.__traceback__)
             raise
-        yield value
+        try:
+            yield value
+        finally:
+            if portal in _FORKED:
+                stack.pop_all()
 
 
 def _left(error: RuntimeError) -> RuntimeError | NoHand:
@@ -393,7 +425,8 @@ def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
     finally:
         # When the hand was left before, as at the end of a script, the portal is closed already.
         with contextlib.suppress(RuntimeError):
-            portal.call(close)
+            if portal not in _FORKED:
+                portal.call(close)
 
 
 def connect_blocking(
@@ -442,10 +475,12 @@ def _portal() -> Iterator[BlockingPortal]:
     thread = threading.Thread(target=anyio.run, args=(run,), name="rtee client", daemon=True)
     thread.start()
     portal = started.result()
+    _PORTALS.add(portal)
     try:
         yield portal
     finally:
-        portal.call(portal.stop)
+        if portal not in _FORKED:
+            portal.call(portal.stop)
         # The loop's end closes what is still iterated over, by calls into Zenoh. A thread that
         # returns from one while the interpreter ends aborts the process.
         thread.join(_END_WITHIN)

@@ -6,13 +6,15 @@ async with rtee.connect("schunk_svh") as hand:
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import os
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, SupportsFloat, TypeVar
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, SupportsFloat, TypeVar
 
 import anyio
 import anyio.to_thread
@@ -309,16 +311,64 @@ async def stop_hand(
         return link.hand, await _stop(link)
 
 
-@contextlib.asynccontextmanager
-async def connect(
+class Connection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
+    """A connection to be opened by ``async with``; made by `connect`."""
+
+    def __init__(self, opened: contextlib.AbstractAsyncContextManager[RemoteHand]) -> None:
+        self._opened = opened
+
+    async def __aenter__(self) -> RemoteHand:
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            raise ConfigError(
+                "this client runs on asyncio; a program on trio connects by "
+                "rtee.connect_blocking, and calls its methods by trio.to_thread.run_sync"
+            ) from None
+        return await self._opened.__aenter__()
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self._opened.__aexit__(kind, error, trace)
+
+    if not TYPE_CHECKING:  # checkers say by themselves what is missing here
+
+        def __getattr__(self, name: str) -> object:
+            if hasattr(RemoteHand, name):
+                self._refuse()
+            raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
+
+        def __enter__(self) -> object:
+            self._refuse()
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def __await__(self) -> object:
+            self._refuse()
+
+        def _refuse(self) -> None:
+            raise ConfigError(
+                "the connection is not open: write 'async with rtee.connect(…) as hand:', or use "
+                "rtee.connect_blocking where there is no event loop"
+            )
+
+
+def connect(
     hand: str | None = None,
     *,
     endpoint: str | None = None,
     client: str = "python",
     wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
-) -> AsyncIterator[RemoteHand]:
+) -> Connection:
     """Connect to a running hand for as long as the context lasts.
+
+    The hand it yields belongs to the event loop of asyncio in which it was opened; other threads
+    use `rtee.connect_blocking`, and other processes connect themselves.
 
     If this process dies while it holds the lease, the hand does what its configuration says
     (``safety: on_client_lost``). It does the same if the context ends with an error, or while the
@@ -340,6 +390,17 @@ async def connect(
     for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
         if not isinstance(value, str) and (value is not None or what == "client"):
             raise ConfigError(f"the {what} to connect with should be a text, not {value!r:.100}")
+    return Connection(_connected(hand, endpoint, client, wait, on_wait))
+
+
+@contextlib.asynccontextmanager
+async def _connected(
+    hand: str | None,
+    endpoint: str | None,
+    client: str,
+    wait: float | str,
+    on_wait: Callable[[str], object] | None,
+) -> AsyncIterator[RemoteHand]:
     async with _linked(hand, endpoint, client, wait, on_wait) as (link, stops):
         remote = RemoteHand(link, stops)
         await link.connect()

@@ -103,6 +103,37 @@ def test_who_has_left_the_hand_is_told_to_connect_again(served: Served) -> None:
         pass
 
 
+def test_a_forked_process_is_told_to_be_spawned(served: Served) -> None:
+    code = (
+        "import os, sys, rtee\n"
+        "hand = rtee.connect_blocking('small')\n"
+        "if os.fork() == 0:\n"
+        "    try:\n"
+        "        hand.state()\n"
+        "    except rtee.NoHand as error:\n"
+        "        sys.exit(42 if 'spawn' in str(error) else 1)\n"
+        "print(os.waitstatus_to_exitcode(os.wait()[1]), hand.state().tick > 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (0, "42 True"), done.stderr
+
+
+def test_a_forgotten_async_with_is_named() -> None:
+    unopened: Any = rtee.connect("small")
+    with pytest.raises(ConfigError, match="write 'async with"):
+        unopened.do("fist")
+    with pytest.raises(ConfigError, match="write 'async with"), unopened:
+        pass
+    assert not hasattr(unopened, "shape")
+
+
+def test_another_event_loop_is_named() -> None:
+    """What trio runs has no loop of asyncio; neither has a coroutine that is only sent to."""
+    entering = rtee.connect("small").__aenter__()
+    with pytest.raises(ConfigError, match="a program on trio connects by rtee"):
+        entering.send(None)
+
+
 def test_what_is_no_name_is_said() -> None:
     with pytest.raises(ConfigError, match="the hand to connect with should be a text, not 3"):
         rtee.connect_blocking(3)  # type: ignore[arg-type]
