@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 # The tests must not find, stop or move the hands that a developer runs at the same time.
 for _name in ("RTEE_RUNTIME_DIR", "RTEE_CONNECT", "RTEE_HAND"):
     os.environ.pop(_name, None)
-os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="rtee-tests-")
-atexit.register(shutil.rmtree, os.environ["XDG_RUNTIME_DIR"], ignore_errors=True)
+for _name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
+    os.environ[_name] = tempfile.mkdtemp(prefix="rtee-tests-")
+    atexit.register(shutil.rmtree, os.environ[_name], ignore_errors=True)
 
 # Where a shell started the tests in the background, Ctrl-C is ignored here, and in every process
 # that a test starts and interrupts.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import anyio
@@ -18,7 +20,9 @@ from rtee.errors import ConfigError, LoopError, UserError
 from rtee.hand.config_schema import Behaviour
 from rtee.log import read
 from rtee.loop.controller import Controller
+from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.measured import Measured
+from rtee.running import free_motion
 from rtee.running.run import RunOptions, prepare, run_hands
 from rtee.types import Reference
 
@@ -102,6 +106,26 @@ async def test_everything_is_recorded(folder: Path) -> None:
     assert recording.hand == "jaw"
     assert {"hand.yaml", "jaw.urdf"} <= set(recording.attachments)
     assert len(recording.reference) >= 20
+
+
+def test_what_was_learned_of_free_motion_is_kept_for_each_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (real,) = prepare(str(write_hand(tmp_path)), RunOptions()).devices
+    emulated = replace(real, spec=replace(real.spec, emulated=True))
+    learned = {"drive": LearnedMotion((0.1, 0.0, 0.0), (1.0,) * 9, 20, 0.01, 0.02, 0.1, 0.001)}
+    assert free_motion.recall("jaw", [real]) == {}
+    free_motion.keep("jaw", [real], learned)
+    free_motion.keep(
+        "jaw", [emulated], {"drive": replace(learned["drive"], parameters=(math.nan,) * 3)}
+    )
+    assert free_motion.recall("jaw", [real]) == learned
+    assert free_motion.recall("jaw", [emulated]) == {}, "numbers that cannot be"
+    (file,) = tmp_path.rglob("jaw.json")
+    file.write_text("{")
+    assert free_motion.recall("jaw", [real]) == {}
+    assert "is learned anew" in caplog.text
 
 
 async def test_recordings_go_where_they_are_told_or_nowhere(folder: Path) -> None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made by others."""
 
@@ -75,7 +75,8 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
     Args:
         felt: What the forces on its fingers say; ``None``: nothing.
         pushes: Whether it needs more effort than free motion does.
-        blocked: Whether it has stalled, or its device says that it holds something.
+        blocked: Whether it has stalled with more effort than friction takes, as far as that is
+            known, or its device says that it holds something.
     """
     return pushes or blocked if felt is None else felt
 

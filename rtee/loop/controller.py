@@ -30,6 +30,7 @@ from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
 from rtee.loop.evidence import Evidence
 from rtee.loop.executor import Executor
+from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
 from rtee.loop.motion import Limits
@@ -96,7 +97,7 @@ class Controller:
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
-        self._contact = Evidence(hand, settings.stall, settings.grasp)
+        self._contact = Evidence(hand, settings.stall, settings.grasp, settings.free_motion)
         self._thermal = Thermal(settings.thermal, n)
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
@@ -143,6 +144,11 @@ class Controller:
         )
 
     # --- goals and commands ------------------------------------------------------------------
+
+    @property
+    def learned_motion(self) -> dict[str, LearnedMotion]:
+        """What is known of the free motion of actuators, by name."""
+        return self._contact.learned_motion
 
     @property
     def running(self) -> Plan | None:

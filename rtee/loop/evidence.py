@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from rtee.hand.config_schema import GraspSettings, StallSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.free_motion import FreeMotion
+from rtee.loop.free_motion import FREELY, SURELY_FREE, FreeMotion, LearnedMotion, Stretches
 from rtee.loop.measured import Measured
 from rtee.loop.tip_levers import TipLevers
 
@@ -58,15 +58,15 @@ _SURGED = 4
 """Measurements in succession that must show so, while the actuator stands still: a step of a slow
 motion takes fewer."""
 
-_FREELY = 0.5
-"""An actuator moves freely while it covers this share of the way of its reference or more."""
-
 _LEARN_EVERY = 0.02
 """Interval at which an actuator's free motion is learned from goals that react to no contact [s]:
 some hundred measurements of a motion are enough, and the tick's time is short."""
 
 _RESOLUTION = 0.01
 """Least threshold of a contact as a share of the effort limit: devices measure no better."""
+
+_ALL = 0.9
+"""An actuator exerts all that it may from this share of its limit on: motors keep it no better."""
 
 _USUAL_SHARE = 0.125
 """Weight of the newest interval in the usual one, which follows a change of rate within 8
@@ -99,6 +99,8 @@ class _Watched:
     hold_position: float = math.nan
     losing_since: float = math.nan
     presses: bool | None = None
+    led_from: float = math.nan
+    pressed: bool = False
 
 
 @dataclass(slots=True)
@@ -132,31 +134,15 @@ class _Approach:
     was: float = math.nan
 
 
-@dataclass(slots=True)
-class _Lesson:
-    """Where an actuator was when its free motion was last learned from.
-
-    Attributes:
-        stamp: When [s].
-        position: Its position [rad | m].
-        reference: Its reference [rad | m].
-        velocity: The velocity of its reference [rad/s | m/s].
-    """
-
-    stamp: float
-    position: float
-    reference: float
-    velocity: float
-
-
 class Evidence:
     """Watches the actuators of the last goal or stream for contacts.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
-    or when its device reports that it holds an object. Time in which its device is silent does not
-    count as time at rest. A blocked actuator *grasps* when its effort is above a threshold, or when
-    its device reports a grasp. Where the forces at its fingertips are measured, they decide
-    instead: it grasps with those fingers whose tips touch, and does not grasp if no tip touches.
+    nor keeps pace with a slow reference, or when its device reports that it holds an object. Time
+    in which its device is silent does not count as time at rest. A blocked actuator *grasps* when
+    its effort is above a threshold, or when its device reports a grasp. Where the forces at its
+    fingertips are measured, they decide instead: it grasps with those fingers whose tips touch, and
+    does not grasp if no tip touches.
 
     The device's report doesn't count at the end of the range, where devices report the mechanical
     stop. It counts only for the motion it belongs to: a report that the device made before it can
@@ -164,7 +150,13 @@ class Evidence:
     from a held object, nothing counts as a grasp until the actuator has left the object.
     """
 
-    def __init__(self, hand: Hand, stall: StallSettings, grasp: GraspSettings) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        stall: StallSettings,
+        grasp: GraspSettings,
+        learned: Mapping[str, LearnedMotion],
+    ) -> None:
         self._hand = hand
         actuators = self._actuators = hand.actuators
         names = self._fingers = hand.finger_names
@@ -173,7 +165,11 @@ class Evidence:
         self._free = [FreeMotion(a.effort, a.velocity, a.acceleration) for a in actuators]
         self._levers = TipLevers(hand)
         self._approaching: dict[int, _Approach] = {}
-        self._lessons: dict[int, _Lesson] = {}
+        for actuator, free in zip(actuators, self._free, strict=True):
+            if actuator.name in learned:
+                free.restore(learned[actuator.name])
+        self._stretches = [Stretches() for _ in actuators]
+        self._lessons: dict[int, tuple[float, float]] = {}
         self._felt: dict[str, float] = {}
         self._now = -math.inf
         self._stall = stall
@@ -393,7 +389,11 @@ class Evidence:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan
                 watched.grasping = False
+                watched.led_from = reference[i]
             stalled = behind and stamp - watched.since >= self._stall.time
+            if stalled and self._keeps_up(watched, position, reference[i]):
+                watched.anchor, watched.since, watched.led_from = position, stamp, reference[i]
+                stalled = False
             # Skipped in nearly every tick: this runs for each actuator at each tick.
             away = own_report = False
             if report == 1 or self._grips[i] is not None:
@@ -405,6 +405,11 @@ class Evidence:
             watched.new = False
             if stalled or own_report:
                 self._block(i, watched, measured, limits[i], own_report, away, ahead, stamp)
+
+    def _keeps_up(self, watched: _Watched, position: float, reference: float) -> bool:
+        """Return whether an actuator that hardly moves does so as slowly as its reference."""
+        wanted, moved = reference - watched.led_from, position - watched.anchor
+        return moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
 
     def _own_report(
         self, i: int, watched: _Watched, position: float, report: int, ahead: float, stalled: bool
@@ -429,6 +434,7 @@ class Evidence:
         """Record that an actuator is blocked, and whether it holds an object."""
         if math.isnan(watched.blocked_at):
             watched.blocked_at = stamp
+        watched.pressed = own_report or not abs(measured.effort[i]) < self._stopping(i, limit)
         if rules.holds(
             self._touch(i) if watched.presses is None else watched.presses,
             word=own_report,
@@ -455,6 +461,14 @@ class Evidence:
         if not free.known or math.isinf(full):
             return least
         return max(least, free.dry + _RESOLUTION * full)
+
+    def _stopping(self, i: int, limit: float) -> float:
+        """Return the effort below which only friction stops an approaching actuator [N·m | N]."""
+        approach = self._approaching.get(i)
+        if approach is None or math.isinf(self._actuators[i].effort):
+            return 0.0
+        dry = self._free[i].dry if self._free[i].known and approach.in_effort else 0.0
+        return min(dry + approach.threshold, _ALL * limit)
 
     def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
         """Record the time since the last measurement; silence does not count as rest."""
@@ -563,6 +577,7 @@ class Evidence:
         by_tip = slope is None
         least = self._tip_threshold(i, stamp, measured) if slope is None else self._least(i, slope)
         self._approaching[i] = _Approach(ahead, least, by_tip)
+        self._stretches[i].restart()
 
     def threshold(self, i: int) -> float:
         """Return the effort of a contact of an approaching actuator, besides friction [N·m | N]."""
@@ -595,7 +610,14 @@ class Evidence:
         return self._least(i, lever / efficiency)
 
     def meets(
-        self, i: int, stamp: float, measured: Measured, velocity: float, *, every: bool
+        self,
+        i: int,
+        stamp: float,
+        measured: Measured,
+        reference: float,
+        velocity: float,
+        *,
+        every: bool,
     ) -> bool:
         """Return whether an approaching actuator's fingers touch something.
 
@@ -603,13 +625,15 @@ class Evidence:
             i: The actuator.
             stamp: Now [s].
             measured: The measured state.
+            reference: Its reference [rad | m].
             velocity: Velocity of its reference [rad/s | m/s].
             every: Whether each of its fingers must touch, not just one.
         """
         felt = rules.any_touch(self.forces(i, measured), self._grasp.touch, every=every)
         # Where forces are measured, efforts are not looked at, and nothing is learned from them.
-        pushes = felt is None and self._pushes(i, stamp, measured, velocity)
-        return rules.touches(felt, pushes=pushes, blocked=self.blocked(i))
+        pushes = felt is None and self._pushes(i, stamp, measured, reference, velocity)
+        blocked = self.blocked(i) and self._watched[i].pressed
+        return rules.touches(felt, pushes=pushes, blocked=blocked)
 
     def unknown(self, i: int, measured: Measured) -> bool:
         """Return whether contacts of an actuator are felt by effort, and free motion is unknown."""
@@ -635,28 +659,31 @@ class Evidence:
             reference: Its reference [rad | m].
             velocity: Velocity of its reference [rad/s | m/s].
         """
-        lesson = self._lessons.get(i)
-        if lesson is not None and 0.0 <= stamp - lesson.stamp < _LEARN_EVERY:
+        before, speed = self._lessons.get(i, (-math.inf, 0.0))
+        passed = stamp - before
+        if 0.0 <= passed < _LEARN_EVERY:
             return
+        self._lessons[i] = stamp, velocity
         here = measured.position[i]
-        self._lessons[i] = _Lesson(stamp, here, reference, velocity)
-        closes = velocity * (here - self._actuators[i].rest) > 0.0
-        if lesson is None or not closes or stamp - lesson.stamp > 3.0 * _LEARN_EVERY:
+        if velocity * (here - self._actuators[i].rest) <= 0.0 or not passed <= 3.0 * _LEARN_EVERY:
+            self._stretches[i].restart()
             return
-        ahead = 1.0 if velocity > 0.0 else -1.0
-        moved, wanted = (here - lesson.position) * ahead, (reference - lesson.reference) * ahead
-        if not 0.0 < _FREELY * wanted <= moved:
-            return  # something may be in its way
         signal = measured.effort[i]
-        threshold = _RESOLUTION * self._actuators[i].effort
         if signal != signal:
-            signal, threshold = measured.current[i] if measured.current else math.nan, 0.0
+            signal = measured.current[i] if measured.current else math.nan
         if signal == signal:
-            gain = (velocity - lesson.velocity) / (stamp - lesson.stamp)
-            # What stands out is left out: it may be a soft contact.
-            self._free[i].exceeds(signal, velocity, gain, threshold)
+            sample = signal, velocity, (velocity - speed) / passed
+            self._stretches[i].take(self._free[i], here, reference, sample)
 
-    def _pushes(self, i: int, stamp: float, measured: Measured, velocity: float) -> bool:
+    @property
+    def learned_motion(self) -> dict[str, LearnedMotion]:
+        """What is known of the free motion of actuators, by name."""
+        pairs = zip(self._actuators, self._free, strict=True)
+        return {actuator.name: free.state() for actuator, free in pairs if free.known}
+
+    def _pushes(
+        self, i: int, stamp: float, measured: Measured, reference: float, velocity: float
+    ) -> bool:
         """Return whether an actuator needs more effort than free motion does."""
         approach = self._approaching[i]
         signal, threshold = measured.effort[i], approach.threshold
@@ -680,20 +707,21 @@ class Evidence:
             if not moves:
                 return False  # the device has not begun: no effort of its is one of motion
             approach.began = stamp
-        free = self._free[i]
+        free, stretch = self._free[i], self._stretches[i]
         if not approach.in_effort:
-            if moves:
-                free.learn(signal, velocity, gain)
+            stretch.take(free, here, reference, (signal, velocity, gain))
             return self._surges(approach, abs(signal), moves=moves)
-        if stamp - approach.began < _SET_OUT or not free.known:
+        if stamp - approach.began < _SET_OUT or not free.knows(velocity, gain):
             # Overcoming static friction is a part of free motion that the model must learn.
-            if moves:
-                free.learn(signal, velocity, gain)
+            stretch.take(free, here, reference, (signal, velocity, gain))
             return False
         if approach.by_tip and threshold > 0.0:
             threshold = approach.threshold = self._tip_threshold(i, stamp, measured)
-        pushes = free.exceeds(signal, velocity, gain, threshold)
-        approach.over = approach.over + 1 if pushes else 0
+        excess = free.excess(signal, velocity, gain, threshold)
+        # What may be a contact must not teach the model that contacts are free motion.
+        sample = None if excess > SURELY_FREE else (signal, velocity, gain)
+        stretch.take(free, here, reference, sample)
+        approach.over = approach.over + 1 if excess > 1.0 else 0
         return approach.over >= _CONFIRMED
 
     def _surges(self, approach: _Approach, current: float, *, moves: bool) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 _FORGET: Final = 0.995
@@ -30,8 +31,24 @@ _SPREAD_SHARE: Final = 1.0 / 16.0
 """Weight of the newest deviation in the mean deviation, which settles as fast as the model; a power
 of two is exact."""
 
-_SURELY_FREE: Final = 0.5
-"""Deviations above this share of the threshold are not learned from: they may be a soft contact."""
+SURELY_FREE: Final = 0.5
+"""Deviations above this share of what counts may be a soft contact: they are not learned from."""
+
+_ALIKE: Final = 0.5
+"""Variance of an expected effort, relative to that of one measurement, below which the model knows
+what motion at such a velocity and acceleration takes: two measurements like it."""
+
+_TAKEN: Final = 6
+"""Measurements of a stretch of motion: two of them make a model known."""
+
+_COUNTS_OF_WAY: Final = 4.0
+"""Least way of a stretch in counts of the position: below, a step may be its noise."""
+
+_MOST_TAKEN: Final = 256
+"""Measurements after which a stretch ends in any case: an actuator that stands still has none."""
+
+FREELY: Final = 0.5
+"""An actuator moves freely while it covers this share of the way of its reference or more."""
 
 _RELATIVE: Final = 0.5
 """Without a threshold in physical units, a deviation counts above this share of the largest effort
@@ -104,10 +121,18 @@ class FreeMotion:
         direction = 1.0 if velocity > 0.0 else -1.0 if velocity < 0.0 else 0.0
         return direction, velocity * self._scale[0], acceleration * self._scale[1]
 
-    def exceeds(
+    def knows(self, velocity: float, acceleration: float) -> bool:
+        """Return whether the effort of such a motion was learned, not only that of others."""
+        if not self.known:
+            return False
+        features = self._features(velocity, acceleration)
+        rows = (sum([m * x for m, x in zip(r, features, strict=True)]) for r in self._matrix)
+        return sum([a * x for a, x in zip(rows, features, strict=True)]) <= _ALIKE
+
+    def excess(
         self, effort: float, velocity: float, acceleration: float, threshold: float
-    ) -> bool:
-        """Return whether an effort exceeds that of free motion; learn from it if it does not.
+    ) -> float:
+        """Return by which share of what counts an effort exceeds that of free motion; 1: it counts.
 
         Args:
             effort: Measured effort [N·m | N], or current [A].
@@ -126,14 +151,10 @@ class FreeMotion:
         noise = max(_SPREADS * self.spread, _ROUGH * self.rough, _COUNTS * self.quantum)
         least = max(threshold, noise) + inertia
         ahead = deviation if velocity > 0.0 else -deviation
-        # Learning from a contact would teach the model that contacts are free motion.
-        if self.known and ahead > _SURELY_FREE * least:
-            return ahead > least
-        self.learn(effort, velocity, acceleration)
-        return False
+        return ahead / least if least > 0.0 else math.copysign(math.inf, ahead) if ahead else 0.0
 
     def learn(self, effort: float, velocity: float, acceleration: float) -> None:
-        """Learn from a measurement of free motion; arguments as for `exceeds`."""
+        """Learn from a measurement of free motion; arguments as for `excess`."""
         deviation = effort - self.expected(velocity, acceleration)
         features = self._features(velocity, acceleration)
         change, self._last = abs(effort - self._last), effort
@@ -161,3 +182,107 @@ class FreeMotion:
             self.spread += _SPREAD_SHARE * (size - self.spread)
             self.rough += (size - self.rough) * (1.0 if size > self.rough else _STEADY)
         self._count += 1
+
+    def state(self) -> LearnedMotion:
+        """Return what was learned."""
+        first, second, third = map(tuple, self._matrix)
+        return LearnedMotion(
+            tuple(self._parameters), first + second + third,
+            self._count, self.spread, self.rough, self.most, self.quantum,
+        )  # fmt: skip
+
+    def restore(self, learned: LearnedMotion) -> None:
+        """Go on from what was learned before."""
+        limit = self._limit
+        self._parameters = [min(max(p, -limit), limit) for p in learned.parameters]
+        self._matrix = [list(learned.matrix[k : k + 3]) for k in (0, 3, 6)]
+        self._count = learned.count
+        self.spread, self.rough = learned.spread, learned.rough
+        self.most, self.quantum = learned.most, learned.quantum
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedMotion:
+    """What a `FreeMotion` has learned, as it is kept between runs.
+
+    Attributes:
+        parameters: Its three parameters [N·m | N].
+        matrix: Their covariance by rows ``(9,)``, in shares of the limits.
+        count: Number of measurements.
+        spread: Mean size of the deviations [N·m | N].
+        rough: Size of the largest recent deviation [N·m | N].
+        most: Size of the largest recent effort [N·m | N].
+        quantum: Smallest change of the measured effort [N·m | N].
+    """
+
+    parameters: tuple[float, ...]
+    matrix: tuple[float, ...]
+    count: int
+    spread: float
+    rough: float
+    most: float
+    quantum: float
+
+    @property
+    def sound(self) -> bool:
+        """Whether it has all numbers, and they are finite: it may come from a file."""
+        sizes = (self.spread, self.rough, self.most, self.quantum)
+        whole = len(self.parameters) == 3 and len(self.matrix) == 9 and min(sizes) >= 0.0
+        return whole and all(map(math.isfinite, (*self.parameters, *self.matrix, *sizes)))
+
+
+class Stretches:
+    """Efforts of an actuator on its way, from which its free motion is learned once it has gone on.
+
+    A single measurement does not show whether anything is in the way: servos move in steps, and
+    stand still in between with the effort that friction takes. So the way is divided into
+    stretches. A stretch on which the actuator kept up with its reference, and on the next one, too,
+    was free motion as a whole.
+    """
+
+    __slots__ = ("_before", "_here", "_now", "_reference", "_step", "_was")
+
+    def __init__(self) -> None:
+        self._step = math.inf
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the stretch on the way: another motion begins."""
+        self._before: list[tuple[float, float, float]] = []
+        self._now: list[tuple[float, float, float]] = []
+        self._here = self._reference = self._was = math.nan
+
+    def take(
+        self,
+        free: FreeMotion,
+        here: float,
+        reference: float,
+        sample: tuple[float, float, float] | None,
+    ) -> None:
+        """Take a measurement, and learn when a stretch has shown to be free.
+
+        Args:
+            free: The model.
+            here: The measured position [rad | m].
+            reference: The reference [rad | m].
+            sample: Effort, velocity and acceleration, as for `FreeMotion.learn`; ``None``: not to
+                be learned from.
+        """
+        if self._here != self._here:
+            self._here, self._reference, self._was = here, reference, here
+        step, self._was = abs(here - self._was), here
+        if 0.0 < step < self._step:
+            self._step = step
+        self._now.append(sample or (math.nan, 0.0, 0.0))
+        wanted, moved = reference - self._reference, here - self._here
+        far = abs(wanted) >= _COUNTS_OF_WAY * self._step
+        if not (len(self._now) >= _TAKEN and far) and len(self._now) < _MOST_TAKEN:
+            return
+        freely = far and moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
+        if freely:
+            for effort, velocity, acceleration in self._before:
+                if effort == effort:
+                    free.learn(effort, velocity, acceleration)
+        self._before = self._now if freely else []
+        self._now = []
+        self._here, self._reference = here, reference

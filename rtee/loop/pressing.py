@@ -102,6 +102,10 @@ _TARE = 0.1
 """Time constant of the mean effort of the approach [s]: weight and friction, over some exchanges
 of the slowest device, before the contact shows."""
 
+_BEFORE = 0.2
+"""What the approach took is known up to this long ago at least [s]: a gentle contact presses for
+some tenths of a second before it shows."""
+
 _SLIP = 0.75
 """Increase of the force after a slip, as a share of the present one: it overtakes a growing
 load."""
@@ -143,21 +147,27 @@ class Tare:
     """The efforts of actuators before they touch anything: what weight and friction take."""
 
     def __init__(self) -> None:
-        self._mean: dict[int, float] = {}
+        # For each actuator the mean now, at two times before, the older one first, and since when.
+        self._means: dict[int, tuple[float, float, float, float]] = {}
 
     def forget(self, i: int) -> None:
         """Forget an actuator."""
-        self._mean.pop(i, None)
+        self._means.pop(i, None)
 
     def learn(self, i: int, effort: float, time: float) -> None:
         """Learn from an effort of the approach [N·m | N], and the time since the one before [s]."""
-        if effort == effort:
-            before = self._mean.get(i, effort)
-            self._mean[i] = before + min(time / _TARE, 1.0) * (effort - before)
+        if effort != effort:
+            return
+        older, old, mean, passed = self._means.get(i, (effort, effort, effort, 0.0))
+        mean += min(time / _TARE, 1.0) * (effort - mean)
+        passed += min(time, _BEFORE)
+        if passed >= _BEFORE:
+            older, old, passed = old, mean, 0.0
+        self._means[i] = older, old, mean, passed
 
     def of(self, i: int) -> float:
         """Return the effort [N·m | N]; ``NaN``: not known."""
-        return self._mean.get(i, math.nan)
+        return self._means[i][0] if i in self._means else math.nan
 
 
 class ForceEstimate:

@@ -348,10 +348,11 @@ class Reflexes:
             # An object pushed by one of several fingers is not held yet: all must touch.
             every = watched.mode is OnContact.SQUEEZE
             velocity = self._profile.velocity[i]
-            if not self._contact.meets(i, stamp, measured, velocity, every=every):
+            reference = self._limiter.position[i]
+            if not self._contact.meets(i, stamp, measured, reference, velocity, every=every):
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
-                elif approach.together is not None:
+                elif approach.together is not None and not self.touched:
                     self._weigh(i, watched, passed, measured)
                 continue
             self._note(i, watched, stamp, measured)

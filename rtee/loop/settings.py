@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from rtee.errors import ConfigError
@@ -15,6 +16,7 @@ from rtee.hand.config_schema import (
     SafetySettings,
     ThermalSettings,
 )
+from rtee.loop.free_motion import LearnedMotion
 from rtee.types import DeviceSpec
 
 
@@ -50,6 +52,7 @@ class LoopSettings(LoopSection):
         thermal: Temperature limits.
         feedback_rate: Highest rate of feedback [Hz].
         statistics_window: Interval of device status and loop statistics [s].
+        free_motion: What was known at the start of the free motion of actuators, by name.
 
     Raises:
         ConfigError: if the rate is out of range.
@@ -60,6 +63,7 @@ class LoopSettings(LoopSection):
     thermal: ThermalSettings = field(default_factory=ThermalSettings)
     feedback_rate: float = 50.0
     statistics_window: float = 1.0
+    free_motion: Mapping[str, LearnedMotion] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the rate, which may come from the command line."""

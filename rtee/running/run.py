@@ -44,6 +44,7 @@ from rtee.loop.shutdown_signals import (
 )
 from rtee.loop.tick_driver import drive
 from rtee.remote.server import RemoteSettings, Server
+from rtee.running import free_motion
 from rtee.running.prepare import PreparedHand, RunOptions, prepare
 from rtee.types import Event
 
@@ -97,7 +98,7 @@ async def run_hands(
     """
     options = options or RunOptions()
     until = until or anyio.Event()
-    prepared = [prepare(name, options) for name in names]
+    prepared = [_recalled(prepare(name, options)) for name in names]
     given = [one.hand.name for one in prepared]
     if len(set(given)) < len(given):
         raise ConfigError(f"the hand '{max(given, key=given.count)}' is given twice")
@@ -150,9 +151,18 @@ async def run_hands(
             task = None if beside is None else partial(beside, pool, loops)
             await _run(hands, options, collector, until, signals, cpus, service, task)
         finally:
+            for hand in hands:
+                known = hand.loop.controller.learned_motion
+                free_motion.keep(hand.prepared.hand.name, hand.prepared.devices, known)
             for line in _summary(hands):
                 say(line)
     return 0
+
+
+def _recalled(prepared: PreparedHand) -> PreparedHand:
+    """Return a hand that goes on from what it has learned of its free motion."""
+    known = free_motion.recall(prepared.hand.name, prepared.devices)
+    return replace(prepared, settings=replace(prepared.settings, free_motion=known))
 
 
 def _in_ros2(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,8 +13,10 @@ import pytest
 from rtee.actions.library import ActionLibrary
 from rtee.commands import Abort, SetActive
 from rtee.hand.load import load_configured
+from rtee.log.dataclass_json import from_json, to_json
 from rtee.loop.configure import loop_settings
 from rtee.loop.controller import Controller
+from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip
 from rtee.loop.measured import Measured
 from rtee.loop.plan import make_plan
@@ -34,6 +38,7 @@ class Gripper:
         stops_short: How far before its reference it stands still [rad].
         amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
         impact: What the sensors read more for 20 ticks from the contact on [N].
+        learned: What is known of its free motion.
     """
 
     def __init__(
@@ -44,10 +49,11 @@ class Gripper:
         stops_short: float = 0.0,
         amperes: float = NAN,
         impact: float = 0.0,
+        learned: Mapping[str, LearnedMotion] | None = None,
     ) -> None:
         self.hand, config = load_configured(FOLDER)
         self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
-        self.settings = loop_settings(config, rate=500.0)
+        self.settings = replace(loop_settings(config, rate=500.0), free_motion=learned or {})
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
         self.amperes = amperes
@@ -106,6 +112,9 @@ class Gripper:
         if self.amperes == self.amperes:
             free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
             measured.effort, measured.current = [NAN], [self.amperes * (self.effort + free)]
+        self.take(measured)
+
+    def take(self, measured: Measured) -> None:
         self.controller.step(self.time, measured)
         for item in self.controller.outbox.items:
             if isinstance(item, Result):
@@ -329,23 +338,46 @@ class Stepping(Gripper):
             self.amps = 0.4 if pressed else 0.1 if self.going else 0.0
         amps = getattr(self, "amps", 0.0)
         measured = Measured([self.position], [NAN], [NAN], [fresh], [-1], current=[amps])
-        self.controller.step(self.time, measured)
-        for item in self.controller.outbox.items:
-            if isinstance(item, Result):
-                self.results.append(item)
-            elif isinstance(item, Event):
-                self.events.append(item)
-        self.controller.outbox.items.clear()
+        self.take(measured)
 
 
-def test_a_gripper_that_moves_in_steps_touches_nothing_in_the_air() -> None:
-    gripper = Stepping()
+class Sticking(Gripper):
+    """A 2F-85 whose servo stands still, with effort, until it is some counts behind.
+
+    A slow reference moves it in steps, between which it seems to press.
+    """
+
+    COUNT = 0.0015
+    """A count of its position [rad]."""
+
+    def tick(self) -> None:
+        self.time += self.settings.period
+        there = min(self.reference, self.contact)
+        lag = there - self.position
+        if abs(lag) > 3.0 * self.COUNT:
+            self.position = round(there / self.COUNT) * self.COUNT
+        pressed = self.position >= self.contact - self.COUNT
+        push = STIFFNESS * (self.reference - self.contact) if pressed else 0.0
+        self.effort = min(max(push, 0.05 if lag > self.COUNT else 0.0), self.limit)
+        measured = Measured([self.position], [self.effort], [NAN], [True], [-1])
+        self.take(measured)
+
+
+@pytest.mark.parametrize("kind", [Stepping, Sticking])
+def test_a_gripper_that_moves_in_steps_touches_nothing_in_the_air(kind: type[Gripper]) -> None:
+    gripper = kind()
     for number in range(4):
         result = gripper.do(Goal("Grasp", touch=True))
         assert (result.touched, result.reached) == ((), True), number
         gripper.do(Goal("open"))
     # The first time, it says that it does not know yet what free motion takes.
     assert [event.kind for event in gripper.events] == ["contact_unknown"]
+    # What it has learned is of use to the next run.
+    kept = from_json(to_json(gripper.controller.learned_motion["finger_joint"]), LearnedMotion)
+    assert kept.sound
+    again = kind(learned={"finger_joint": kept})
+    assert again.do(Goal("Grasp", touch=True)).touched == ()
+    assert again.events == []
 
 
 @pytest.mark.parametrize("width", [0.01, 0.03, 0.06])

@@ -389,13 +389,13 @@ def test_free_motion_is_learned_and_a_push_stands_out(
 
     for k in range(300):
         speed, gain = 1.0 + 0.5 * math.sin(k / 10.0), 2.5 * math.cos(k / 10.0)
-        if k < 50:
-            free.learn(effort(speed, gain), speed, gain)
-        else:
-            assert not free.exceeds(effort(speed, gain), speed, gain, 0.2)
+        if k >= 50:
+            assert free.knows(speed, gain)
+            assert free.excess(effort(speed, gain), speed, gain, 0.2) <= 1.0
+        free.learn(effort(speed, gain), speed, gain)
     assert free.expected(1.0, 0.0) == pytest.approx(effort(1.0, 0.0), abs=0.05)
-    assert free.exceeds(effort(1.0, 0.0) + push, 1.0, 0.0, 0.2)
-    assert not free.exceeds(effort(1.0, 0.0) - push, 1.0, 0.0, 0.2), "pulled, not stopped"
+    assert free.excess(effort(1.0, 0.0) + push, 1.0, 0.0, 0.2) > 1.0
+    assert free.excess(effort(1.0, 0.0) - push, 1.0, 0.0, 0.2) < 0.0, "pulled, not stopped"
 
 
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-5.0, 5.0), st.floats(-50.0, 50.0))))

@@ -1,0 +1,83 @@
+"""What a hand has learned of its free motion, kept from one run to the next.
+
+One file for each hand in the user's folder of states, ``$XDG_STATE_HOME/rtee/free_motion`` (else
+``~/.local/state``). Each device has its part of it, and its emulator another one.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rtee.errors import RteeError
+from rtee.hand.files import make_folder, write_atomically
+from rtee.log.dataclass_json import from_json, to_json
+from rtee.loop.free_motion import LearnedMotion
+from rtee.loop.settings import DeviceSettings
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The content of a file: what is known of each actuator by name, by device."""
+
+    devices: Mapping[str, Mapping[str, LearnedMotion]] = field(default_factory=dict)
+
+
+def _file_of(hand: str) -> Path | None:
+    """Return the file of a hand; ``None``: the user has no folder for it."""
+    folder = Path(os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state"))
+    # Without a home directory, `~` is not expanded: the file would be in the working directory.
+    return folder / "rtee" / "free_motion" / f"{hand}.json" if folder.is_absolute() else None
+
+
+def _key(device: DeviceSettings) -> str:
+    """Return what tells a device from the others of a hand, and from its emulator."""
+    spec = device.spec
+    return f"{spec.name}: {spec.driver}{' (emulated)' if spec.emulated else ''}"
+
+
+def _kept(hand: str) -> _Kept:
+    file = _file_of(hand)
+    if file is None:
+        return _Kept()
+    try:
+        return from_json(file.read_bytes(), _Kept)
+    except FileNotFoundError:
+        return _Kept()
+    except (OSError, RteeError) as error:
+        # Nothing is lost but a slow closing, which learns it again.
+        log.warning("%s: what free motion takes is learned anew: %s", file, error)
+        return _Kept()
+
+
+def recall(hand: str, devices: Sequence[DeviceSettings]) -> dict[str, LearnedMotion]:
+    """Return what was learned of a hand with these devices, by actuator."""
+    kept = _kept(hand).devices
+    known: dict[str, LearnedMotion] = {}
+    for device in devices:
+        of_device = kept.get(_key(device), {})
+        for actuator in device.spec.actuators:
+            if (learned := of_device.get(actuator.name)) is not None and learned.sound:
+                known[actuator.name] = learned
+    return known
+
+
+def keep(hand: str, devices: Sequence[DeviceSettings], known: Mapping[str, LearnedMotion]) -> None:
+    """Keep what was learned of a hand, by actuator, beside what is known of its other devices."""
+    file = _file_of(hand)
+    if file is None or not known:
+        return
+    now = {
+        _key(device): {a.name: known[a.name] for a in device.spec.actuators if a.name in known}
+        for device in devices
+    }
+    try:
+        make_folder(file.parent)
+        write_atomically(file, to_json(_Kept({**_kept(hand).devices, **now})) + "\n")
+    except RteeError as error:
+        log.warning("what free motion takes is not kept: %s", error)
