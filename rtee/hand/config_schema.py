@@ -324,6 +324,17 @@ class ThermalSettings(Section):
             raise ValueError("should rise: warn <= derate <= disable")
 
 
+class Recorded(Word):
+    """What a recording holds."""
+
+    FULL = "full"
+    """Every tick."""
+    GOALS = "goals"
+    """What happens: from 5 s before a goal, command, stream or event to 5 s after it."""
+    FAULTS = "faults"
+    """The last minute before something fails, as the flight recorder writes it."""
+
+
 @dataclass(frozen=True, slots=True)
 class LogSection(Section):
     """Recordings."""
@@ -332,13 +343,22 @@ class LogSection(Section):
     """Folder of the recordings, relative to the working directory; unless given, ``logs``. With
     ``rtee run --no-log`` or ``enabled: false`` faults are written only where a folder is given."""
     enabled: bool = True
-    """Record everything while the hand runs."""
+    """Record while the hand runs."""
+    record: Recorded = Recorded.FULL
+    """What is recorded: ``full``, every tick; ``goals``, from 5 s before a goal, command, stream or
+    event to 5 s after it; ``faults``, only what ``flight_recorder`` keeps. Only ``full`` recordings
+    can be recomputed."""
     max_file_size: Positive = 1e9
     """A new file is begun beyond this size [bytes]."""
     max_file_time: Positive = 3600.0
     """A new file is begun after this time [s]."""
     max_total_size: Positive = 2e10
-    """The oldest recordings are deleted beyond this size of all [bytes]."""
+    """The oldest recordings of the hand are deleted beyond this size of all [bytes]."""
+    max_folder_size: Positive = 1e11
+    """The oldest recordings of all hands in the folder are deleted beyond this size [bytes]."""
+    reserve: NotNegative = 1e9
+    """So much of the disk stays free [bytes]: the oldest recordings in the folder make room, and
+    when there are none, recording pauses."""
     flight_recorder: NotNegative = 60.0
     """This much is kept in memory and written when something fails [s]; 0: nothing."""
     decimation: Annotated[int, Ge(1)] = 1

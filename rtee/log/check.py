@@ -321,7 +321,8 @@ def _replayable(recording: Recording) -> Replayable:
     attached = recording.attachments.get(REPLAY)
     if attached is None:
         raise LogError("holds no settings of the loop: it cannot be recomputed", path=path)
-    if recording.metadata.get("decimation", "1") != "1":
+    chosen = recording.metadata.get("decimation", "1"), recording.metadata.get("record", "full")
+    if chosen != ("1", "full"):
         raise LogError("does not hold every tick: it cannot be recomputed", path=path)
     return from_json(attached, Replayable)
 

@@ -21,6 +21,7 @@ import numpy as np
 from rtee import monotonic
 from rtee.commands import CommandRecord
 from rtee.errors import LogError
+from rtee.hand.config_schema import Recorded
 from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import to_json
@@ -168,7 +169,11 @@ class Recorder:
             files[REPLAY] = to_json(
                 Replayable(loop, hand.actuators, contact_rules.VERSION)
             ).encode()
-        more = {"decimation": str(settings.decimation), **(metadata or {})}
+        more = {
+            "decimation": str(settings.decimation),
+            "record": settings.record.value,
+            **(metadata or {}),
+        }
         # Read now, since opening files could delay the loop once it runs.
         meshes = embed_meshes(hand) if settings.meshes else EmbeddedMeshes({}, {})
         for address, why in meshes.left_out.items():
@@ -200,7 +205,7 @@ class Recorder:
         """
         if self._thread is not None:
             return
-        if self._settings.enabled:
+        if self._settings.enabled and self._settings.record is not Recorded.FAULTS:
             try:
                 self._writer.sink.start(time.time_ns())
             except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from mcap.records import Metadata
 
 from rtee.log.mcapfile import MAGIC, being_written
 from rtee.log.record_scanner import parsed, scan
+from rtee.log.settings import RecorderSettings
 from rtee.messages.codec import SECOND
 
 METADATA = "rtee"
@@ -47,7 +49,12 @@ def flight_path(folder: Path, hand: str, session: str) -> Path:
 class RecordingFile:
     """A file that is a recording by its name, with its size [bytes].
 
-    The session is the start of the recording; a file of the flight recorder has no part.
+    Attributes:
+        session: The start of the recording.
+        part: Number of the part; ``None`` for a file of the flight recorder.
+        owner: The hand by the file's content; empty if rtee did not write it.
+        run: Number of the recording among those in its folder, which no clock changes; 0 in files
+            of earlier versions.
     """
 
     path: Path
@@ -55,6 +62,8 @@ class RecordingFile:
     session: str
     part: int | None
     size: int
+    owner: str
+    run: int
 
 
 def parse_name(path: Path) -> RecordingFile | None:
@@ -69,7 +78,30 @@ def parse_name(path: Path) -> RecordingFile | None:
     if not stat.S_ISREG(status.st_mode):  # opening a named pipe would wait for ever
         return None
     part = None if match["part"] == FLIGHT else int(match["part"])
-    return RecordingFile(path, match["hand"], match["session"], part, status.st_size)
+    head = _head(path, status.st_ino)
+    return RecordingFile(path, match["hand"], match["session"], part, status.st_size, *head)
+
+
+_heads: dict[tuple[Path, int], tuple[str, int]] = {}
+
+
+def _head(path: Path, inode: int) -> tuple[str, int]:
+    """Return hand and run in a file's metadata; an empty name if rtee did not write it."""
+    if (path, inode) not in _heads:
+        try:
+            with path.open("rb") as stream:
+                if stream.read(len(MAGIC)) != MAGIC:
+                    return "", 0
+                for record in islice(scan(stream), _FEW_RECORDS):
+                    if record.opcode == Opcode.METADATA:
+                        metadata = parsed(Metadata, record.read(stream))
+                        if metadata.name == METADATA:
+                            values = metadata.metadata
+                            # Read once, since the head of a recording never changes.
+                            _heads[path, inode] = values.get("hand", ""), int(values.get("run", 0))
+        except (OSError, ValueError):
+            return "", 0
+    return _heads.get((path, inode), ("", 0))
 
 
 def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
@@ -81,8 +113,25 @@ def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
     files = [file for path in paths if (file := parse_name(path)) is not None]
     return sorted(
         (file for file in files if hand in (None, file.hand)),
-        key=lambda file: (file.session, file.part if file.part is not None else -1, file.path.name),
+        # Not by time alone: a clock may have been set back.
+        key=lambda file: (
+            file.run,
+            file.session,
+            -1 if file.part is None else file.part,
+            file.path,
+        ),
     )
+
+
+def next_run(folder: Path) -> int:
+    """Return the number of a recording that begins now in a folder."""
+    return 1 + max((file.run for file in recordings(folder)), default=0)
+
+
+def free_space(folder: Path) -> int:
+    """Return what is free on the disk of a folder [bytes]."""
+    status = os.statvfs(folder)
+    return status.f_bavail * status.f_frsize
 
 
 def parts_of(path: Path) -> list[Path]:
@@ -98,66 +147,72 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def is_ours(path: Path, hand: str) -> bool:
-    """Return whether the content of a file is a recording of this hand, too."""
-    try:
-        with path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
-                return False
-            for record in islice(scan(stream), _FEW_RECORDS):
-                if record.opcode == Opcode.METADATA:
-                    metadata = parsed(Metadata, record.read(stream))
-                    if metadata.name == METADATA and metadata.metadata.get("hand") == hand:
-                        return True
-    except (OSError, ValueError):
-        return False
-    return False
+    """Return whether name and content of a file are those of a recording of this hand."""
+    file = parse_name(path)
+    return file is not None and file.owner == file.hand == hand
 
 
 class Retention:
-    """Limits the disk space of a hand's recordings in a folder [bytes] by removing the oldest.
+    """Limits the disk space of recordings in a folder by removing the oldest.
 
-    Removes only files that are recordings of this hand by name and by content.
+    The limits of the settings are that of the hand's own recordings, that of all hands', and what
+    stays free of the disk. Removes only files that are recordings by name and by content, and none
+    that is being written; parts of the running recording go last.
     """
 
-    def __init__(self, folder: Path, hand: str, limit: float) -> None:
-        self._folder = folder
+    def __init__(self, settings: RecorderSettings, hand: str) -> None:
+        self._settings = settings
         self._hand = hand
-        self._limit = limit
-        self._others = 0
-        self._ours: dict[Path, bool] = {}
+        self._own = self._all = 0  # sizes of the files but those being written [bytes]
 
     def look(self, *current: Path) -> None:
         """Read the sizes of the files in the folder again, except those being written."""
-        self._others = sum(file.size for file in self._files(current))
+        files = self._files(current)
+        self._all = sum(file.size for file in files)
+        self._own = sum(file.size for file in files if file.hand == self._hand)
 
     def _files(self, current: tuple[Path, ...]) -> list[RecordingFile]:
-        return [file for file in recordings(self._folder, self._hand) if file.path not in current]
+        return [each for each in recordings(self._settings.folder) if each.path not in current]
 
-    def keep_within(self, size: int, *current: Path) -> list[Path]:
-        """Remove the oldest recordings until the rest and ``size`` are within the limit.
+    def short(self) -> bool:
+        """Return whether less of the disk is free than the reserve."""
+        reserve = self._settings.reserve
+        return reserve > 0.0 and free_space(self._settings.folder) < reserve
+
+    def keep_within(self, size: int, session: str, *current: Path) -> list[Path]:
+        """Remove the oldest recordings until the rest and ``size`` are within the limits.
 
         Returns the removed files. ``size`` is that of the files being written [bytes]; these, in
-        ``current``, are never removed.
+        ``current``, are never removed. The session is that of the running recording.
         """
         removed: list[Path] = []
         # The usual case, in which the folder is not even listed.
-        if self._others + size <= self._limit:
+        if not self._over(size):
             return removed
         self.look(*current)
-        for file in self._files(current):
-            if self._others + size <= self._limit:
+        files = self._files(current)
+        files.sort(key=lambda file: (file.hand, file.session) == (self._hand, session))
+        for file in files:
+            if not self._over(size):
                 break
-            if file.path not in self._ours:
-                # Read once, since the head of a recording never changes.
-                self._ours[file.path] = is_ours(file.path, self._hand)
+            # Other hands' recordings make room only for what all share.
+            if file.hand != self._hand and not self._beyond(size):
+                continue
             # A file of somebody else may have such a name, so that its content must agree.
-            if not self._ours[file.path] or being_written(file.path):
+            if file.owner != file.hand or being_written(file.path):
                 continue
             try:
                 file.path.unlink()
             except OSError:
                 # The next one may still be removable.
                 continue
-            self._others -= file.size
+            self._all -= file.size
+            self._own -= file.size if file.hand == self._hand else 0
             removed.append(file.path)
         return removed
+
+    def _over(self, size: int) -> bool:
+        return self._own + size > self._settings.max_total_size or self._beyond(size)
+
+    def _beyond(self, size: int) -> bool:
+        return self._all + size > self._settings.max_folder_size or self.short()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,14 @@ from pathlib import Path
 from rtee.log.chunks import PackedChunk
 from rtee.log.layout import Contents
 from rtee.log.mcapfile import McapFile, being_written
-from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
+from rtee.log.rotation import (
+    FLIGHT,
+    Retention,
+    flight_path,
+    next_run,
+    part_path,
+    session_name,
+)
 from rtee.log.settings import RecorderSettings
 from rtee.monotonic import asked
 
@@ -51,7 +59,8 @@ class DiskSink:
         self._part = 0
         self._opened = 0.0
         self._looked = 0.0
-        self._retention = Retention(settings.folder, contents.hand.name, settings.max_total_size)
+        self._run = 0
+        self._retention = Retention(settings, contents.hand.name)
         self.wanted = False
         self.problem = ""
         self.written_ticks = 0
@@ -77,6 +86,7 @@ class DiskSink:
         # Before the file is made, which may fail: each later chunk then tries again.
         self.wanted = True
         self._session = session_name(wall_ns)
+        self._run = next_run(self._settings.folder)
         self._part = 0
         self._open(wall_ns)
 
@@ -95,7 +105,9 @@ class DiskSink:
                 partial.unlink(missing_ok=True)
         for _ in range(_NAME_TRIES):
             path = part_path(folder, hand, self._session, self._part)
-            preamble = self._contents.preamble(wall_ns, session=self._session, part=str(self._part))
+            preamble = self._contents.preamble(
+                wall_ns, session=self._session, part=str(self._part), run=str(self._run)
+            )
             try:
                 file = McapFile(path, preamble, sync=self._settings.sync)
             except FileExistsError:
@@ -127,7 +139,7 @@ class DiskSink:
         if look or now - self._looked > _LOOK_EVERY:
             self._retention.look(*current)
             self._looked = now
-        self._retention.keep_within(self.size, *current)
+        self._retention.keep_within(self.size, self._session, *current)
 
     def write(self, chunk: PackedChunk, ticks: int) -> None:
         """Write a chunk with a number of ticks, or lose it and note the problem."""
@@ -140,6 +152,14 @@ class DiskSink:
             if self._file is None:
                 self._open(chunk.start)
             assert self._file is not None  # noqa: S101 - narrows the type
+            if self._retention.short():
+                self._make_room(look=False)
+                if self._retention.short():
+                    kept = f"{self._settings.reserve / 1e9:g} GB"
+                    raise OSError(
+                        errno.ENOSPC,
+                        f"less than {kept} of the disk are free, which log.reserve keeps",
+                    )
             if not self._file.end:
                 # With the first chunk instead of at the opening: a file without ticks stays small.
                 self._file.write(self._contents.description(chunk.start))
@@ -168,7 +188,8 @@ class DiskSink:
         path = flight_path(settings.folder, self._contents.hand.name, session_name(wall_ns))
         # Hidden until it is complete, so that no program reads half a file.
         partial = path.with_name(f".{path.name}{_PARTIAL}")
-        preamble = self._contents.preamble(chunks[0].start, cause=cause)
+        run = self._run or next_run(settings.folder)
+        preamble = self._contents.preamble(chunks[0].start, cause=cause, run=str(run))
         try:
             settings.folder.mkdir(parents=True, exist_ok=True)
             # A file that a killed process left here would make `McapFile` fail.

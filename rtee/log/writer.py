@@ -13,6 +13,7 @@ from typing import Any
 from zlib import crc32
 
 from rtee.commands import CommandRecord, StreamSample
+from rtee.hand.config_schema import Recorded
 from rtee.log.chunks import ChunkBuilder, PackedChunk, message_head
 from rtee.log.layout import CHANNELS, DIGESTED, Contents
 from rtee.log.plans import encode_plan
@@ -70,6 +71,9 @@ _GRIP = message_type("rtee_msgs/msg/Grip")
 _GRIP_PERIOD = 0.02
 """Time between recorded openings and forces [s]: a grip builds up in some tenths of a second."""
 
+_AROUND = 5 * SECOND
+"""What is recorded before and after something that happens [ns]: seconds later, a hand rests."""
+
 _FLIGHT_FILES = 20  # most names kept of the flight recorder's files, the newest last
 
 
@@ -120,6 +124,8 @@ class LogWriter:
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
         self._digest: list[bytes] = []
+        self._held: deque[tuple[PackedChunk, int]] = deque()
+        self._until = 0  # what happens is recorded until then [ns since 1970]
         self._due: float | None = None
         # Writers of several hands in one process write their chunks at different times.
         self._chunk_time = settings.chunk_time * (1.0 + crc32(hand.name.encode()) / 2**32) / 2
@@ -236,6 +242,8 @@ class LogWriter:
         if self.idle:
             return
         wall = self.wall_of(stamp)
+        if not isinstance(item, (DeviceStatus, LoopStatistics)):
+            self._until = wall + _AROUND
         if isinstance(item, Plan):
             self._plan = item if item.grip is not None else None
             # A summary needs the name of the action alone.
@@ -334,7 +342,12 @@ class LogWriter:
             self.flight.add(chunk)
         before = self.sink.problem
         path = self.sink.path
-        self.sink.write(replace(chunk, digest=digest), ticks)
+        self._held.append((replace(chunk, digest=digest), ticks))
+        if self._settings.record is not Recorded.GOALS or chunk.start <= self._until:
+            while self._held:
+                self.sink.write(*self._held.popleft())
+        while self._held and self._held[0][0].end < chunk.end - _AROUND:
+            self._held.popleft()
         if self.sink.problem and not before:
             self._report("log_failed", f"recording is lost: {self.sink.problem}")
         elif before and not self.sink.problem:

@@ -167,7 +167,12 @@ class Log:
 
 def settings(folder: Path, **changes: object) -> RecorderSettings:
     # Simulated time passes faster than a busy computer writes: what waits is not dropped.
-    values: dict[str, object] = {"directory": folder, "sync": False, "queue_time": 600.0}
+    values: dict[str, object] = {
+        "directory": folder,
+        "sync": False,
+        "queue_time": 600.0,
+        "reserve": 0.0,
+    }
     return RecorderSettings(**(values | changes))  # type: ignore[arg-type]
 
 

@@ -7,14 +7,16 @@ import resource
 import signal
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from log.samples import Log, recorded, settings, tick
+from log.samples import GOAL, STATISTICS, Log, recorded, settings, tick
 from rtee.errors import LogError
+from rtee.hand.config_schema import Recorded
 from rtee.hand.model import Hand
-from rtee.log import read
+from rtee.log import read, rotation
 from rtee.log.mcapfile import being_written
 from rtee.log.rotation import is_ours, parse_name, parts_of, recordings
 from rtee.types import Event
@@ -194,6 +196,69 @@ def test_the_oldest_recordings_make_room_and_nothing_else(claw: Hand, tmp_path: 
     assert kept.actuator_states.tick.tolist() == list(
         range(int(kept.actuator_states.tick[0]), 3000)
     )
+
+
+def test_a_clock_set_back_makes_no_recording_older(claw: Hand, tmp_path: Path) -> None:
+    Log(claw, settings(tmp_path)).story()
+    late = tmp_path / "claw_20300101T000000000Z_000.mcap"
+    recorded(tmp_path)[0].rename(late)
+    log = Log(claw, settings(tmp_path, max_total_size=400_000, max_file_size=30_000))
+    log.run(0, 200)
+    log.writer.flush()
+    assert late.exists()
+    assert read(tmp_path).actuator_states.tick[-1] == 199, "the newest is not that of 2030"
+    for _ in log.ticks(200, 3000):
+        if not late.exists():
+            break
+    log.writer.close()
+    assert not late.exists()
+    assert read(tmp_path).actuator_states.tick[0] == 0, "the running one has all its parts"
+    assert {each.run for each in recordings(tmp_path)} == {2}
+
+
+def test_all_hands_keep_a_reserve_of_the_disk(
+    claw: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paw = replace(claw, name="paw")
+    Log(paw, settings(tmp_path)).story()
+    (old,) = recorded(tmp_path)
+    disk = [old.stat().st_size + 150_000]
+    monkeypatch.setattr(
+        rotation, "free_space", lambda folder: disk[0] - sum(f.size for f in recordings(folder))
+    )
+    log = Log(claw, settings(tmp_path, reserve=50_000.0))
+    log.run(0, 100)
+    assert old.exists()
+    log.run(100, 4000)
+    assert not old.exists(), "the oldest makes room, of whichever hand it is"
+    assert [event.kind for event in log.told] == ["log_failed"]
+    assert "which log.reserve keeps" in log.told[0].text
+    disk[0] += 200_000
+    log.run(4000, 4100)
+    log.writer.close()
+    assert [event.kind for event in log.told] == ["log_failed", "log_resumed"]
+    shared = Log(claw, settings(tmp_path, max_folder_size=1.0))
+    shared.run(0, 100)
+    shared.writer.close()
+    assert [file.run for file in recordings(tmp_path)] == [3]
+
+
+def test_goals_alone_are_recorded_with_what_was_before_and_after(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path, record=Recorded.GOALS))
+    for number in log.ticks(0, 3000):
+        if number == 1500:
+            log.writer.item(GOAL, log.time.now)
+        if number % 100 == 0:
+            log.writer.item(STATISTICS, log.time.now)
+    log.writer.close()
+    found = read(tmp_path)
+    ticks = found.actuator_states.tick.tolist()
+    assert ticks == list(range(ticks[0], ticks[-1] + 1))
+    assert ticks[0] == pytest.approx(1000, abs=101)
+    assert ticks[-1] == pytest.approx(2000, abs=101)
+    assert [entry.value.goal_id for entry in found.goals] == ["g1"]
 
 
 def test_recordings_of_other_hands_do_not_make_room(claw: Hand, tmp_path: Path) -> None:
