@@ -6,7 +6,7 @@ TEST_PROCESSES ?= 3
 # Where it is set, each process of the tests would compile them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo quick test tests times heavy ros2-peers device-peers wheels bundle checks lint types layers docs bench format clean
+.PHONY: demo quick test tests times heavy ros2-peers device-peers lerobot wheels bundle checks lint types layers docs bench format clean
 
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
 .venv/.ready: pyproject.toml constraints.txt
@@ -66,6 +66,15 @@ heavy: .venv/.ready .device-peers/.ready .rosidl/.ready
 device-peers: .device-peers/.ready
 	RTEE_HEAVY=1 $(BIN)/python -m pytest -v tests/drivers/feetech/test_feetech_clients.py \
 		tests/drivers/ability_hand/test_ability_hand_client.py tests/drivers/inspire_rh56/test_inspire_rh56_clients.py
+
+# LeRobot with PyTorch, several gigabytes: it judges the datasets, trains on them and moves a hand.
+.lerobot/.ready: integrations/lerobot/pyproject.toml .venv/.ready
+	$(PYTHON) -m venv .lerobot
+	.lerobot/bin/python -m pip install --quiet --editable ".[retarget]" --editable integrations/lerobot
+	@touch $@
+
+lerobot: .lerobot/.ready
+	RTEE_HEAVY=1 $(BIN)/python -m pytest -v tests/docs/test_lerobot_page.py
 
 ros2-peers: .ros2-peers/.ready
 	$(BIN)/python -m pytest -v tests/ros2/test_ros2_peers.py

@@ -240,6 +240,65 @@ def export(
 
 
 @app.command()
+def lerobot(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING…",
+            help="Recordings of one hand, or folders with them; files with its cameras' images.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--out", metavar="DATASET", help="A new folder.")],
+    fps: Annotated[int, typer.Option(help="Frames per second.")] = 30,
+    episodes: Annotated[
+        str,
+        typer.Option(
+            help="marks: from a mark 'episode: TASK' to the next, or to 'episode: end'; 'episode: "
+            "discard' throws one away. goals: each goal that succeeded."
+        ),
+    ] = "marks",
+    task: Annotated[str, typer.Option(help="The task of all episodes, in words.")] = "",
+    action: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Take the intensity of this action for what was asked, instead of the actuators' "
+            "targets; may be given again."
+        ),
+    ] = None,
+    observe: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Observe this: position joint effort opening force touch taxel; may be given "
+            "again. All that is known but taxels, unless given."
+        ),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[NAME=]TOPIC", help="Only this camera; may be given again."),
+    ] = None,
+) -> None:
+    """Make a LeRobot dataset of recordings, to train on.
+
+    Example: rtee log lerobot logs --out datasets/cups
+    """
+    from rtee.log.dataset.convert import Choice, write_dataset
+    from rtee.log.dataset.episodes import By
+    from rtee.messages.features import quantities
+
+    if episodes not in list(By):
+        raise LogError(f"--episodes should be marks or goals, not '{episodes}'")
+    chosen = quantities(observe or ())
+    actions, cameras = tuple(action or ()), tuple(camera or ())
+    choice = Choice(fps, By(episodes), task, actions, chosen, cameras)
+    made = write_dataset(files, output, choice)
+    for note in made.notes:
+        _print_safely(f"note: {note}")
+    for name, names in made.names.items():
+        _print_safely(f"{name}: {', '.join(names)}")
+    print(f"{output}: {made.episodes} episodes, {made.frames} frames, {made.frames / fps:.1f} s")
+
+
+@app.command()
 def replay(
     file: File,
     series: Series = False,

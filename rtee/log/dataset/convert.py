@@ -1,0 +1,237 @@
+"""Recordings of a hand as a LeRobot dataset."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rtee.errors import LogError, needing_extra
+from rtee.log.dataset.cameras import Camera, cameras_in
+from rtee.log.dataset.episodes import By, Episode, episodes_of
+from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
+from rtee.log.file_index import FileIndex, index_file
+from rtee.log.reader import paths_of, read
+from rtee.log.recording import Recording
+from rtee.log.sink import reason
+from rtee.messages.codec import SECOND
+from rtee.messages.features import USUAL, Quantity
+from rtee.sample import FloatArray
+
+STATE, ACTION, SENT = "observation.state", "action", "sent_action"
+"""Features of a frame. The last one has no prefix that LeRobot takes for an input or an output."""
+
+_ROBOT: Final = "rtee_hand"
+"""The kind of robot, that of the plugin."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What of recordings becomes a dataset.
+
+    Attributes:
+        fps: Frames per second [Hz].
+        by: What episodes are told by.
+        task: The task of all episodes; empty: each has its own.
+        actions: Actions whose intensities are the action; none: the actuators' targets are.
+        observe: What is observed, all of which must be known; none: all that is known.
+        cameras: Cameras by ``[NAME=]TOPIC``; none: all.
+    """
+
+    fps: int = 30
+    by: By = By.MARKS
+    task: str = ""
+    actions: tuple[str, ...] = ()
+    observe: tuple[Quantity, ...] = ()
+    cameras: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Made:
+    """What was made: episodes, frames, names by feature, and what was left out, in sentences."""
+
+    episodes: int
+    frames: int
+    names: Mapping[str, Sequence[str]]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """An episode at the times of its frames."""
+
+    episode: Episode
+    when: Times
+    state: Mapping[Quantity, Mapping[str, FloatArray]]
+    action: FloatArray
+    sent: FloatArray
+    path: Path
+
+
+def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
+    """Write a dataset, in a folder that does not exist yet.
+
+    Each frame has what was known at its time, never what came later. An episode in which nothing is
+    known for a while, such as a camera that stopped, is left out.
+
+    Args:
+        paths: Recordings of one hand, or folders with them, and files with images of cameras.
+        output: The folder.
+        choice: What becomes of it.
+
+    Raises:
+        LogError: A file cannot be read or written, or has no episodes, or what was chosen is not
+            known.
+        MissingExtra: pyarrow or PyAV is not installed.
+    """
+    with needing_extra("a LeRobot dataset", "lerobot"):
+        import av
+        import pyarrow.parquet  # noqa: F401 - before anything is written
+
+        # Only what fails is told, by us.
+        av.logging.set_level(av.logging.PANIC)
+    if output.exists():
+        raise LogError("is there already; a dataset is written into a new folder", path=output)
+    files = [paths_of(path) for path in paths]
+    indexes = {path: index_file(path) for parts in files for path in parts}
+    cameras = cameras_in(indexes, choice.cameras)
+    hands = [parts for parts in files if any(_has_hand(indexes[path]) for path in parts)]
+    if not hands:
+        raise LogError("holds no recording of a hand", path=paths[0])
+    names = {indexes[parts[0]].hand: parts[0] for parts in hands}
+    if len(names) > 1:
+        (one, _), (other, where) = list(names.items())[:2]
+        raise LogError(f"is a recording of '{other}', not of '{one}'", path=where)
+    shots = sorted(
+        (shot for parts in hands for shot in _shots(read(parts), choice)),
+        key=lambda shot: shot.episode.start,
+    )
+    notes: list[str] = []
+    kept = list(_kept(shots, cameras, notes))
+    if not kept:
+        raise LogError(f"no episode is left: {notes[0]}", path=hands[0][0])
+    features = _features(kept, choice, notes)
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=output.parent, prefix=".dataset.") as folder:
+            _write(Path(folder, "dataset"), kept, features, cameras, choice)
+            os.replace(Path(folder, "dataset"), output)
+    except OSError as error:
+        raise LogError(f"cannot be written: {reason(error)}", path=output) from error
+    return Made(len(kept), sum(len(shot.when) for shot in kept), features, tuple(notes))
+
+
+def _has_hand(index: FileIndex) -> bool:
+    return bool(index.values) or any(
+        channel.topic.endswith("/actuator_states") for channel in index.channels.values()
+    )
+
+
+def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
+    """Yield the episodes of a recording, each at the times of its frames."""
+    path, rate = recording.paths[0], recording.rate
+    if not len(recording.actuator_states):
+        raise LogError("holds no states of actuators", path=path)
+    if not 1 <= choice.fps <= max(rate, 1.0):
+        raise LogError(
+            f"has {rate:g} states a second: a dataset of it has 1 to {rate:g} frames, not "
+            f"{choice.fps}",
+            path=path,
+        )
+    signals, reference = list(observed(recording)), sent(recording)
+    wanted = intensities(recording, choice.actions) if choice.actions else asked(recording)
+    if choice.actions and not np.isfinite(wanted.values).any():
+        raise LogError(f"asks for no {' and no '.join(choice.actions)} in any stream", path=path)
+    for episode in episodes_of(recording, choice.by):
+        count = int((episode.end - episode.start) * choice.fps // SECOND) + 1
+        when = episode.start + np.arange(count, dtype=np.int64) * SECOND // choice.fps
+        state: dict[Quantity, dict[str, FloatArray]] = {}
+        for quantity, signal in signals:
+            columns = dict(zip(signal.names, signal.at(when).T, strict=True))
+            state.setdefault(quantity, {}).update(columns)
+        went, action = reference.at(when), wanted.row_at(when)
+        if not choice.actions:
+            action = np.where(np.isfinite(action), action, went)
+        yield _Shot(episode, when, state, action, went, path)
+
+
+def _kept(shots: Iterable[_Shot], cameras: Sequence[Camera], notes: list[str]) -> Iterator[_Shot]:
+    """Yield the episodes in which action, positions and images are known throughout."""
+    images = [(camera, camera.seen()) for camera in cameras]
+    for number, shot in enumerate(shots, start=1):
+        needed = {
+            "the positions of the actuators": np.array([*shot.state[Quantity.POSITION].values()]).T,
+            "what was sent": shot.sent,
+            "what was asked for": shot.action,
+            **{f"the image of '{c.topic}'": seen.at(shot.when) for c, seen in images},
+        }
+        for what, values in needed.items():
+            unknown = ~np.isfinite(values).all(axis=1)
+            if unknown.any():
+                after = (shot.when[unknown][0] - shot.when[0]) / SECOND
+                notes.append(
+                    f"episode {number}, '{shot.episode.task}', is left out: {after:.2f} s after "
+                    f"its beginning, {what} is not known"
+                )
+                break
+        else:
+            yield shot
+
+
+def _features(shots: Sequence[_Shot], choice: Choice, notes: list[str]) -> dict[str, list[str]]:
+    """Return the names of the numbers by feature: those that are known throughout."""
+    state: list[str] = []
+    for quantity in choice.observe or USUAL:
+        names = dict.fromkeys(name for shot in shots for name in shot.state.get(quantity, {}))
+        known = [
+            name
+            for name in names
+            if all(
+                name in shot.state[quantity] and np.isfinite(shot.state[quantity][name]).all()
+                for shot in shots
+            )
+        ]
+        left = [name for name in names if name not in known]
+        if choice.observe and (left or not names):
+            raise LogError(
+                f"the {quantity} is not known throughout: {', '.join(left) or 'not recorded'}; "
+                "observe something else",
+                path=shots[0].path,
+            )
+        if left:
+            notes.append(f"{', '.join(left)}: left out, since not known throughout")
+        state += known
+    actuators = list(shots[0].state[Quantity.POSITION])
+    if any(list(shot.state[Quantity.POSITION]) != actuators for shot in shots):
+        raise LogError("the recordings are of hands with other actuators", path=shots[-1].path)
+    return {STATE: state, ACTION: list(choice.actions) or actuators, SENT: actuators}
+
+
+def _write(
+    folder: Path,
+    shots: Sequence[_Shot],
+    features: Mapping[str, Sequence[str]],
+    cameras: Sequence[Camera],
+    choice: Choice,
+) -> None:
+    from rtee.log.dataset.files import DatasetFiles
+
+    folder.mkdir()
+    files = DatasetFiles(folder, choice.fps, _ROBOT, features, [each.name for each in cameras])
+    every = np.concatenate([shot.when for shot in shots])
+    # One pass over the images of each camera, since the episodes follow each other.
+    images: dict[str, Iterator[Any]] = {each.name: each.newest(every) for each in cameras}
+    for shot in shots:
+        columns = {name: values for each in shot.state.values() for name, values in each.items()}
+        vectors = {
+            STATE: np.stack([columns[name] for name in features[STATE]], axis=1),
+            ACTION: shot.action,
+            SENT: shot.sent,
+        }
+        files.add(choice.task or shot.episode.task, vectors, images)
+    files.finish()

@@ -1,0 +1,207 @@
+"""What a recording knows at any time: only what was known by then, and nothing that is invented."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.commands import Cancel, EndStream, Freeze, Hold, Jog, StreamSample
+from rtee.errors import RteeError
+from rtee.hand.files import temporary_folder
+from rtee.hand.load import load_hand
+from rtee.log.playback import write_hand
+from rtee.log.recording import JointSeries, Recording
+from rtee.loop.measured import TIP_FORCE, tip_forces
+from rtee.messages.codec import SECOND
+from rtee.messages.features import Quantity, feature, taxels
+from rtee.sample import FloatArray
+from rtee.touch import STALE_AFTER
+
+Times = NDArray[np.int64]
+
+_PERIODS: Final = 3.0
+"""A value is the present one for so many of its typical periods: one or two may be lost."""
+
+_AT_LEAST: Final = 0.03
+"""But for that long [s]: a busy computer misses ticks, and a frame of 30 Hz takes longer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Numbers that were measured together.
+
+    Attributes:
+        names: Their names ``(n,)``.
+        wall: When they became known ``(k,)``, rising [ns since 1970].
+        values: The values ``(k, n)``; ``NaN``: not known.
+        longest: How long a value is the present one [s].
+    """
+
+    names: tuple[str, ...]
+    wall: Times
+    values: FloatArray
+    longest: float = math.inf
+
+    def at(self, when: Times) -> FloatArray:
+        """Return the newest values at times ``(m,)`` as ``(m, n)``; ``NaN`` where not known."""
+        found = np.full((len(when), len(self.names)), math.nan)
+        for column, values in enumerate(self.values.T):
+            known = np.isfinite(values)
+            wall = self.wall[known]
+            place = np.searchsorted(wall, when, side="right") - 1
+            there = place >= 0
+            there[there] &= when[there] - wall[place[there]] <= self.longest * SECOND
+            found[there, column] = values[known][place[there]]
+        return found
+
+    def row_at(self, when: Times) -> FloatArray:
+        """Return the newest rows at times ``(m,)``, in which ``NaN`` ends what was before."""
+        before = np.full((1, len(self.names)), math.nan)
+        rows: FloatArray = np.vstack([before, self.values])
+        return rows[np.searchsorted(self.wall, when, side="right")]
+
+
+def lasting(wall: Times) -> float:
+    """Return how long a value that is measured at such times is the present one [s]."""
+    typical = float(np.median(np.diff(wall))) / SECOND if len(wall) > 1 else 0.0
+    return max(_PERIODS * typical, _AT_LEAST)
+
+
+def observed(recording: Recording) -> Iterator[tuple[Quantity, Signal]]:
+    """Yield what was measured, in the order and by the names of `rtee.messages.features`."""
+    states, joints = recording.actuator_states, recording.joint_states
+
+    def of_series(quantity: Quantity, series: JointSeries, names: Sequence[str]) -> Signal:
+        values = series.effort if quantity is Quantity.EFFORT else series.position
+        columns = [series.index(name) for name in names]
+        labels = tuple(feature(quantity, name) for name in names)
+        return Signal(labels, series.wall, values[:, columns], lasting(series.wall))
+
+    yield Quantity.POSITION, of_series(Quantity.POSITION, states, states.names)
+    followers = [name for name in joints.names if name not in states.names]
+    yield Quantity.JOINT, of_series(Quantity.JOINT, joints, followers)
+    yield Quantity.EFFORT, of_series(Quantity.EFFORT, states, states.names)
+    wall = np.array([entry.wall for entry in recording.grip], dtype=np.int64)
+    widths = np.array([[entry.value.opening] for entry in recording.grip]).reshape(-1, 1)
+    yield Quantity.OPENING, Signal((feature(Quantity.OPENING),), wall, widths, lasting(wall))
+    yield Quantity.FORCE, _forces(recording)
+    for device in recording.touch.values():
+        names = tuple(feature(Quantity.TOUCH, sensor.name) for sensor in device.sensors)
+        stale = device.stale[:, np.newaxis]
+        totals = np.where(stale, math.nan, device.totals)
+        yield Quantity.TOUCH, Signal(names, device.wall, totals, STALE_AFTER)
+        cells = tuple(n for sensor in device.sensors for n in taxels(sensor.name, sensor.taxels))
+        values = np.where(stale, math.nan, device.values)
+        yield Quantity.TAXEL, Signal(cells, device.wall, values, STALE_AFTER)
+
+
+def _forces(recording: Recording) -> Signal:
+    """Return the forces on the fingertips, merged from all devices that measure them."""
+    series = [c for name, c in recording.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+    changes = sorted(
+        (t, device, values)
+        for device, channel in enumerate(series)
+        for t, values in zip(channel.t.tolist(), [v.tolist() for v in channel.values], strict=True)
+    )
+    newest: dict[int, FloatArray] = {}
+    rows = []
+    for _, device, values in changes:
+        newest[device] = np.array(values)
+        rows.append(tip_forces(list(newest.values())))
+    count = len(rows[-1]) if rows else 0
+    names = [
+        finger or f"finger{number + 1}"
+        for number, (finger, _) in enumerate(zip_longest(_fingers(recording, count), range(count)))
+    ]
+    labels = tuple(feature(Quantity.FORCE, name) for name in names[:count])
+    wall = np.array([recording.start + round(t * SECOND) for t, *_ in changes], dtype=np.int64)
+    # A channel is recorded when it changes, and holds until then.
+    return Signal(labels, wall, np.array(rows).reshape(len(rows), count))
+
+
+def _fingers(recording: Recording, count: int) -> Sequence[str]:
+    """Return the names of the hand's fingers, in its order."""
+    if not count:
+        return ()
+    try:
+        with temporary_folder(None) as folder:
+            return [finger.name for finger in load_hand(write_hand(recording, folder)).fingers]
+    except RteeError:
+        return ()
+
+
+def sent(recording: Recording) -> Signal:
+    """Return what the devices were sent: the references of the actuators [rad | m]."""
+    series = recording.reference
+    names = tuple(feature(Quantity.POSITION, name) for name in series.names)
+    return Signal(names, series.wall, series.position, lasting(series.wall))
+
+
+def asked(recording: Recording) -> Signal:
+    """Return what was asked of the actuators by streams and jogs [rad | m].
+
+    ``NaN``: nothing, or by a goal, whose way is the loop's own: what was sent.
+    """
+    names = recording.reference.names
+
+    def row(targets: Mapping[str, float]) -> FloatArray:
+        return np.array([targets.get(name, math.nan) for name in names])
+
+    rows = {
+        entry.wall: row(command.positions)
+        for entry in (*recording.stream_samples, *recording.commands)
+        if isinstance(command := entry.value.command, StreamSample | Jog)
+    }
+    labels = tuple(feature(Quantity.POSITION, name) for name in names)
+    return _filled(labels, rows, _takeovers(recording))
+
+
+def intensities(recording: Recording, actions: Sequence[str]) -> Signal:
+    """Return the intensities of actions, as streams and goals asked for them."""
+
+    def row(targets: Mapping[str, float]) -> FloatArray:
+        said = {spelled(name): value for name, value in targets.items()}
+        return np.array([said.get(spelled(name), math.nan) for name in actions])
+
+    rows = {
+        entry.wall: row(command.targets)
+        for entry in recording.stream_samples
+        if isinstance(command := entry.value.command, StreamSample)
+    }
+    for entry in recording.goals:
+        goal = entry.value
+        rows[entry.wall] = row({" ".join((goal.action, *goal.elements)): goal.intensity})
+    return _filled(tuple(actions), rows, _takeovers(recording))
+
+
+def spelled(action: str) -> str:
+    """Return an action's name with its elements as the library compares them."""
+    name, *elements = action.split()
+    return " ".join((name.replace("_", "").lower(), *elements))
+
+
+def _takeovers(recording: Recording) -> set[int]:
+    """Return the times from which on earlier targets do not hold any more [ns]."""
+    ends = (Cancel, Hold, Freeze, EndStream)
+    goals = {entry.wall for entry in recording.goals}
+    return goals | {e.wall for e in recording.commands if isinstance(e.value.command, ends)}
+
+
+def _filled(names: tuple[str, ...], rows: Mapping[int, FloatArray], ends: set[int]) -> Signal:
+    """Return targets over time: what a later one leaves out stays."""
+    wall = sorted(rows.keys() | ends)
+    values = np.full((len(wall), len(names)), math.nan)
+    last = np.full(len(names), math.nan)
+    for number, when in enumerate(wall):
+        if when in ends:
+            last = np.full(len(names), math.nan)
+        if when in rows:
+            last = np.where(np.isfinite(rows[when]), rows[when], last)
+        values[number] = last
+    return Signal(names, np.array(wall, dtype=np.int64), values)

@@ -1,0 +1,103 @@
+"""Names of what is observed of a hand as plain numbers, as policies that learn want it.
+
+One place for both, so that a policy trained on a recording runs on the hand: the datasets made of
+recordings (`rtee.log.dataset`), and LeRobot's observations of a running hand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
+
+from rtee.errors import ConfigError
+from rtee.messages.state import State
+from rtee.touch import TouchState
+
+
+class Quantity(StrEnum):
+    """A quantity that is observed, in the order of the vector of all of them.
+
+    Positions of the actuators [rad | m], of the joints that follow them, efforts of the actuators
+    [N·m | N], the opening of the fingertips [m], the force on each fingertip [N], the sum over the
+    taxels of each touch sensor, and each taxel, in the sensor's unit.
+    """
+
+    POSITION = "position"
+    JOINT = "joint"
+    EFFORT = "effort"
+    OPENING = "opening"
+    FORCE = "force"
+    TOUCH = "touch"
+    TAXEL = "taxel"
+
+
+USUAL = tuple(each for each in Quantity if each is not Quantity.TAXEL)
+"""What is observed where known, unless chosen; taxels may be hundreds."""
+
+_SUFFIXES = {
+    Quantity.POSITION: "pos",
+    Quantity.JOINT: "pos",
+    Quantity.EFFORT: "effort",
+    Quantity.FORCE: "force",
+    Quantity.TOUCH: "touch",
+    Quantity.TAXEL: "taxel",
+}
+
+
+def quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
+    """Return the quantities of these names, in their order; `ConfigError` for an unknown one."""
+    given = set(names)
+    if unknown := sorted(given - set(Quantity)):
+        raise ConfigError(
+            f"nothing is observed as '{unknown[0]}'; there are: {', '.join(Quantity)}"
+        )
+    return tuple(each for each in Quantity if each in given)
+
+
+def feature(quantity: Quantity, name: str = "") -> str:
+    """Return the name of one number: ``thumb.pos``; LeRobot has no ``/`` in names."""
+    return ".".join(filter(None, (name.replace("/", "."), _SUFFIXES.get(quantity, quantity))))
+
+
+def taxels(sensor: str, count: int) -> list[str]:
+    """Return the names of the taxels of a sensor."""
+    return [f"{feature(Quantity.TAXEL, sensor)}.{number}" for number in range(count)]
+
+
+def observed(
+    state: State,
+    touch: Iterable[TouchState],
+    forces: Sequence[float],
+    fingers: Sequence[str],
+    wanted: Sequence[Quantity],
+) -> dict[str, float]:
+    """Return the wanted numbers of a hand by name, those that are not known as ``NaN``.
+
+    ``forces`` are those on the fingertips of the fingers [N], or none.
+    """
+    wants_touch = {Quantity.TOUCH, Quantity.TAXEL} & set(wanted)
+    felt = [each for each in touch if not each.stale] if wants_touch else []
+    found: dict[Quantity, Mapping[str, float]] = {
+        Quantity.POSITION: state.positions,
+        Quantity.JOINT: {n: p for n, p in state.joints.items() if n not in state.names},
+        Quantity.EFFORT: dict(zip(state.names, state.effort.tolist(), strict=True)),
+        Quantity.OPENING: {"": math.nan if state.opening is None else state.opening},
+        Quantity.FORCE: dict(zip(fingers, forces, strict=False)),
+        Quantity.TOUCH: {
+            sensor.name: total
+            for each in felt
+            for sensor, total in zip(each.sensors, each.totals.tolist(), strict=True)
+        },
+    }
+    numbers = {
+        feature(quantity, name): value
+        for quantity in wanted
+        for name, value in found.get(quantity, {}).items()
+    }
+    if Quantity.TAXEL in wanted:
+        for each in felt:
+            for sensor in each.sensors:
+                values = each.of(sensor.name).tolist()
+                numbers |= dict(zip(taxels(sensor.name, sensor.taxels), values, strict=True))
+    return numbers
