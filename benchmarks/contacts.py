@@ -24,7 +24,7 @@ from rtee.trials.bench import Bench, bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import OBJECTS, mass_of
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 GRASPS = (
     ("robotiq_2f_85", "sphere:0.03"),
@@ -163,7 +163,7 @@ def grasp(name: str, shape: str, settings: Settings) -> Seen | None:
     headless = HeadlessHand(hand, ready.library, ready.settings, simulation)
     watch = Watch(simulation)
     headless.before_tick(watch)
-    headless.do(Goal(action.name, action.elements))
+    headless.do(Goal(Named(action.name, action.elements)))
     # The fingers come to rest before the object has to be held.
     headless.wait(0.4)
     around.remove_support()

@@ -29,7 +29,7 @@ from rtee.loop.measured import Measured
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal
+from rtee.types import Around, Force, Goal, Named, TipSpeed
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 RATE = 500.0  # of the loop [Hz], as hands are simulated
@@ -131,12 +131,10 @@ def grasp(case: Case, force: float, numb: bool) -> Came:
     kind = Numb if numb else HeadlessHand[Simulation]
     headless = kind(hand, library, settings, simulation)
     goal = Goal(
-        case.action,
-        case.elements,
-        opening=case.width,
-        force=force,
-        grasp=True,
-        tip_speed=SPEED,
+        Named(case.action, case.elements),
+        Around(case.width),
+        speed=TipSpeed(SPEED),
+        effort=Force(force),
     )
     forces: list[float] = []
     headless.before_tick(lambda _: forces.append(squeeze(simulation, hand)))

@@ -22,10 +22,10 @@ from pathlib import Path
 from common import Table
 
 from rtee.errors import RteeError, SimulationUnstable
-from rtee.loop.plan import make_plan
+from rtee.loop.planning import make_plan
 from rtee.trials.bench import Bench, bench
 from rtee.trials.grasp_truth import RATE, Case, Thing, Truth, Unfit, try_case
-from rtee.types import Goal
+from rtee.types import Around, Fingers, Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the range of openings
@@ -45,7 +45,7 @@ def range_of(ready: Bench) -> tuple[float, float]:
 
 def forces_at(ready: Bench, width: float) -> tuple[float, ...]:
     """Return the forces to ask for at a width [N]."""
-    plan = make_plan(Goal("", opening=width, grasp=True), ready.hand, ready.library, ready.settings)
+    plan = make_plan(Goal(Fingers(), Around(width)), ready.hand, ready.library, ready.settings)
     assert plan.grip is not None
     low, high = plan.grip.forces(ready.hand, plan.grip.intensity_at(width))
     return tuple(float(f"{low + share * (high - low):.2g}") for share in FORCES)

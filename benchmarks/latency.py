@@ -88,9 +88,9 @@ class Notes:
         times.append(now())
 
     def _noted_accept(self, plan: Any, stamp: float) -> None:
-        self.found[plan.goal.goal_id].append(now())
-        self.stamps[plan.goal.goal_id] = round(stamp * 1e9)
-        self._changing = plan.goal.goal_id
+        self.found[plan.goal_id].append(now())
+        self.stamps[plan.goal_id] = round(stamp * 1e9)
+        self._changing = plan.goal_id
         self._accept(plan, stamp)
 
     def _watch(self, driver: Any) -> None:

@@ -38,7 +38,7 @@ from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.sample import TickRecord
-from rtee.types import DeviceSpec, Goal, Result
+from rtee.types import DeviceSpec, Goal, Intensity, Named, Result
 
 
 class Keeper(Observer):
@@ -87,7 +87,7 @@ async def working_hand(name: str, rate: float, seconds: float) -> tuple[Hand, li
                 ended = len(keeper.results)
                 action = source.choice(primitives)
                 intensity = source.uniform(0.2, 1.0)
-                loop.submit(Goal(action.name, action.elements, intensity=intensity))
+                loop.submit(Goal(Named(action.name, action.elements), Intensity(intensity)))
             loop.tick(clock.next())
     return hand, keeper.records
 

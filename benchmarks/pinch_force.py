@@ -28,7 +28,7 @@ from rtee.hand.load import load_configured
 from rtee.loop.configure import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal, from_rest
+from rtee.types import Goal, Named, from_rest
 
 HANDS = ("robotiq_2f_85", "heri_ii", "schunk_svh", "ability_hand", "leap_hand", "allegro")
 PLATE = "box:0.005x0.02x0.02"
@@ -72,7 +72,7 @@ def force(name: str, config: Path, pinch: Primitive) -> float:
     # Kept in place, as what is pinched would slip out of some pinches and then show no force.
     place = simulation.surroundings.base_pose @ pose
     headless.before_tick(lambda _: simulation.surroundings.place(place))
-    headless.do(Goal(pinch.name, pinch.elements, timeout=10.0))
+    headless.do(Goal(Named(pinch.name, pinch.elements), timeout=10.0))
     headless.wait(SETTLE)
     return squeeze(simulation, hand)
 

@@ -18,7 +18,7 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.running.run import RunOptions, run_hands
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 HEADLESS = (
     ("robotiq_2f_85", "Grasp", "sphere:0.03"),
@@ -40,7 +40,7 @@ def headless(name: str, action: str, shape: str) -> float:
         hand = HeadlessHand(ready.hand, ready.library, ready.settings, simulation)
         # Processor time: the figure must not depend on what else the computer does.
         began = time.process_time()
-        hand.do(Goal(action))
+        hand.do(Goal(Named(action)))
         hand.wait(1.0)
         factors.append(hand.time / (time.process_time() - began))
     return statistics.median(factors)

@@ -19,7 +19,7 @@ from rtee.sample import FloatArray
 from rtee.trials.bench import Bench, bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.variation import Variation, draw, interval
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 PRESSED, LET_GO = 5.0, 1.0
 """How far the trigger is pressed, and how far it has come back in the end [mm]."""
@@ -179,7 +179,7 @@ def use(
         ready.hand, ready.library, ready.settings, simulation, [*observers, Steps(step)]
     )
     headless.before_tick(look)
-    result = headless.do(Goal("drill", effort=EFFORT, goal_id="drill"))
+    result = headless.do(Goal(Named("drill"), effort=EFFORT, goal_id="drill"))
     around.remove_support()
     headless.wait(_HELD)
     if watch is not None:

@@ -20,7 +20,7 @@ from rtee.log.labels import Band, bands_of
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
 from rtee.log.recording import Recording
-from rtee.loop.plan import OPEN
+from rtee.loop.choice import OPEN
 from rtee.trials.bench import bench
 from rtee.trials.pictures import Stills
 from rtee.trials.transfer import LOST, run_transfer

@@ -16,14 +16,14 @@ import numpy as np
 from experiments.common import Outcome, main, plot_of, recording, strip
 from experiments.wires import on_the_wire, wired
 from rtee.log import read
-from rtee.loop.plan import OPEN
+from rtee.loop.choice import OPEN
 from rtee.trials.bench import bench
 from rtee.trials.pictures import Stills
 from rtee.trials.stance import Stance, standing
 from rtee.trials.transfer import OFF, SLIDE, TILT, run_transfer
 from rtee.trials.transfer_result import Transfer
 from rtee.trials.variation import interval
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 RADIUS = 0.025
 OBJECT = f"cylinder:{RADIUS:g}x0.14"
@@ -210,12 +210,12 @@ def _gripper_of(grippers: Sequence[Gripper], path: Path) -> Gripper:
 
 async def _on_wire(gripper: Gripper, folder: Path, outcome: Outcome) -> None:
     async with on_the_wire(wired(gripper.name, thing=gripper.wired), folder) as hand:
-        grasp = await hand.do(Goal(gripper.action, (gripper.actuator,), goal_id="grasp"))
+        grasp = await hand.do(Goal(Named(gripper.action, (gripper.actuator,)), goal_id="grasp"))
         at = hand.loop.snapshot().position
         await anyio.sleep(HOLD)
         moved = float(np.abs(hand.loop.snapshot().position - at).max())
         kept = "grasp_lost" not in hand.events
-        opened = await hand.do(Goal(OPEN, goal_id="open"))
+        opened = await hand.do(Goal(Named(OPEN), goal_id="open"))
     name = f"{gripper.name} on its wire"
     outcome.check(grasp.grasped and kept, f"{name}: grasps and keeps it", grasp.outcome)
     outcome.below(f"{name}: moves in {HOLD:g} s by", moved, STILL, "rad", ".4f")

@@ -16,11 +16,11 @@ from rtee.actions.types import Action, ActionReference, Primitive, PrimitiveKind
 from rtee.extract.scene import Scene
 from rtee.hand.model import Hand
 from rtee.log import Recording, read
-from rtee.loop.plan import OPEN
+from rtee.loop.choice import OPEN
 from rtee.sample import FloatArray
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 TOLERANCE = 0.01
 """How far from its posture an action may end [rad]."""
@@ -85,8 +85,10 @@ def run(folder: Path, *, pictures: bool = True, most: int | None = None) -> Outc
         play = KinematicPlay(hand, ready.settings.period)
         headless = HeadlessHand(hand, library, ready.settings, play, [recorder])
         for number, action in enumerate(actions):
-            headless.do(Goal(action.name, action.elements, goal_id=f"{number}", timeout=20.0))
-            headless.do(Goal(OPEN, goal_id=f"{OPEN} {number}", timeout=20.0))
+            headless.do(
+                Goal(Named(action.name, action.elements), timeout=20.0, goal_id=f"{number}")
+            )
+            headless.do(Goal(Named(OPEN), timeout=20.0, goal_id=f"{OPEN} {number}"))
     recorded = read(next(path for path in outcome.files if path.suffix == ".mcap"))
     ends = dict(_ends(recorded, hand))
     _check(hand, actions, ends, outcome)

@@ -44,13 +44,21 @@ if TYPE_CHECKING:
     from rtee.trials.batch import run_trials as run_trials
     from rtee.trials.result import Trial as Trial
     from rtee.trials.result import TrialResult as TrialResult
+    from rtee.types import Around as Around
     from rtee.types import Event as Event
     from rtee.types import Feedback as Feedback
+    from rtee.types import Fingers as Fingers
+    from rtee.types import FirstContact as FirstContact
+    from rtee.types import Force as Force
     from rtee.types import Goal as Goal
+    from rtee.types import Intensity as Intensity
+    from rtee.types import Named as Named
     from rtee.types import OnContact as OnContact
+    from rtee.types import Opening as Opening
     from rtee.types import Outcome as Outcome
     from rtee.types import Result as Result
     from rtee.types import Stage as Stage
+    from rtee.types import TipSpeed as TipSpeed
 
 _NAMES = {
     "rtee.actions.library": "ActionLibrary load_actions",
@@ -72,7 +80,8 @@ _NAMES = {
     "rtee.testing.simulated": "SimulatedHand simulated",
     "rtee.trials.batch": "run_trials",
     "rtee.trials.result": "Trial TrialResult",
-    "rtee.types": "Event Feedback Goal OnContact Outcome Result Stage",
+    "rtee.types": "Around Event Feedback Fingers FirstContact Force Goal Intensity Named OnContact"
+    " Opening Outcome Result Stage TipSpeed",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 _EXTRAS = {"grasp_plan": "extract", "run_trials": "sim"}

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rtee.errors import GoalRejected
 from rtee.sample import NOTHING, BoolArray, FloatArray
 from rtee.values import Value
 
@@ -296,64 +297,214 @@ def new_goal_id() -> str:
     return os.urandom(8).hex()
 
 
+_NEEDS_OPENING = "needs the opening, or the width of the object, in metres"
+
+
+def _above_zero(name: str, value: float, unit: str = "") -> None:
+    if not 0.0 < value < math.inf:
+        raise GoalRejected(f"the {name} must be above 0{unit}, not {value:g}")
+
+
+def _length(name: str, value: float) -> None:
+    if not 0.0 <= value < math.inf:
+        raise GoalRejected(f"the {name} must be 0 m or more, not {value:g}")
+
+
 @dataclass(frozen=True, slots=True)
-class Goal(Value):
-    """A request to execute a grasping action.
+class Named(Value):
+    """An action by its name.
 
     Attributes:
         action: Name of the action; case and underscores do not matter.
         elements: Fingers or actuator of a primitive, in any order.
         kind: ``primitive``, ``composed``, ``timed`` or ``generic``, where a name is not unique.
-        intensity: 0 (rest posture) to 1 (the action's posture).
-        effort: Effort limit by actuator [N·m | N]; empty: those of the hand.
-        tolerance: Norm of the error at which the goal counts as reached [rad, and m apart].
-        speed: Scale of the velocity limits, above 0 and up to 1.
-        timeout: Longest time the goal may take [s]; ``None``: as configured for the hand.
-        stage: Stages of a pinch to execute.
-        goal_id: Its identifier.
-        client: The client that sends it.
-        opening: Target opening of the fingertips, instead of an intensity; with ``grasp``, the
-            width of the object [m].
-        force: Force between the fingertips, kept while they hold an object [N].
-        grasp: Whether to open wider than the object, then close on it. Without an action, the
-            hand's best one for the width and the fingers in ``elements`` is used.
-        tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
-        narrower: Tolerance of the object's width below ``opening`` [m].
-        wider: Tolerance of the object's width above ``opening`` [m].
-        on_contact: Reaction to a contact by finger; "": all others. Fingers in neither react as
-            configured for the hand.
-        touch: Whether to close slowly, and stop all fingers at the first contact.
-        max_force: Force up to which slips raise ``force`` [N]; ``None``: they do not.
     """
 
     action: str
     elements: tuple[str, ...] = ()
     kind: str | None = None
-    intensity: float = 1.0
-    effort: Mapping[str, float] = field(default_factory=_nothing)
-    tolerance: float = 0.01
-    speed: float = 1.0
-    timeout: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Fingers(Value):
+    """The action of some fingers that suits the goal best.
+
+    Attributes:
+        elements: The fingers, in any order; none: those that suit best.
+    """
+
+    elements: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Intensity(Value):
+    """A posture on the way of an action.
+
+    Attributes:
+        share: 0 (rest posture) to 1 (the action's posture).
+        stage: Stages of a pinch to execute.
+        tolerance: Norm of the error at which the goal counts as reached [rad, and m apart].
+
+    Raises:
+        GoalRejected: if a value cannot be used.
+    """
+
+    share: float = 1.0
     stage: Stage = Stage.BOTH
-    goal_id: str = field(default_factory=new_goal_id)
-    client: str = ""
-    opening: float | None = None
-    force: float | None = None
-    grasp: bool = False
-    tip_speed: float | None = None
+    tolerance: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.share <= 1.0:
+            raise GoalRejected(f"the intensity must be 0 to 1, not {self.share:g}")
+        _above_zero("tolerance", self.tolerance)
+
+
+@dataclass(frozen=True, slots=True)
+class Opening(Value):
+    """An opening of the fingertips.
+
+    Attributes:
+        width: The opening [m].
+
+    Raises:
+        GoalRejected: if it is negative or no number.
+    """
+
+    width: float
+
+    def __post_init__(self) -> None:
+        _length("opening", self.width)
+
+
+@dataclass(frozen=True, slots=True)
+class Around(Value):
+    """A grasp: open wider than an object, then close on it.
+
+    Attributes:
+        width: Width of the object [m].
+        narrower: Tolerance of the width below this [m].
+        wider: Tolerance of the width above this [m].
+
+    Raises:
+        GoalRejected: if a value is negative or no number.
+    """
+
+    width: float
     narrower: float = 0.005
     wider: float = 0.005
+
+    def __post_init__(self) -> None:
+        _length("width", self.width)
+        _length("tolerance 'narrower'", self.narrower)
+        _length("tolerance 'wider'", self.wider)
+
+
+@dataclass(frozen=True, slots=True)
+class FirstContact(Value):
+    """A touch: close slowly, and stop all fingers at the first contact.
+
+    Attributes:
+        tolerance: Norm of the error at which the hand counts as closed [rad, and m apart].
+
+    Raises:
+        GoalRejected: if the tolerance cannot be used.
+    """
+
+    tolerance: float = 0.01
+
+    def __post_init__(self) -> None:
+        _above_zero("tolerance", self.tolerance)
+
+
+@dataclass(frozen=True, slots=True)
+class TipSpeed(Value):
+    """A speed at which the opening of the fingertips changes.
+
+    Attributes:
+        value: The speed [m/s].
+
+    Raises:
+        GoalRejected: if it is not above 0.
+    """
+
+    value: float
+
+    def __post_init__(self) -> None:
+        _above_zero("speed", self.value, " m/s")
+
+
+@dataclass(frozen=True, slots=True)
+class Force(Value):
+    """A force between the fingertips, kept while they hold an object.
+
+    Attributes:
+        value: The force [N].
+        most: Force up to which slips raise it [N]; ``None``: they do not.
+
+    Raises:
+        GoalRejected: if a value cannot be used.
+    """
+
+    value: float
+    most: float | None = None
+
+    def __post_init__(self) -> None:
+        _above_zero("force", self.value, " N")
+        if self.most is not None and not self.value <= self.most < math.inf:
+            raise GoalRejected(
+                f"the largest force must be at least the force, {self.value:g} N, not {self.most:g}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Goal(Value):
+    """A request to move the fingers.
+
+    Attributes:
+        what: An action by name, or the fingers that move.
+        to: Where to: a posture, an opening, an object or the first contact.
+        speed: Share of the velocity limits, above 0 and up to 1, or the speed of the opening. The
+            first contact is sought at 10 mm/s unless a lower share or a speed is given.
+        effort: Effort limit by actuator [N·m | N], else those of the hand; or a force.
+        on_contact: Reaction to a contact by finger; "": all others. Fingers in neither react as
+            configured for the hand.
+        timeout: Longest time the goal may take [s]; ``None``: as configured for the hand.
+        goal_id: Its identifier.
+        client: The client that sends it.
+
+    Raises:
+        GoalRejected: if a value cannot be used, or two of them exclude one another.
+    """
+
+    what: Named | Fingers
+    to: Intensity | Opening | Around | FirstContact = Intensity()
+    speed: float | TipSpeed = 1.0
+    effort: Mapping[str, float] | Force = field(default_factory=_nothing)
     on_contact: Mapping[str, OnContact] = field(default_factory=_nothing)
-    touch: bool = False
-    max_force: float | None = None
+    timeout: float | None = None
+    goal_id: str = field(default_factory=new_goal_id)
+    client: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.speed, TipSpeed) and not 0.0 < self.speed <= 1.0:
+            raise GoalRejected(f"the speed must be above 0 and at most 1, not {self.speed:g}")
+        if self.timeout is not None:
+            _above_zero("timeout", self.timeout, " s")
+        match self.to:
+            case Intensity():
+                if isinstance(self.effort, Force):
+                    raise GoalRejected(f"a force {_NEEDS_OPENING}")
+                if isinstance(self.speed, TipSpeed):
+                    raise GoalRejected(f"a speed in m/s {_NEEDS_OPENING}")
+                if isinstance(self.what, Fingers):
+                    raise GoalRejected("an intensity needs the name of an action")
+            case FirstContact() if isinstance(self.effort, Force) or self.on_contact:
+                raise GoalRejected("a touch takes no force or on_contact: it stops by itself")
 
     @property
-    def aim(self) -> Aim:
-        """What the goal is for."""
-        if self.touch:
-            return Aim.CONTACT
-        holds = self.grasp or OnContact.SQUEEZE in self.on_contact.values()
-        return Aim.OBJECT if holds else Aim.POSTURE
+    def force(self) -> Force | None:
+        """The force between the fingertips, if one is asked for."""
+        return self.effort if isinstance(self.effort, Force) else None
 
 
 @dataclass(frozen=True, slots=True)

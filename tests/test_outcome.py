@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
-from rtee.types import Aim, Goal, OnContact, Outcome, Result
+from rtee.loop.plan import Plan
+from rtee.messages.goals import goal_of
+from rtee.types import Aim, OnContact, Outcome, Result
 
 
 @pytest.mark.parametrize(
@@ -50,7 +52,9 @@ def test_the_aim_of_a_goal_decides_its_outcome(
     ],
 )
 def test_what_a_goal_asks_for_is_its_aim(asked: dict[str, Any], aim: Aim) -> None:
-    assert Goal("a", **asked).aim is aim
+    goal = goal_of("a", **asked)
+    plan = Plan("1", "a", (), (), frozenset(), {}, 1.0, goal.to, on_contact=goal.on_contact)
+    assert plan.aim is aim
 
 
 def test_a_result_has_no_truth_value() -> None:

@@ -19,10 +19,10 @@ from rtee.agent import texts
 from rtee.agent.agent import Agent
 from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
 from rtee.hand.load import hand_folder, load_configured
+from rtee.messages.goals import goal_of
 from rtee.planning.result import GraspPlan
 from rtee.remote.agents import AGENT
 from rtee.remote.client import stop_hand
-from rtee.types import Goal
 
 _SHAPE: Final = r"^(box:[\d.]+x[\d.]+x[\d.]+|(cylinder|capsule):[\d.]+x[\d.]+|sphere:[\d.]+)$"
 """Objects by shape and size alone: a mesh would be a file."""
@@ -141,8 +141,9 @@ class Tools:
         # All of the effort is no limit, for devices that take none.
         efforts = {} if share == 1.0 else await remote.effort_limits(share)
         fast = limits.speed if speed is None else speed
-        goal = Goal(found[0].name, tuple(elements), intensity=intensity, effort=efforts, speed=fast)
-        words = f"do {label(goal.action, goal.elements)} to {intensity:.0%}, effort {share:.0%}"
+        name = found[0].name
+        goal = goal_of(name, elements, intensity=intensity, speed=fast, effort=efforts)
+        words = f"do {label(name, tuple(elements))} to {intensity:.0%}, effort {share:.0%}"
         return await agent.move(goal, words, object or "")
 
     async def grasp(
@@ -157,7 +158,7 @@ class Tools:
         """Open wider than an object, close on it, and hold it with a force."""
         agent = self._agent(hand)
         fast = agent.limits.speed if speed is None else speed
-        goal = Goal("", tuple(fingers), opening=width, force=force, grasp=True, speed=fast)
+        goal = goal_of("", fingers, grasp=True, opening=width, force=force, speed=fast)
         known = {name for each in await (await agent.remote()).openings() for name in each.elements}
         for name in fingers:
             if name not in known:
@@ -168,7 +169,7 @@ class Tools:
     async def open(self, hand: HandName = "") -> dict[str, Any]:
         """Open the hand; what it holds falls."""
         agent = self._agent(hand)
-        return await agent.move(Goal("open", speed=agent.limits.speed), "open the hand")
+        return await agent.move(goal_of("open", speed=agent.limits.speed), "open the hand")
 
     async def stop(self, hand: HandName = "") -> dict[str, Any]:
         """Stop the hand at once; afterwards only a person lets you move it again."""

@@ -265,7 +265,7 @@ def _plans(recording: Recording) -> Table:
     actuators = recording.actuator_states.names or recording.metadata.get("actuators", "").split()
     rows = [(each, leg) for each in recording.plans for leg in each.value.legs]
     table = _times([entry for entry, _ in rows])
-    table["goal_id"] = _column([entry.value.goal.goal_id for entry, _ in rows])
+    table["goal_id"] = _column([entry.value.goal_id for entry, _ in rows])
     for name in ("action", "elements", "timeout"):
         table[name] = _column([getattr(entry.value, name) for entry, _ in rows])
     for name in ("name", "before", "after"):

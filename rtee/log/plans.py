@@ -28,7 +28,7 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
         {
             "header": header(wall),
             "time": time,
-            "goal_id": plan.goal.goal_id,
+            "goal_id": plan.goal_id,
             "action": plan.action,
             "timed": plan.timed,
             "timeout": plan.timeout,
@@ -46,12 +46,15 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
             ],
             "elements": list(plan.elements),
             "grip": [] if plan.grip is None else [_grip_fields(plan.grip, actuators)],
+            "speed": plan.speed,
         }
     )
 
 
 def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> Plan:
     """Return the plan of a goal in the fields of a decoded ``rtee_msgs/Plan``.
+
+    What it takes over from the goal is recorded with that alone.
 
     Raises `MessageError` if the plan names an actuator that the hand does not have.
     """
@@ -69,12 +72,16 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
         for leg in fields["legs"]
     )
     return Plan(
-        goal=goal,
+        goal_id=goal.goal_id,
         action=fields["action"],
         legs=legs,
         involved=frozenset(index for leg in legs for index in leg.targets),
         effort=indexed(fields["effort_name"], fields["effort"]),
         timeout=fields["timeout"],
+        to=goal.to,
+        speed=fields["speed"],
+        force=goal.force,
+        on_contact=goal.on_contact,
         timed=fields["timed"],
         elements=tuple(fields["elements"]),
         grip=_grip_of(fields["grip"][0], actuators) if fields["grip"] else None,

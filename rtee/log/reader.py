@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 import numpy as np
 from mcap.opcode import Opcode
 
-from rtee.errors import LogError, MessageError
+from rtee.errors import GoalRejected, LogError, MessageError
 from rtee.log import column_reader
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.layout import MESHES
@@ -32,14 +32,14 @@ from rtee.log.resync import LATEST, DamagedRecordError, Record
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
 from rtee.loop.plan import Plan
-from rtee.messages import convert, topics
+from rtee.messages import GOAL, convert, topics
 from rtee.messages.codec import SECOND, channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.state import ACTUATOR_COLUMNS
 from rtee.messages.touch import sensors_of, touch_of
 from rtee.sample import COLUMNS, FloatArray
 from rtee.touch import TouchSensor, TouchState
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 T = TypeVar("T")
 
@@ -323,13 +323,18 @@ class _Collector:
         joint_states = self._series(topics.JOINT_STATES, start)
         reference = self._series(topics.REFERENCE, start)
         actuator_states = self._actuators(start)
-        goals = self._entries(topics.GOALS, convert.GOAL.of, start)
+        # Plans of before have no speed of their own: that of the goal was replaced by it.
+        speeds = {each["goal_id"]: each["speed"] for _, _, each in self._messages[topics.GOALS]}
+        goals = self._entries(topics.GOALS, _goal, start)
         by_id = {entry.value.goal_id: entry.value for entry in goals}
         written = self._file_indexes[0].values.get("actuators", "").split()
         names = actuator_states.names or tuple(written)
 
         def plan(fields: Fields) -> Plan:
-            goal = by_id.get(fields["goal_id"], Goal(fields["action"], goal_id=fields["goal_id"]))
+            goal_id = fields["goal_id"]
+            goal = by_id.get(goal_id, Goal(Named(fields["action"]), goal_id=goal_id))
+            if math.isnan(fields["speed"]):
+                fields = {**fields, "speed": speeds.get(goal_id, 1.0)}
             return plan_of(fields, goal, names)
 
         def entries(name: str, make: Callable[[Fields], T]) -> list[Entry[T]]:
@@ -446,7 +451,7 @@ class _Collector:
         for time, number, fields in self._messages[name]:
             try:
                 value = make(fields)
-            except MessageError:
+            except (MessageError, GoalRejected):
                 self._damaged += 1
                 continue
             stamp = float(fields.get("time", 0.0))
@@ -485,6 +490,11 @@ def _chunks_ahead(
             for _, future in waiting:
                 # If the caller stops early, chunks that have not begun need no decompression.
                 future.cancel()
+
+
+def _goal(fields: Fields) -> Goal:
+    # In recordings of before, the speed of the opening has its share beside it.
+    return GOAL.of(fields if math.isnan(fields["tip_speed"]) else {**fields, "speed": 1.0})
 
 
 def _grip(fields: Fields) -> GripEstimate:

@@ -317,12 +317,13 @@ class Recording(Value):
         for entry in self.feedback:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
         spans = []
-        names = {plan.value.goal.goal_id: plan.value.action for plan in self.plans}
+        names = {plan.value.goal_id: plan.value.action for plan in self.plans}
         # A goal whose result is missing was preempted by the next one at the latest.
         ends = [(entry.t, "unknown") for entry in self.goals[1:]] + [(self.duration, "running")]
         for goal, (after, left) in zip(self.goals, ends, strict=False):
-            action = names.get(goal.value.goal_id, goal.value.action)
-            name = " ".join((action, *goal.value.elements))
+            what = goal.value.what
+            action = names.get(goal.value.goal_id, getattr(what, "action", ""))
+            name = " ".join((action, *what.elements))
             ended = results.get(goal.value.goal_id)
             end = ended.t if ended else after
             outcome = ended.value.outcome if ended else left

@@ -22,7 +22,7 @@ from rtee.log.sink import DiskSink
 from rtee.log.tick_messages import LinkTransforms, TickEncoder
 from rtee.loop.grip import grip_at
 from rtee.loop.plan import Plan
-from rtee.messages import convert, topics
+from rtee.messages import GOAL, convert, topics
 from rtee.messages.codec import SECOND, Codec, channel_fields, header
 from rtee.messages.schema import message_type
 from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, sensors_fields
@@ -55,7 +55,7 @@ TRACE = "trace"
 """Kind of the events with the bytes on a bus, of which there may be several in each tick."""
 
 _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
-    Goal: (topics.GOALS, convert.GOAL),
+    Goal: (topics.GOALS, GOAL),
     CommandRecord: (topics.COMMANDS, convert.COMMAND),
     Feedback: (topics.FEEDBACK, convert.FEEDBACK),
     Result: (topics.RESULTS, convert.RESULT),

@@ -43,7 +43,7 @@ from rtee.loop.streams.hold import StreamHold
 from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.thermal import Level, Thermal
 from rtee.loop.thermal_model import CurrentHeat
-from rtee.types import Event, Feedback, Result
+from rtee.types import Around, Event, Feedback, Result
 
 _THERMAL_EVERY = 0.1
 """Temperatures are checked this often [s]: motors warm up over seconds."""
@@ -195,7 +195,7 @@ class Controller:
         self._goal_effort = kept | dict(plan.effort)
         # A requested force is kept; without one, the effort is lowered while an object is held.
         self._kept -= plan.involved
-        if plan.goal.force is not None:
+        if plan.force is not None:
             self._kept |= plan.involved
         self._reflexes.in_place = kept_efforts
         self._executor.start(plan, stamp, self._measured)
@@ -210,7 +210,7 @@ class Controller:
         actuator [N·m | N], from which the new force is built up.
         """
         held = [i for i in plan.involved if self._contact.grasping(i)]
-        if not plan.goal.grasp or len(plan.legs) < 2 or not held:
+        if not isinstance(plan.to, Around) or len(plan.legs) < 2 or not held:
             return plan, {}
         kept = {i: self.reference_effort[i] for i in plan.involved}
         return replace(plan, legs=plan.legs[-1:]), kept
@@ -236,7 +236,7 @@ class Controller:
         match command:
             case Cancel(goal_id):
                 plan = self.running
-                if plan is not None and goal_id in ("", plan.goal.goal_id):
+                if plan is not None and goal_id in ("", plan.goal_id):
                     self._executor.end(stamp, self._measured, cancelled=True)
                     self._hold(stamp, range(self._profile.size))
             case Hold(reason):

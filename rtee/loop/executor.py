@@ -11,15 +11,15 @@ from typing import Final, TypedDict
 from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
+from rtee.loop.closing import leg_speed
 from rtee.loop.evidence import Evidence
 from rtee.loop.grip import TIPS
 from rtee.loop.measured import Measured
-from rtee.loop.opening_plan import around_speed, closing_speed
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
-from rtee.types import Feedback, JointKind, Result
+from rtee.types import Around, Feedback, FirstContact, Intensity, JointKind, Result
 
 _RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
@@ -162,7 +162,7 @@ class Executor:
             return
         targets = run.present.targets
         if run.phase is Phase.MOVING:
-            if run.plan.goal.grasp:
+            if isinstance(run.plan.to, Around):
                 self._note_touch(run, measured, limits)
             reflexes = self._reflexes
             if not reflexes.active:
@@ -239,7 +239,7 @@ class Executor:
             grasped, fingers = False, ()
         self._emit(
             Result(
-                goal_id=plan.goal.goal_id,
+                goal_id=plan.goal_id,
                 action=plan.action,
                 reached=all(run.reached),
                 stalled=any(run.stalled),
@@ -258,7 +258,7 @@ class Executor:
                 ),
                 touched=() if unknown else self._reflexes.touched,
                 unknown=unknown,
-                aim=plan.goal.aim,
+                aim=plan.aim,
                 **self._grip_values(run, measured, grasped, aborted),
             )
         )
@@ -292,7 +292,7 @@ class Executor:
     ) -> GripValues:
         """Return the fields of the result about opening and force of the fingertips."""
         plan = run.plan
-        grip, goal = plan.grip, plan.goal
+        grip, to = plan.grip, plan.to
         if grip is None or aborted:
             # A device was lost, or what it measures is not believed.
             return {"elements": plan.elements}
@@ -302,8 +302,8 @@ class Executor:
             measured.position, measured.effort, self._limits, measured.touch, blocked
         )
         within = None
-        if goal.grasp and goal.opening is not None and not math.isnan(width):
-            within = grasped and -goal.narrower <= width - goal.opening <= goal.wider
+        if isinstance(to, Around) and not math.isnan(width):
+            within = grasped and -to.narrower <= width - to.width <= to.wider
         felt, doubt = self._reflexes.felt
         if felt == felt:
             # Better known: by finger, and without what weight and friction take.
@@ -344,9 +344,8 @@ class Executor:
 
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
         run.phase, run.over, run.bears = Phase.MOVING, math.nan, math.nan
-        leg, goal = run.present, run.plan.goal
-        last = run.leg + 1 == len(run.plan.legs)
-        speed = (closing_speed if last else around_speed)(goal, self._hand, run.plan.grip)
+        leg = run.present
+        speed = leg_speed(run.plan, run.leg, self._hand)
         for i, actuator in enumerate(self._hand.actuators):
             self.max_velocity[i] = speed * actuator.velocity
         top = dict(enumerate(self.max_velocity))
@@ -402,9 +401,9 @@ class Executor:
 
     def _bears(self, run: _Run, stamp: float, measured: Measured) -> bool:
         """Return whether the one actuator of a grasp presses on something where it ends."""
-        goal, targets = run.plan.goal, run.present.targets
+        targets = run.present.targets
         last = run.leg + 1 == len(run.plan.legs)
-        if not (goal.grasp and last and len(targets) == 1):
+        if not (isinstance(run.plan.to, Around) and last and len(targets) == 1):
             return False
         (i,) = targets
         if i in self._reflexes.busy:  # a reflex has stopped it, and decides
@@ -450,11 +449,12 @@ class Executor:
 
     def _tolerance(self, plan: Plan) -> float:
         """Return the norm of the error that counts as none [rad | m]."""
-        goal, grip = plan.goal, plan.grip
-        if goal.opening is None or grip is None:
-            return goal.tolerance
-        at = grip.intensity_at(goal.opening)
-        return grip.error_of(self._settings.opening_tolerance, at)
+        if isinstance(plan.to, Intensity | FirstContact):
+            return plan.to.tolerance
+        if plan.grip is None:  # as in recordings of goals without a table
+            return Intensity().tolerance
+        at = plan.grip.intensity_at(plan.to.width)
+        return plan.grip.error_of(self._settings.opening_tolerance, at)
 
     def _length_tolerance(self, targets: Iterable[int], tolerance: float) -> float:
         spans = [
@@ -516,7 +516,7 @@ class Executor:
         inner = {leg.name: run.progress[k] for k, leg in enumerate(plan.legs)} if plan.timed else {}
         self._emit(
             Feedback(
-                goal_id=plan.goal.goal_id,
+                goal_id=plan.goal_id,
                 progress=sum(run.progress) / len(run.progress),
                 inner=run.present.name,
                 inner_progress=inner,

@@ -14,7 +14,6 @@ from typing import Final
 
 from rtee.actions.openings import Opening
 from rtee.drivers.capabilities import GripForce
-from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
@@ -444,34 +443,4 @@ def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float,
     return (
         grip.opening(position),
         *grip.force(position, effort, limits, tip_forces(felt), pressing),
-    )
-
-
-def check_force(grip: Grip, hand: Hand, label: str, force: float, intensity: float) -> None:
-    """Refuse a force that cannot be exerted, naming the nearest that can.
-
-    Args:
-        grip: The grip.
-        hand: The hand.
-        label: The action, for the sentence.
-        force: The force asked for [N].
-        intensity: Intensity at which it is to be exerted.
-
-    Raises:
-        GoalRejected: if it cannot be exerted.
-    """
-    low, high = grip.forces(hand, intensity)
-    if math.isinf(high):
-        raise GoalRejected(
-            f"{label}: the force cannot be limited: its actuators have no effort limits; give some "
-            "under 'limits' in hand.yaml"
-        )
-    # A rounding error at the ends is not worth a refusal.
-    if low * (1.0 - 1e-9) <= force <= high * (1.0 + 1e-9):
-        return
-    width = grip.width_at(intensity)
-    reason = f"at most {high:.3g} N" if force > high else f"at least {low:.3g} N"
-    raise GoalRejected(
-        f"{label} gives {reason} at an opening of {width * 1e3:.3g} mm, not {force:g} N; "
-        f"the nearest is {high if force > high else low:.3g} N"
     )

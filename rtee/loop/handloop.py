@@ -20,11 +20,13 @@ from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.config_schema import Behaviour
 from rtee.hand.model import Hand
+from rtee.loop.choice import OPEN
 from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.histogram import TickStatistics
 from rtee.loop.observer import LoopObserver, Observers
-from rtee.loop.plan import OPEN, Plan, make_plan
+from rtee.loop.plan import Plan
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
@@ -35,6 +37,7 @@ from rtee.types import (
     Feedback,
     Goal,
     LoopStatistics,
+    Named,
     Reference,
     Result,
 )
@@ -96,13 +99,13 @@ class HandLoop:
         self.clock_statistics: TickStatistics | None = None
         self._now = now
         self._observers = Observers(now)
-        self._pending: deque[Plan | Command] = deque()
+        self._pending: deque[tuple[Goal, Plan] | Command] = deque()
         self._devices = Devices(hand, devices, self._observers.event, now)
         self.devices = self._devices.by_name
         self.streams = StreamIntake(
             self.controller, library, self._pending.append, self._devices, now
         )
-        self._begun: list[tuple[Plan | CommandRecord, float]] = []
+        self._begun: list[tuple[tuple[Goal, Plan] | CommandRecord, float]] = []
         self._record: TickRecord | None = None
         self._group: anyio.abc.TaskGroup | None = None
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
@@ -213,15 +216,15 @@ class HandLoop:
             else:  # spread out, so that hands on one clock do not all report at the same tick
                 self._status_at = record.stamp + crc32(self.name.encode()) / 2**32 * window
 
-    def _begin(self, item: Plan | Command, tick: int, stamp: float) -> None:
-        if isinstance(item, Plan):
+    def _begin(self, item: tuple[Goal, Plan] | Command, tick: int, stamp: float) -> None:
+        if isinstance(item, tuple):
             self._begun.append((item, stamp))
-            self.controller.accept(item, stamp)
+            self.controller.accept(item[1], stamp)
         else:
             self._begun.append((CommandRecord(tick, stamp, item), stamp))
             self.controller.apply(item, stamp)
 
-    def _begin_now(self, item: Plan | Command) -> None:
+    def _begin_now(self, item: tuple[Goal, Plan] | Command) -> None:
         """Begin a plan or a command after the last tick, and report it."""
         self._begin(item, 0 if self._record is None else self._record.tick + 1, self._now())
         self._report_begun()
@@ -230,8 +233,8 @@ class HandLoop:
     def _report_begun(self) -> None:
         begun, self._begun = self._begun, []
         for item, stamp in begun:
-            if isinstance(item, Plan):
-                self._observers.goal(item, stamp)
+            if isinstance(item, tuple):
+                self._observers.goal(*item, stamp)
             else:
                 self._observers.command(item)
 
@@ -294,7 +297,7 @@ class HandLoop:
         if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:
             plan = plan.only(movable)
         self._devices.check_movable(plan.involved, movable)
-        self._pending.append(plan)
+        self._pending.append((goal, plan))
 
     async def execute(self, goal: Goal, *, partly: bool = False) -> Result:
         """Submit a goal (see `submit`) and return its result; cancelling this cancels the goal."""
@@ -443,7 +446,7 @@ class HandLoop:
             case Behaviour.OPEN:
                 self.hold(reason)
                 try:
-                    self.submit(Goal(OPEN, client=ITSELF), partly=True)
+                    self.submit(Goal(Named(OPEN), client=ITSELF), partly=True)
                 except RteeError as error:
                     log.warning("%s cannot open: %s", self.name, error)
 

@@ -120,9 +120,9 @@ class Observers:
             except Exception as error:
                 self._failed(observer, error)
 
-    def goal(self, plan: Plan, stamp: float) -> None:
+    def goal(self, goal: Goal, plan: Plan, stamp: float) -> None:
         """Report a goal that begins, and its plan to observers that have ``on_plan``."""
-        self._each(lambda observer: observer.on_goal(plan.goal, stamp))
+        self._each(lambda observer: observer.on_goal(goal, stamp))
         self._each(lambda observer: getattr(observer, "on_plan", _ignore)(plan, stamp))
 
     def describe_object(self, thing: ObjectDescription | None, stamp: float) -> None:

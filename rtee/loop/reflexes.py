@@ -12,16 +12,16 @@ from dataclasses import dataclass, field
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
+from rtee.loop.closing import meeting_speed
 from rtee.loop.evidence import Evidence
 from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
-from rtee.loop.opening_plan import meeting_speed
 from rtee.loop.plan import Plan
 from rtee.loop.pressing import ForceEstimate, Pressing, Tare, ceilings
 from rtee.loop.profiles import Profile
 from rtee.loop.squeeze import Held, Squeeze
-from rtee.types import Event, OnContact
+from rtee.types import Around, Event, FirstContact, OnContact
 
 _LIGHT = 2.0
 """Effort limit of an approach besides friction, in thresholds of a contact: with less, the effort
@@ -200,27 +200,28 @@ class Reflexes:
             measured: The last measurements.
             stamp: Now [s].
         """
-        goal, targets = plan.goal, plan.legs[leg].targets
+        targets, force = plan.legs[leg].targets, plan.force
+        touch = isinstance(plan.to, FirstContact)
         self.touched = ()
         self.forget(targets)
         usual = self._grasp.on_contact
         # A device with forces in its data sheet builds up the force by itself.
-        if goal.force is not None and plan.grip is not None and plan.grip.sheet is None:
+        if force is not None and plan.grip is not None and plan.grip.sheet is None:
             usual = usual or OnContact.SQUEEZE
         in_place, self.in_place = self.in_place, {}
         # The first leg of a grasp only opens wide around the object.
-        opens = goal.grasp and leg + 1 < len(plan.legs)
+        opens = isinstance(plan.to, Around) and leg + 1 < len(plan.legs)
         together = self._together(plan, measured)
         if opens and together is not None:
             # The force is none of this way, on which the fingers must keep clear of one another.
             self._allow(ceilings(self._hand, {}, plan.effort))
             self.active = True
-        if not (goal.on_contact or goal.touch or usual) or opens:
+        if not (plan.on_contact or touch or usual) or opens:
             return
         watched: dict[int, _Watched] = {}
         for i, target in targets.items():
             spec, here = self._hand.actuators[i], measured.position[i]
-            mode = OnContact.STOP if goal.touch else self._mode(goal.on_contact, i, usual)
+            mode = OnContact.STOP if touch else self._mode(plan.on_contact, i, usual)
             # Hands close away from rest; a hand that opens touches nothing on purpose.
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
@@ -234,27 +235,28 @@ class Reflexes:
         if plan.grip is not None:
             names = self._hand.finger_names
             at = plan.grip.intensity[-1] / 2.0
-            if goal.opening is not None:
-                at = plan.grip.intensity_at(goal.opening)
+            if plan.width is not None:
+                at = plan.grip.intensity_at(plan.width)
             slopes = plan.grip.effort_slopes(at)
             sides = tuple(
                 frozenset(names[f] for f in side) for side in (plan.grip.fingers, plan.grip.others)
             )
-            if goal.max_force is not None:
-                most = plan.grip.efforts(goal.max_force, at)
+            if force is not None and force.most is not None:
+                most = plan.grip.efforts(force.most, at)
         for i, each in watched.items():
             self._contact.approach(i, each.ahead, slopes.get(i), stamp, measured)
-        slips = bool(goal.on_contact or self._grasp.on_contact or most)
+        slips = bool(plan.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
+        wanted = None if force is None else force.value
         self._approach = approach = _Approach(
-            watched, sides, most, goal.touch, goal.force, plan.grip, pressing, slips, goal.speed
+            watched, sides, most, touch, wanted, plan.grip, pressing, slips, plan.speed
         )
         if any(each.mode is not OnContact.SQUEEZE for each in watched.values()):
             together = None
-        if together is not None and plan.grip is not None and goal.force is not None:
+        if together is not None and plan.grip is not None and wanted is not None:
             approach.together, approach.predicted = together, plan.effort
-            at = plan.grip.intensity_at(goal.opening or 0.0)
-            approach.meeting = meeting_speed(goal.force, plan.grip, at)
+            at = plan.grip.intensity_at(plan.width or 0.0)
+            approach.meeting = meeting_speed(wanted, plan.grip, at)
         self.active = True
         unknown = [
             self._hand.actuators[i].name for i in watched if self._contact.unknown(i, measured)
@@ -276,10 +278,10 @@ class Reflexes:
             self._allow(ceilings(self._hand, dict(plan.effort), watched))
             return
         for i, each in watched.items():
-            if each.mode is OnContact.SQUEEZE or goal.touch:
+            if each.mode is OnContact.SQUEEZE or touch:
                 # A device with forces in its data sheet builds up the force by itself; for a touch
                 # there is none to build up.
-                sheet = None if goal.touch or plan.grip is None else plan.grip.sheet
+                sheet = None if touch or plan.grip is None else plan.grip.sheet
                 if sheet is None:
                     self._begin_lightly(i, each, measured.position[i])
 
@@ -290,7 +292,7 @@ class Reflexes:
         limits alone.
         """
         grip = plan.grip
-        if plan.goal.force is None or grip is None or grip.sheet or len(plan.effort) < 2:
+        if plan.force is None or grip is None or grip.sheet or len(plan.effort) < 2:
             return None
         estimate = ForceEstimate(self._hand, grip, self._tare)
         return estimate if estimate.known(measured, plan.effort) else None

@@ -8,9 +8,9 @@ import anyio
 
 from rtee.errors import RteeError
 from rtee.hand.config_schema import Behaviour
+from rtee.loop.choice import OPEN
 from rtee.loop.handloop import ITSELF, HandLoop
-from rtee.loop.plan import OPEN
-from rtee.types import Event, Goal
+from rtee.types import Event, Goal, Named
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ async def bring_to_rest(
 async def _open(loop: HandLoop) -> bool:
     with anyio.move_on_after(OPEN_WITHIN):
         try:
-            await loop.execute(Goal(OPEN, client=ITSELF, timeout=OPEN_WITHIN), partly=True)
+            await loop.execute(Goal(Named(OPEN), client=ITSELF, timeout=OPEN_WITHIN), partly=True)
         except RteeError as error:
             log.warning("%s cannot open: %s", loop.name, error)
             return False

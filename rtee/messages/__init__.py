@@ -5,12 +5,12 @@ from rtee.messages.convert import (
     DEVICE_STATUS,
     EVENT,
     FEEDBACK,
-    GOAL,
     LOOP_STATISTICS,
     RESULT,
     decode_string,
     encode_string,
 )
+from rtee.messages.goals import GOAL
 from rtee.messages.layout import JointStateEncoder
 from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import log_topic, network_key

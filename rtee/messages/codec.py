@@ -187,10 +187,11 @@ class Codec(Generic[T]):
         return self._value(fields)
 
     def _value(self, fields: Mapping[str, Any]) -> T:
+        fields = {
+            name: foreign(value) if isinstance(value, str) and not value.isprintable() else value
+            for name, value in fields.items()
+        }
         values = {name: fields[name] for name in self._same}
-        for name, value in values.items():
-            if isinstance(value, str) and not value.isprintable():
-                values[name] = foreign(value)
         for attribute, (names, unpack) in self._unpackers.items():
             values[attribute] = unpack(*[fields[name] for name in names])
         return self._cls(**values)

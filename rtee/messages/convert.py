@@ -26,6 +26,7 @@ from rtee.commands import (
 )
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
+from rtee.messages.goals import number
 from rtee.messages.schema import message_type
 from rtee.objects.description import ObjectDescription, ObjectPart
 from rtee.types import (
@@ -33,51 +34,16 @@ from rtee.types import (
     DeviceStatus,
     Event,
     Feedback,
-    Goal,
     Lifecycle,
     LoopStatistics,
-    OnContact,
     Result,
-    Stage,
 )
 
 _STRING = message_type("std_msgs/msg/String")
 
 
-def _number(name: str) -> As:
-    """Return the conversion of an optional number to a field, with ``NaN`` for ``None``."""
-    return As(
-        {name: lambda number: math.nan if number is None else number},
-        lambda number: None if math.isnan(number) else number,
-    )
-
-
-# The word comes from the network and may have any length.
-_ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' is none of stop, hold, squeeze")
-
 _AIM = word("aim", Aim, "aim '{:.50}' is none of posture, object, contact")
 
-GOAL = Codec(
-    "rtee_msgs/msg/Goal",
-    Goal,
-    elements=field("elements", tuple),
-    kind=As({"kind": lambda kind: kind or ""}, lambda text: text or None),
-    effort=mapping("effort_name", "effort"),
-    timeout=_number("timeout"),
-    opening=_number("opening"),
-    force=_number("force"),
-    tip_speed=_number("tip_speed"),
-    on_contact=As(
-        {
-            "contact_finger": list,
-            "on_contact": lambda by_finger: list(by_finger.values()),
-        },
-        lambda fingers, words: paired("on_contact", fingers, list(map(_ON_CONTACT.unpack, words))),
-    ),
-    max_force=_number("max_force"),
-    stage=word("stage", Stage, "stage '{}' is none of both, pre_grasp, grasp"),
-)
-"""Goals in CDR."""
 FEEDBACK = Codec(
     "rtee_msgs/msg/Feedback",
     Feedback,
@@ -91,9 +57,9 @@ RESULT = Codec(
     grasped_fingers=field("grasped_fingers", tuple),
     position=mapping("position_name", "position"),
     elements=field("elements", tuple),
-    opening=_number("opening"),
-    force=_number("force"),
-    force_error=_number("force_error"),
+    opening=number("opening"),
+    force=number("force"),
+    force_error=number("force_error"),
     # One byte, as the bool of earlier recordings.
     within=As(
         {"within": lambda within: -1 if within is None else int(within)},

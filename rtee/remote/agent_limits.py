@@ -8,7 +8,7 @@ from typing import Final, Self, TypeVar
 from rtee.actions.naming import normalise
 from rtee.errors import ConfigError, GoalRejected
 from rtee.hand.config_schema import AgentSettings, Gate
-from rtee.types import Goal
+from rtee.types import Around, Goal, Named, TipSpeed
 
 T = TypeVar("T", Gate, float)
 
@@ -73,7 +73,9 @@ class Limits:
         Raises:
             GoalRejected: if it is; the sentence names the limit.
         """
-        name = "grasp" if goal.grasp else goal.action
+        name = "grasp"
+        if isinstance(goal.what, Named) and not isinstance(goal.to, Around):
+            name = goal.what.action
         if self.gate is Gate.WATCH:
             raise GoalRejected(
                 f"the gate is 'watch': nothing moves, so no {name}; a person allows more with "
@@ -83,13 +85,13 @@ class Limits:
             raise GoalRejected(
                 f"'{name}' is not among what a person allows: {', '.join(sorted(self.actions))}"
             )
-        if goal.force is not None and goal.force > self.force:
+        if goal.force is not None and goal.force.value > self.force:
             raise GoalRejected(
-                f"{goal.force:g} N is more than the {self.force:g} N that a person allows"
+                f"{goal.force.value:g} N is more than the {self.force:g} N that a person allows"
             )
-        if goal.speed > self.speed:
+        if isinstance(goal.speed, TipSpeed) or goal.speed > self.speed:
             raise GoalRejected(
-                f"a speed of {goal.speed:g} is more than the {self.speed:g} that a person allows, "
+                f"a speed of {goal.speed} is more than the {self.speed:g} that a person allows, "
                 "as a share of the velocity limits"
             )
 

@@ -13,7 +13,7 @@ from typing import Any, TypedDict, Unpack
 import anyio
 
 from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
-from rtee.messages import GOAL
+from rtee.messages.goals import GOAL, goal_of
 from rtee.remote.goal_values import check_types, names, reactions, sizes, tolerances
 from rtee.remote.hand_info import HandInfo
 from rtee.remote.link import ANSWER_WITHIN, Link
@@ -95,7 +95,7 @@ class GoalClient:
         effort = options.get("effort")
         if isinstance(effort, float | int):
             options["effort"] = await self.effort_limits(effort)
-        return await self.start_goal(goal_of(action, elements, self._link.client, options))
+        return await self.start_goal(goal_with(action, elements, self._link.client, options))
 
     async def start_goal(self, goal: Goal) -> RunningGoal:
         """Begin a complete goal and return at once; raises the same errors as `start`.
@@ -208,19 +208,18 @@ class GoalClient:
     ) -> RunningGoal:
         """Begin to grasp an object and return at once; see `grasp`."""
         narrower, wider = tolerances(tolerance)
-        goal = Goal(
+        goal = goal_of(
             action,
             names(fingers),
-            timeout=timeout,
-            client=self._link.client,
-            opening=quantity(width, LENGTH, "width"),
-            force=None if force is None else quantity(force, FORCE, "force"),
-            tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
             grasp=True,
+            opening=quantity(width, LENGTH, "width"),
             narrower=narrower,
             wider=wider,
-            on_contact=reactions({} if on_contact is None else on_contact),
+            tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
+            force=None if force is None else quantity(force, FORCE, "force"),
             max_force=None if max_force is None else quantity(max_force, FORCE, "largest force"),
+            on_contact=reactions({} if on_contact is None else on_contact),
+            timeout=timeout,
         )
         return await self.start_goal(goal)
 
@@ -288,14 +287,8 @@ class GoalClient:
         timeout: float | None = None,
     ) -> RunningGoal:
         """Begin to close until a first contact and return at once; see `touch`."""
-        goal = Goal(
-            action,
-            names(fingers),
-            timeout=timeout,
-            client=self._link.client,
-            tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
-            touch=True,
-        )
+        tip_speed = None if speed is None else quantity(speed, SPEED, "speed")
+        goal = goal_of(action, names(fingers), touch=True, tip_speed=tip_speed, timeout=timeout)
         return await self.start_goal(goal)
 
     async def touch(
@@ -367,7 +360,7 @@ class GoalClient:
         return {name: share * known[name] for name in chosen}
 
 
-def goal_of(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
+def goal_with(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
     """Return the goal for an action with options, of a client.
 
     Raises:
@@ -384,4 +377,4 @@ def goal_of(action: str, elements: Sequence[str], client: str, options: GoalOpti
             raise GoalRejected(
                 f"unknown stage '{values['stage']}'; {suggestion(str(values['stage']), Stage)}"
             ) from None
-    return Goal(action=action, elements=tuple(elements), client=client, **values)
+    return goal_of(action, elements, client=client, **values)

@@ -14,8 +14,8 @@ from rtee.actions.openings import Opening, meeting
 from rtee.actions.types import Action
 from rtee.errors import ActionError
 from rtee.loop.devices import device_forces
+from rtee.loop.forces import DeviceForces, unlimited
 from rtee.loop.grip import Grip
-from rtee.loop.opening_plan import DeviceForces, force_refused
 from rtee.loop.supervisor import Supervisor
 from rtee.sample import FloatArray
 from rtee.values import Value
@@ -110,8 +110,8 @@ def _fields(
     targets = {hand.actuator_index(name): last.position[name] for name in last.involved}
     empty = meeting(action, opening, library)
     grip = Grip.of(hand, opening, targets, forces.grips, empty)
-    unlimited = force_refused(hand, opening, grip, forces)
-    ranges = [(0.0, 0.0) if unlimited else grip.forces(hand, at) for at in grip.intensity]
+    reason = unlimited(hand, opening, grip, grip.intensity[0], forces)
+    ranges = [(0.0, 0.0) if reason else grip.forces(hand, at) for at in grip.intensity]
     low, high = zip(*ranges, strict=True)
     return {
         "action": action.name,
@@ -120,7 +120,7 @@ def _fields(
         "opening": opening.width,
         "least_force": min(low),
         "most_force": max((force for force in high if force < math.inf), default=0.0),
-        "unlimited": unlimited,
+        "unlimited": reason,
         "least_forces": low,
         "most_forces": high,
     }

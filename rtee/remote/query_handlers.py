@@ -20,8 +20,8 @@ from rtee.actions.types import Primitive
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.hand.yamlwrite import emit
+from rtee.loop.choice import OPEN
 from rtee.loop.handloop import HandLoop
-from rtee.loop.plan import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.touch import reply_fields
 from rtee.objects.description import NO_OBJECT
@@ -194,8 +194,8 @@ class QueryHandlers:
         return {
             "hand": self._hand.name,
             "holder": self._lease.holder,
-            "goal_id": plan.goal.goal_id if plan else "",
-            "action": plan.goal.action if plan else "",
+            "goal_id": plan.goal_id if plan else "",
+            "action": plan.action if plan else "",
             "recording": bool(path),
             "recording_path": path,
             "recording_trouble": self._recording.status().trouble if self._recording else "",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from rtee.errors import GoalRejected, suggestion
+from rtee.messages.goals import goal_of
 from rtee.ros2.action_server import ActionServer, Offer
 from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
@@ -27,7 +28,7 @@ class Grasp(ActionPart):
         self._server = ActionServer(face.node, GRASP, Offer(self._type, self._accept))
 
     async def _accept(self, message: Any) -> HandJob:
-        running = await self._face.hand.start_goal(goal_of(message))
+        running = await self._face.hand.start_goal(goal_in(message))
         return HandJob(running, self._result, _feedback)
 
     def _result(self, result: Result) -> Message:
@@ -43,13 +44,13 @@ class Grasp(ActionPart):
         return kind(**fields)
 
 
-def goal_of(message: Any) -> Goal:
+def goal_in(message: Any) -> Goal:
     """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; leave checks of numbers to the hand.
 
     Raises `GoalRejected` if names and values do not match, or a keyword is unknown.
     """
     fingers = _pairs(message.contact_finger, message.on_contact, "on_contact")
-    return Goal(
+    return goal_of(
         message.action,
         tuple(message.elements),
         kind=message.kind or None,

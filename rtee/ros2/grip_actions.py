@@ -17,6 +17,7 @@ from rtee.actions.naming import normalise
 from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError, GoalRejected, suggestion
 from rtee.hand.config_schema import GripperUnit, Ros2Settings
+from rtee.messages.goals import goal_of
 from rtee.messages.state import State
 from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
@@ -24,7 +25,7 @@ from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
-from rtee.types import ActuatorSpec, Feedback, Goal, Result
+from rtee.types import ActuatorSpec, Feedback, Goal, Intensity, Named, Result
 
 GRIPPER = "~/gripper_cmd"
 """Name of the action."""
@@ -233,9 +234,9 @@ class Gripper(ActionPart):
             for known in self._face.openings
             if not action or (normalise(known.action), sorted(known.elements)) == wanted
         ]
-        return Goal(
+        return goal_of(
             action,
-            tuple(elements),
+            elements,
             opening=gap,
             force=at_most(command.effort, gap, ranges) or None,
             tip_speed=command.speed or None,
@@ -352,12 +353,10 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
     _, share, action = min(suitable, key=lambda each: each[:2])
     speed = command.speed / actuator.velocity
     return Goal(
-        action.name,
-        tuple(action.elements),
-        kind=kind_of(action),
-        intensity=share,
-        effort={actuator.name: min(command.effort, actuator.effort)} if command.effort else {},
-        speed=min(speed, 1.0) if speed else 1.0,
+        Named(action.name, tuple(action.elements), kind_of(action)),
+        Intensity(share),
+        min(speed, 1.0) if speed else 1.0,
+        {actuator.name: min(command.effort, actuator.effort)} if command.effort else {},
     )
 
 

@@ -15,7 +15,7 @@ from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.ros_end_effector import name_here
-from rtee.types import Feedback, Goal, Result
+from rtee.types import Feedback, Goal, Intensity, Named, Result
 
 COMMAND = "action_command"
 """Name of the action."""
@@ -83,21 +83,16 @@ def goal_of(command: Any) -> Goal:
             f" 'optional_motors_names', not {len(commands)}"
         )
     effort = {name: float(value) for name, value in zip(motors, commands, strict=True) if value}
-    tolerance = command.error_norm or _TOLERANCE
+    name, share = command.action_name, command.percentage
     if command.action_type == command.PRIMITIVE:
-        return Goal(
-            name_here(command.action_name),
-            tuple(command.selectable_items),
-            kind=ActionKind.PRIMITIVE,
-            intensity=command.percentage,
-            tolerance=tolerance,
-            effort=effort,
-        )
+        items = tuple(command.selectable_items)
+        what = Named(name_here(name), items, ActionKind.PRIMITIVE)
     # In ROS End-Effector, these two are the same.
-    if command.action_type in (command.GENERIC, command.COMPOSED):
-        return Goal(
-            command.action_name, intensity=command.percentage, tolerance=tolerance, effort=effort
-        )
-    if command.action_type == command.TIMED:
-        return Goal(command.action_name, kind=ActionKind.TIMED, tolerance=tolerance, effort=effort)
-    raise GoalRejected(f"action_type {command.action_type} is none: there are 0 to 3")
+    elif command.action_type in (command.GENERIC, command.COMPOSED):
+        what = Named(name)
+    elif command.action_type == command.TIMED:
+        what, share = Named(name, kind=ActionKind.TIMED), 1.0
+    else:
+        raise GoalRejected(f"action_type {command.action_type} is none: there are 0 to 3")
+    to = Intensity(share, tolerance=command.error_norm or _TOLERANCE)
+    return Goal(what, to, effort=effort)

@@ -26,7 +26,8 @@ from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.tick_driver import drive
-from rtee.remote.goal import GoalOptions, goal_of
+from rtee.messages.goals import goal_of
+from rtee.remote.goal import GoalOptions, goal_with
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.bench import act
@@ -140,7 +141,7 @@ class SimulatedHand(Observer):
                 raise GoalRejected(f"an effort for all is above 0 and at most 1, not {effort:g}")
             limits = {a.name: effort * a.effort for a in self._prepared.hand.actuators}
             options["effort"] = limits
-        return self.execute(goal_of(action, elements, "test", options))
+        return self.execute(goal_with(action, elements, "test", options))
 
     def open(self) -> Result:
         """Go to the rest posture."""
@@ -155,15 +156,10 @@ class SimulatedHand(Observer):
         action: str = "",
     ) -> Result:
         """Open wider than an object, close on it and keep a force; see `RemoteHand.grasp`."""
-        return self.execute(
-            Goal(
-                action,
-                tuple(fingers or ()),
-                opening=quantity(width, LENGTH, "width"),
-                force=None if force is None else quantity(force, FORCE, "force"),
-                grasp=True,
-            )
-        )
+        newtons = None if force is None else quantity(force, FORCE, "force")
+        gap = quantity(width, LENGTH, "width")
+        goal = goal_of(action, tuple(fingers or ()), opening=gap, force=newtons, grasp=True)
+        return self.execute(goal)
 
     def touch(
         self,
@@ -174,7 +170,7 @@ class SimulatedHand(Observer):
     ) -> Result:
         """Close slowly until a first contact; see `RemoteHand.touch`."""
         tip_speed = None if speed is None else quantity(speed, SPEED, "speed")
-        return self.execute(Goal(action, tuple(fingers or ()), tip_speed=tip_speed, touch=True))
+        return self.execute(goal_of(action, tuple(fingers or ()), tip_speed=tip_speed, touch=True))
 
     def execute(self, goal: Goal) -> Result:
         """Execute a complete goal to its end."""

@@ -23,13 +23,14 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.measured import Measured
-from rtee.loop.plan import Plan, make_plan
+from rtee.loop.plan import Plan
+from rtee.loop.planning import make_plan
 from rtee.sample import FloatArray
 from rtee.trials.bench import Bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP, TURN, said_lost, turned
-from rtee.types import Goal, OnContact, Result
+from rtee.types import Around, Fingers, Force, Goal, OnContact, Result, TipSpeed
 
 RATE: Final = 500.0
 """Ticks per second [Hz]: a contact is answered within two."""
@@ -281,12 +282,10 @@ def try_case(ready: Bench, case: Case) -> Truth:
     """
     hand, library, settings = ready.hand, ready.library, ready.settings
     goal = Goal(
-        "",
-        case.elements,
-        opening=case.width,
-        force=case.force,
-        grasp=True,
-        tip_speed=case.speed,
+        Fingers(case.elements),
+        Around(case.width),
+        1.0 if case.speed is None else TipSpeed(case.speed),
+        {} if case.force is None else Force(case.force),
         on_contact={} if case.on_contact is None else {"": case.on_contact},
     )
     plan = make_plan(goal, hand, library, settings)

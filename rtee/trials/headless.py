@@ -16,7 +16,8 @@ from rtee.log.layout import RUN_BEGINS
 from rtee.loop.controller import Controller
 from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.observer import LoopObserver
-from rtee.loop.plan import Plan, make_plan
+from rtee.loop.plan import Plan
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.objects.description import ObjectDescription
 from rtee.sample import ActuatorState, BoolArray, FloatArray, TickRecord, measured_arrays
@@ -166,14 +167,16 @@ class HeadlessHand(Generic[P]):
         while goal.goal_id not in self.results:
             self.tick()
             if self.time > deadline:
-                raise LoopError(f"'{goal.action}' did not end within {_PATIENCE:g} s of simulation")
+                raise LoopError(
+                    f"the goal '{goal.goal_id}' did not end within {_PATIENCE:g} s of simulation"
+                )
         return self.results[goal.goal_id]
 
     def start(self, goal: Goal) -> None:
         """Begin a goal with the next tick, without waiting for its end; raises as `do`."""
         plan = make_plan(goal, self.hand, self.library, self._settings)
         for observer in self.observers:
-            observer.on_goal(plan.goal, self.time)
+            observer.on_goal(goal, self.time)
             tell = getattr(observer, "on_plan", None)
             if tell is not None:
                 tell(plan, self.time)

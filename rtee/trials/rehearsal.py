@@ -18,7 +18,7 @@ from rtee.errors import ConfigError, GoalRejected
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
-from rtee.loop.plan import make_plan
+from rtee.loop.planning import make_plan
 from rtee.remote.words import sentence
 from rtee.trials.grasp_placement import Places
 from rtee.trials.grasp_truth import RATE

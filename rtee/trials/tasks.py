@@ -22,7 +22,7 @@ from rtee.planning.objects import read_object
 from rtee.trials.bench import Bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal, OnContact
+from rtee.types import Around, Force, Goal, Named, OnContact, TipSpeed
 
 RATE: Final = 500.0
 """Ticks per second [Hz], as hands are simulated: a contact is answered within two."""
@@ -139,14 +139,11 @@ class TaskTrial:
             width = read_object(self.object, self.mass or self.task.mass).extents[0]
         reflexes = self.way is Way.REFLEXES
         return Goal(
-            self.action,
-            self.elements,
-            opening=width,
-            force=None if self.way is Way.EFFORT else self.force,
-            max_force=self.most if reflexes else None,
-            grasp=True,
-            tip_speed=_SPEED,
-            on_contact={"": OnContact.SQUEEZE} if reflexes else {},
+            Named(self.action, self.elements),
+            Around(width),
+            TipSpeed(_SPEED),
+            {} if self.way is Way.EFFORT else Force(self.force, self.most if reflexes else None),
+            {"": OnContact.SQUEEZE} if reflexes else {},
         )
 
 

@@ -16,8 +16,8 @@ from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
+from rtee.loop.choice import OPEN
 from rtee.loop.observer import LoopObserver
-from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
@@ -27,7 +27,7 @@ from rtee.trials.headless import HeadlessHand
 from rtee.trials.stance import Stance, find_stances
 from rtee.trials.transfer_result import Transfer, TransferResult
 from rtee.trials.variation import CHOOSING_FROM, Variation, draw
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")
 """The moments of a transfer, in order."""
@@ -309,7 +309,7 @@ class _Run:
             self._feel(self._back)
         headless.wait(0.2)
         self._tell("approach")
-        grasp = Goal(transfer.action, transfer.elements, goal_id=f"grasp-{headless.ticks}")
+        grasp = Goal(Named(transfer.action, transfer.elements), goal_id=f"grasp-{headless.ticks}")
         self._outcome = headless.do(grasp).outcome
         headless.wait(_SETTLE)
         self._tell("grasp")
@@ -337,7 +337,7 @@ class _Run:
         # Before the hand retreats: `lands` is told in the frame of the hand that opens.
         down = around.base_pose
         self._tell("set down")
-        headless.do(Goal(OPEN, goal_id=f"open-{headless.ticks}"))
+        headless.do(Goal(Named(OPEN), goal_id=f"open-{headless.ticks}"))
         headless.wait(_SETTLE)
         self._tell("open")
         way = _turned(transfer.turn) @ self._way

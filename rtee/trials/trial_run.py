@@ -15,7 +15,7 @@ from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP, TURN, said_lost, turned
 from rtee.trials.result import Trial, TrialResult
-from rtee.types import Goal
+from rtee.types import Goal, Intensity, Named
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
@@ -99,12 +99,8 @@ class TrialRun:
     def _done(self) -> TrialResult:
         headless, around, trial = self._headless, self._around, self._trial
         self._approach()
-        goal = Goal(
-            trial.action,
-            trial.elements,
-            intensity=trial.intensity,
-            goal_id=f"trial-{self._number}",
-        )
+        what, to = Named(trial.action, trial.elements), Intensity(trial.intensity)
+        goal = Goal(what, to, goal_id=f"trial-{self._number}")
         try:
             said = headless.do(goal)
             outcome = said.outcome

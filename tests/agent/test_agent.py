@@ -143,7 +143,7 @@ async def test_only_allowed_actions_are_done(hand: Hand, library: ActionLibrary)
         assert "'Trig' is not among what a person allows: open" in await agent.refused("do", **TRIG)
         assert "'grasp' is not" in await agent.refused("grasp", width=0.02, force=1)
         assert (await agent.done("open"))["outcome"] == "reached"
-        assert [goal.action for goal in served.watcher.goals] == ["open"]
+        assert [goal.what.action for goal in served.watcher.goals] == ["open"]
 
 
 async def test_a_flood_waits_for_its_turn(hand: Hand, library: ActionLibrary) -> None:
@@ -251,7 +251,7 @@ async def test_it_finds_the_hand_again(hand: Hand, library: ActionLibrary) -> No
                 # Refused until it has seen that the first one has gone.
                 while (await agent.call("do", **TRIG))[0]:  # noqa: ASYNC110
                     await anyio.sleep(0.05)
-                assert [goal.action for goal in served.watcher.goals] == ["Trig"]
+                assert [goal.what.action for goal in served.watcher.goals] == ["Trig"]
 
 
 def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:

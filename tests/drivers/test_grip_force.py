@@ -20,7 +20,7 @@ from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.tick_driver import drive
 from rtee.running.prepare import RunOptions, prepare
-from rtee.types import Goal, Result
+from rtee.types import Around, Force, Goal, Named, Result
 
 pytestmark = pytest.mark.anyio
 RATE = 200.0
@@ -39,7 +39,7 @@ class Wires:
 
     async def grasp(self, width: float, force: float, action: str = "", *e: str) -> Result:
         self.sent.clear()
-        goal = Goal(action, e, opening=width, force=force, grasp=True)
+        goal = Goal(Named(action, e), Around(width), effort=Force(force))
         with anyio.fail_after(30.0):
             return await self.loop.execute(goal)
 

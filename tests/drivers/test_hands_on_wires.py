@@ -31,7 +31,7 @@ from rtee.loop.tick_driver import drive
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.session import open_files
-from rtee.types import Event, Goal, Lifecycle, Result
+from rtee.types import Event, Goal, Lifecycle, Named, Result
 
 pytestmark = pytest.mark.anyio
 RATE = 200.0
@@ -104,8 +104,8 @@ async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
 async def test_a_cable_pulled_in_the_middle_of_an_action_concerns_its_hand_alone() -> None:
     async with on_wires("robotiq_2f_85", "onrobot_3fg15") as (gripper, other):
         start = gripper.position
-        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2"), speed=0.4))
-        other.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        gripper.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2")), speed=0.4))
+        other.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2"))))
         await until(lambda: gripper.position > start + 0.1)
         gripper.wire.unplug()
         broken = await gripper.result()
@@ -128,7 +128,7 @@ async def test_a_cable_pulled_in_the_middle_of_an_action_concerns_its_hand_alone
         assert gripper.emulator.moves == moves, "not a word of motion after it came back"
         assert gripper.emulator.axis.target == at
         assert gripper.emulator.axis.position == pytest.approx(here, abs=1.0)
-        gripper.loop.submit(Goal("open"))
+        gripper.loop.submit(Goal(Named("open")))
         assert (await gripper.result()).reached
 
 
@@ -137,7 +137,7 @@ async def test_emulated_hands_that_name_the_same_port_do_not_meet() -> None:
         ports = [one.device.spec.options["port"] for one in hands]
         assert ports == ["/dev/ttyUSB0"] * 3
         assert len({one.wire for one in hands}) == 3
-        hands[0].loop.submit(Goal("Grasp"))
+        hands[0].loop.submit(Goal(Named("Grasp")))
         assert (await hands[0].result()).reached
         assert hands[2].emulator.moves == 0
 
@@ -164,7 +164,7 @@ async def test_a_hundred_cables_pulled_leave_no_task_and_no_file(
 async def test_the_last_frame_is_the_configured_one(behaviour: Behaviour) -> None:
     async with on_wires("robotiq_2f_85") as (gripper,):
         start = gripper.position
-        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2"), speed=0.5))
+        gripper.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2")), speed=0.5))
         await until(lambda: gripper.position > start + 0.1)
         assert await bring_to_rest(gripper.loop, behaviour, "the end") == [("gripper", True)]
         last = Command.from_registers(gripper.emulator.output)
@@ -184,7 +184,7 @@ async def test_the_last_frame_is_the_configured_one(behaviour: Behaviour) -> Non
 
 async def test_a_grip_survives_the_end_of_the_run_and_the_next_one_drops_nothing() -> None:
     async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
-        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        gripper.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2"))))
         assert (await gripper.result()).grasped
         await bring_to_rest(gripper.loop, Behaviour.HOLD, "the end")
         moves, effort = gripper.emulator.moves, gripper.emulator.axis.effort
@@ -203,7 +203,7 @@ async def test_a_grip_survives_the_end_of_the_run_and_the_next_one_drops_nothing
 
 async def test_a_hand_told_by_positions_alone_keeps_its_grip_too() -> None:
     async with on_wires("qb_softhand", object_in_hand="0.5") as (hand,):
-        hand.loop.submit(Goal("Grasp"))
+        hand.loop.submit(Goal(Named("Grasp")))
         assert (await hand.result()).grasped
         hand.wire.unplug()
         await until(lambda: hand.device.lifecycle is Lifecycle.UNCONFIGURED)
@@ -217,20 +217,20 @@ async def test_a_hand_told_by_positions_alone_keeps_its_grip_too() -> None:
         await until(lambda: hand.loop.statuses()[0].exchanges > exchanges + 20)
         assert hand.emulator.frames[SET_INPUTS] == frames[SET_INPUTS]
         assert axis.effort == effort
-        hand.loop.submit(Goal("open"))
+        hand.loop.submit(Goal(Named("open")))
         assert (await hand.result()).reached
 
 
 async def test_an_object_taken_away_is_told() -> None:
     async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
-        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        gripper.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2"))))
         assert (await gripper.result()).grasped
         gripper.wire.call(gripper.emulator.remove_object)
         await until(lambda: "grasp_lost" in [event.kind for event in gripper.events])
-        gripper.loop.submit(Goal("open"))
+        gripper.loop.submit(Goal(Named("open")))
         assert (await gripper.result()).reached
         gripper.wire.call(lambda: gripper.emulator.place_object(ObjectInHand.parse("40mm")))
-        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        gripper.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2"))))
         assert (await gripper.result()).grasped
 
 
@@ -239,10 +239,10 @@ async def test_opening_over_a_link_that_freezes_is_no_grasp(lost: bool) -> None:
     """Frozen while the set-point passes the object: the last word is about a closing target."""
     async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
         for early in (0.02, 0.06, 0.1):
-            gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+            gripper.loop.submit(Goal(Named("PinchTight", ("finger_1", "finger_2"))))
             assert (await gripper.result()).grasped
             held = gripper.position
-            gripper.loop.submit(Goal("open"))
+            gripper.loop.submit(Goal(Named("open")))
             reference = gripper.loop.controller.reference_position
             await until(lambda at=held + early, now=reference: now[0] < at)  # type: ignore[misc]
             gripper.wire.faults = Faults(drop=1.0) if lost else Faults(delay=1.0, delay_time=0.12)
@@ -270,12 +270,12 @@ async def test_what_is_held_is_held_all_the_time(name: str, action: str) -> None
     async with on_wires(name, object_in_hand="0.5") as (gripper,):
         words = Words()
         gripper.loop.add_observer(words)
-        gripper.loop.submit(Goal(action))
+        gripper.loop.submit(Goal(Named(action)))
         assert (await gripper.result()).grasped
         tick = gripper.loop.snapshot().tick
         await until(lambda: gripper.loop.snapshot().tick > tick + 2.5 * RATE)
         assert words.seen == [0, 1]
-        gripper.loop.submit(Goal("open"))
+        gripper.loop.submit(Goal(Named("open")))
         assert (await gripper.result()).reached
         assert words.seen == [0, 1, 0]
 
@@ -285,10 +285,10 @@ async def test_heri_ii_closes_with_the_effort_of_the_goal(driver: str) -> None:
     # Fingers stopped later could have met the thumb, which says nothing of an object.
     async with on_wires("heri_ii", object_in_hand="0.2", driver=driver) as (hand,):
         names = hand.loop.hand.actuator_names
-        hand.loop.submit(Goal("Grasp", effort=dict.fromkeys(names, 1.2)))
+        hand.loop.submit(Goal(Named("Grasp"), effort=dict.fromkeys(names, 1.2)))
         assert (await hand.result()).grasped
         assert hand.loop.snapshot().effort.max() == pytest.approx(1.2, rel=0.02)
-        hand.loop.submit(Goal("Grasp"))
+        hand.loop.submit(Goal(Named("Grasp")))
         assert (await hand.result()).grasped
         assert hand.loop.snapshot().effort.max() > 2.0
 
@@ -302,13 +302,13 @@ async def test_a_refused_effort_limit_says_what_cannot_be_done(name: str, reason
         actuator = hand.loop.hand.actuators[0]
         effort = {actuator.name: 0.5 * min(actuator.effort, 1.0)}
         with pytest.raises(GoalRejected, match=f"takes no effort limit: .*{reason}"):
-            hand.loop.submit(Goal("Grasp", effort=effort))
+            hand.loop.submit(Goal(Named("Grasp"), effort=effort))
 
 
 @pytest.mark.parametrize("name", ["heri_ii", "dagana"])
 async def test_closing_on_nothing_behind_xbot2_is_no_grasp(name: str) -> None:
     """The emulated joints go as far as the hand's."""
     async with on_wires(name) as (hand,):
-        hand.loop.submit(Goal("Grasp"))
+        hand.loop.submit(Goal(Named("Grasp")))
         result = await hand.result()
         assert (result.reached, result.stalled, result.grasped) == (True, False, False)

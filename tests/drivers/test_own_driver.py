@@ -20,7 +20,7 @@ from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.tick_driver import drive
 from rtee.testing import actuator
-from rtee.types import DeviceSpec, Goal, Lifecycle, Reference
+from rtee.types import DeviceSpec, Goal, Lifecycle, Named, Reference
 
 pytestmark = pytest.mark.anyio
 
@@ -122,7 +122,7 @@ async def test_the_example_drives_its_gripper(examples: dict[str, Any], tmp_path
             await until(lambda: loop.controller.active[0])
             await asyncio.sleep(0.05)
             assert set(gripper.wanted) == {20.0}, "it starts where it was found"
-            result = await loop.execute(Goal("open"))
+            result = await loop.execute(Goal(Named("open")))
             assert result.reached
             assert gripper.opening < 3.0
             gripper.hang_up()

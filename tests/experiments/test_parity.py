@@ -26,7 +26,7 @@ from rtee.hand.model import Hand
 from rtee.running.run import PreparedHand
 from rtee.testing import simulated_time
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 TOLERANCE = 0.02
 RATE = 100.0
@@ -61,7 +61,7 @@ def hands() -> dict[str, PreparedHand]:
 
 async def wired_end(prepared: PreparedHand, ends: dict[str, np.ndarray]) -> None:
     async with on_the_wire(prepared, None) as hand:
-        result = await hand.do(Goal("a_little", goal_id="a_little"))
+        result = await hand.do(Goal(Named("a_little"), goal_id="a_little"))
         ends[prepared.hand.name] = np.array(
             [result.position[name] for name in prepared.hand.actuator_names]
         )
@@ -90,7 +90,7 @@ def wired_ends(hands: dict[str, PreparedHand]) -> dict[str, np.ndarray]:
 
 
 def end_of(headless: HeadlessHand) -> np.ndarray:
-    result = headless.do(Goal("a_little"))
+    result = headless.do(Goal(Named("a_little")))
     assert result.reached, result
     headless.wait(0.3)
     return np.array(headless.simulation.position)

@@ -41,7 +41,7 @@ from rtee.messages.state import State
 from rtee.remote import credentials
 from rtee.remote.client import RemoteHand
 from rtee.remote.running_goal import RunningGoal
-from rtee.types import Goal, Result
+from rtee.types import Goal, Named, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -344,7 +344,7 @@ async def test_what_is_done_again_is_not_called_replaced(
     async def nothing() -> None:
         pass
 
-    first, second = (RunningGoal(Goal("Trig", goal_id=name), nothing) for name in "12")
+    first, second = (RunningGoal(Goal(Named("Trig"), goal_id=name), nothing) for name in "12")
     answered = anyio.Event()
 
     async def start(goal: RunningGoal) -> RunningGoal:

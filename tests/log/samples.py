@@ -19,8 +19,10 @@ from rtee.types import (
     Event,
     Feedback,
     Goal,
+    Intensity,
     Lifecycle,
     LoopStatistics,
+    Named,
     Result,
 )
 
@@ -59,8 +61,10 @@ RATE = 100.0
 WALL = 1_700_000_000_000_000_000
 BEGIN = 50.0
 
-GOAL = Goal("Trig", ("one",), intensity=0.5, effort={"first": 1.5}, goal_id="g1", client="tests")
-TIMED = Goal("drill", kind="timed", goal_id="g2", timeout=4.0)
+GOAL = Goal(
+    Named("Trig", ("one",)), Intensity(0.5), effort={"first": 1.5}, goal_id="g1", client="tests"
+)
+TIMED = Goal(Named("drill", kind="timed"), timeout=4.0, goal_id="g2")
 RESULT = Result("g1", "Trig", reached=True, duration=0.5, position={"first": 0.5, "second": 0.0})
 COMMAND = CommandRecord(70, BEGIN + 0.7, Jog({"first": 0.25}, 0.5))
 STATUS = DeviceStatus("motor", "kinematic", Lifecycle.ACTIVE, counters={"frames": 3})

@@ -38,7 +38,7 @@ from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings
 from rtee.messages.convert import plain
 from rtee.sample import ActuatorState
-from rtee.types import Goal, OnContact
+from rtee.types import FirstContact, Goal, Intensity, Named, OnContact
 
 pytestmark = pytest.mark.anyio
 
@@ -83,9 +83,9 @@ async def recording(
 async def story(rig: Rig) -> None:
     """Goals that replace one another, a timed one, a cancelled one, jogging, a stop."""
     await rig.do("Trig", "index")
-    rig.loop.submit(Goal("PinchTight", ("index", "thumb"), intensity=0.7, speed=0.6))
+    rig.loop.submit(Goal(Named("PinchTight", ("index", "thumb")), Intensity(0.7), speed=0.6))
     await rig.run(0.2)
-    rig.loop.submit(Goal("fist", effort={"thumb_base": 1.0}))
+    rig.loop.submit(Goal(Named("fist"), effort={"thumb_base": 1.0}))
     await rig.run(0.15)
     rig.loop.cancel("")
     await rig.run(0.3)
@@ -93,7 +93,7 @@ async def story(rig: Rig) -> None:
     await rig.run(0.2)
     rig.watcher.results.clear()
     await rig.do("drill")
-    rig.loop.submit(Goal("open"))
+    rig.loop.submit(Goal(Named("open")))
     await rig.run(0.1)
     await rig.loop.stop()
     await rig.run(0.1)
@@ -130,7 +130,7 @@ async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: Prof
     random = np.random.default_rng(4)
     async with recording(small, tmp_path, chosen) as rig:
         streams, most = rig.loop.streams, small.actuator("thumb_slide").effort
-        rig.loop.submit(Goal("fist", speed=0.5))
+        rig.loop.submit(Goal(Named("fist"), speed=0.5))
         await rig.run(0.2)
         sent = 0
         for number, (targets, rate) in enumerate(
@@ -228,12 +228,12 @@ async def test_reflexes_come_out_again(
     objects = {"index": 0.4, "thumb_base": 0.5}
     async with recording(small, tmp_path, chosen, kind=kind, objects=objects) as rig:
         rig.loop.submit(
-            Goal("PinchTight", ("index", "thumb"), speed=0.5, on_contact={"thumb": word})
+            Goal(Named("PinchTight", ("index", "thumb")), speed=0.5, on_contact={"thumb": word})
         )
         await rig.run(1.5)
-        rig.loop.submit(Goal("PinchTight", ("index", "thumb"), intensity=0.1))
+        rig.loop.submit(Goal(Named("PinchTight", ("index", "thumb")), Intensity(0.1)))
         await rig.run(0.5)
-        rig.loop.submit(Goal("PinchTight", ("index", "thumb"), touch=True))
+        rig.loop.submit(Goal(Named("PinchTight", ("index", "thumb")), FirstContact()))
         await rig.run(1.5)
         assert "thumb" in {finger for r in rig.watcher.results for finger in r.touched}
         assert "contact" in rig.watcher.kinds()
@@ -244,7 +244,7 @@ async def test_reflexes_come_out_again(
     assert found.goals[0].value.on_contact == {"thumb": word}
     forgotten = [replace(e, value=replace(e.value, on_contact={})) for e in found.goals]
     plans = [
-        replace(e, value=replace(e.value, goal=goal.value))
+        replace(e, value=replace(e.value, on_contact=goal.value.on_contact))
         for e, goal in zip(found.plans, forgotten, strict=True)
     ]
     without = check(replace(found, goals=tuple(forgotten), plans=tuple(plans)))

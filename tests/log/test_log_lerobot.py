@@ -28,7 +28,7 @@ from rtee.log.dataset.convert import Choice, write_dataset
 from rtee.log.dataset.episodes import By
 from rtee.messages.features import Quantity
 from rtee.messages.schema import parse
-from rtee.types import Event, Goal
+from rtee.types import Event, Goal, Intensity, Named
 
 MARKS = {
     50: "episode: turn it",
@@ -66,7 +66,7 @@ def demonstrations(claw: Hand, tmp_path_factory: pytest.TempPathFactory) -> Path
             sample = StreamSample("s", now, now, targets, {}, positions, {"first": np.nan})
             log.writer.item(CommandRecord(number, now, sample), now)
         if number == 310:
-            goal = Goal("Trig", ("one",), intensity=0.5, goal_id="g1", client="tests")
+            goal = Goal(Named("Trig", ("one",)), Intensity(0.5), goal_id="g1", client="tests")
             log.writer.item(goal, now)
         if number == 360:
             log.writer.item(RESULT, now)

@@ -51,7 +51,7 @@ from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
 from rtee.log.spool import Spool
 from rtee.loop.settings import LoopSettings
-from rtee.types import Event, Goal
+from rtee.types import Event, Goal, Named
 
 
 @pytest.fixture(scope="module")
@@ -372,7 +372,7 @@ def test_log_info(story: Path) -> None:
 def test_texts_of_a_recording_do_not_command_the_terminal(claw: Hand, tmp_path: Path) -> None:
     log = Log(claw, settings(tmp_path / "logs"))
     log.run(0, 2)
-    log.writer.item(Goal("Trig\x1b[8m"), log.time.now)
+    log.writer.item(Goal(Named("Trig\x1b[8m")), log.time.now)
     log.writer.item(Event("mark", "user", "\x1b[2Jgone\nnote: all is well", 0.0), log.time.now)
     log.writer.close()
     _, out = run("info", tmp_path / "logs")

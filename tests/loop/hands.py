@@ -27,6 +27,7 @@ from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
+from rtee.messages.goals import goal_of
 from rtee.sample import TickRecord
 from rtee.types import DeviceSpec, Event, Feedback, Goal, Result
 
@@ -195,7 +196,7 @@ class Rig:
         return self.watcher.results.pop(0)
 
     async def do(self, action: str, *elements: str, **more: object) -> Result:
-        self.loop.submit(Goal(action, elements, **more))  # type: ignore[arg-type]
+        self.loop.submit(goal_of(action, elements, **more))  # type: ignore[arg-type]
         return await self.result()
 
 

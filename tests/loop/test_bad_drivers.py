@@ -23,7 +23,7 @@ from rtee.loop.settings import LoopSettings
 from rtee.messages import DEVICE_STATUS, EVENT
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading
-from rtee.types import Goal, Lifecycle, Reference
+from rtee.types import Goal, Lifecycle, Named, Reference
 
 from .hands import Rig, Watcher, device, make_library
 
@@ -192,7 +192,7 @@ async def test_a_bad_driver_costs_its_device_alone(hand: Hand, what: str) -> Non
         await rig.run(0.1)  # the good one connects, whatever the other does
         assert loop.devices["good"].active
         await rig.run(1.0)
-        loop.submit(Goal("Trig", ("thumb",)))
+        loop.submit(Goal(Named("Trig", ("thumb",))))
         await rig.run(1.5)
         ticks = len(watcher.records)
         (result,) = watcher.results

@@ -11,9 +11,9 @@ from rtee.commands import SetActive
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
-from rtee.loop.plan import make_plan
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import Goal, Result
+from rtee.types import Goal, Named, Result
 
 START = 0.1
 
@@ -25,7 +25,7 @@ def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
     controller = Controller(hand, settings)
     n = len(hand.actuators)
     controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
-    controller.accept(make_plan(Goal("Trig", ("index",)), hand, library, settings), 0.0)
+    controller.accept(make_plan(Goal(Named("Trig", ("index",))), hand, library, settings), 0.0)
     position = [min(START, actuator.upper) for actuator in hand.actuators]
     unmeasured = [math.nan] * n
     for tick in range(500):

@@ -27,7 +27,7 @@ from rtee.hand.model import Hand
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
-from rtee.types import DeviceStatus, Goal, Lifecycle, Reference
+from rtee.types import DeviceStatus, Goal, Lifecycle, Named, Reference
 
 from .hands import Rig, device, make_library, running
 
@@ -99,7 +99,7 @@ def status(rig: Rig, name: str = "dummy") -> DeviceStatus:
 async def test_lost_packets_are_counted_and_nothing_else_happens(hand: Hand) -> None:
     settings, driver = trouble(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
-        rig.loop.submit(Goal("fist"))
+        rig.loop.submit(Goal(Named("fist")))
         for k in range(100):
             driver.errors = [BusTimeout("wire", "lost") if k % 2 else FrameError("wire", "bad")]
             await rig.run(0.02)
@@ -115,7 +115,7 @@ async def test_silence_is_a_lost_device_and_it_comes_back_inactive(hand: Hand) -
     settings, driver = trouble(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
         await rig.do("Trig", "index", intensity=0.5)
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.1)
         driver.errors = [BusTimeout("wire", "silent") for _ in range(1000)]
         result = await rig.result()
@@ -130,7 +130,7 @@ async def test_silence_is_a_lost_device_and_it_comes_back_inactive(hand: Hand) -
         assert status(rig).reconnects == 1
         assert driver.log == ["configure"]
         with pytest.raises(GoalRejected, match="not active"):
-            rig.loop.submit(Goal("open"))
+            rig.loop.submit(Goal(Named("open")))
         assert "reconnected" in rig.watcher.kinds()
 
 
@@ -239,7 +239,7 @@ async def test_a_users_mistake_is_raised_at_the_start(hand: Hand) -> None:
 async def test_a_fault_is_named_and_recovered_without_a_jump(hand: Hand) -> None:
     settings, driver = trouble(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.2)
         driver.fail("overload")
         result = await rig.result()
@@ -447,7 +447,7 @@ async def test_what_the_rest_of_the_hand_does_when_a_device_is_lost(
     settings = LoopSettings(safety=SafetySettings(on_link_lost=behaviour))
     devices, left, right = two(hand)
     async with running(hand, settings, devices) as rig:
-        rig.loop.submit(Goal("fist"))
+        rig.loop.submit(Goal(Named("fist")))
         await rig.run(0.3)
         left.unplug()
         result = await rig.result()
@@ -532,7 +532,7 @@ async def test_a_device_that_never_measures_its_position_is_never_moved(hand: Ha
     async with running(hand, None, [(settings, driver)]) as rig:
         await rig.run(0.1)
         with pytest.raises(GoalRejected, match="not active"):
-            rig.loop.submit(Goal("open"))
+            rig.loop.submit(Goal(Named("open")))
         assert "move" not in driver.log
 
 

@@ -19,8 +19,19 @@ from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip
 from rtee.loop.measured import Measured
-from rtee.loop.plan import make_plan
-from rtee.types import Event, Goal, OnContact, Result
+from rtee.loop.planning import make_plan
+from rtee.types import (
+    Around,
+    Event,
+    FirstContact,
+    Force,
+    Goal,
+    Intensity,
+    Named,
+    OnContact,
+    Opening,
+    Result,
+)
 
 FOLDER = Path(__file__).parents[2] / "config" / "robotiq_2f_85"
 NAN = float("nan")
@@ -58,7 +69,7 @@ class Gripper:
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
         self.amperes = amperes
         self.impact, self.since_contact = impact, 0
-        self.grip = self.plan(Goal("Grasp", opening=width)).grip
+        self.grip = self.plan(Goal(Named("Grasp"), Opening(width))).grip
         assert self.grip is not None
         self.contact = math.inf
         if width:
@@ -125,7 +136,7 @@ class Gripper:
 
 
 def grasp(width: float, force: float | None = None) -> Goal:
-    return Goal("Grasp", opening=width, force=force, grasp=True)
+    return Goal(Named("Grasp"), Around(width), effort=Force(force))
 
 
 def test_an_approach_takes_little_effort_and_the_force_comes_after_the_contact() -> None:
@@ -169,7 +180,7 @@ def test_the_impact_of_the_contact_does_not_pass_for_the_force() -> None:
 
 def test_what_was_not_measured_is_none() -> None:
     gripper = Gripper()
-    result = gripper.do(Goal("Grasp", opening=0.04))
+    result = gripper.do(Goal(Named("Grasp"), Opening(0.04)))
     assert (result.within, round(result.opening or 0.0, 3)) == (
         None,
         0.04,
@@ -202,9 +213,9 @@ def test_friction_that_nobody_knows_is_overcome_on_the_way() -> None:
 
 def test_a_goal_that_opens_after_a_grasp_does_not_press_on_its_way_back() -> None:
     gripper = Gripper(0.04)
-    assert gripper.do(Goal("Grasp", effort={gripper.hand.actuator_names[0]: 2.0})).grasped
+    assert gripper.do(Goal(Named("Grasp"), effort={gripper.hand.actuator_names[0]: 2.0})).grasped
     assert gripper.force > 10.0
-    gripper.accept(Goal("Grasp", intensity=0.1))
+    gripper.accept(Goal(Named("Grasp"), Intensity(0.1)))
     gripper.tick()
     assert gripper.limit == gripper.hand.actuators[0].effort
     for _ in range(20):
@@ -258,16 +269,16 @@ def test_fingertips_that_meet_one_another_are_no_object(reads: float) -> None:
 
 def test_a_gripper_that_its_force_does_not_move_holds_nothing() -> None:
     gripper = Gripper(friction=4.0)
-    result = gripper.do(Goal("Grasp", effort={gripper.hand.actuator_names[0]: 3.0}))
+    result = gripper.do(Goal(Named("Grasp"), effort={gripper.hand.actuator_names[0]: 3.0}))
     assert (result.stalled, result.grasped) == (True, False)
 
 
 def test_a_goal_that_closes_further_does_not_let_go() -> None:
     gripper = Gripper(0.04)
     name = gripper.hand.actuator_names[0]
-    assert gripper.do(Goal("Grasp", effort={name: 2.0})).grasped
+    assert gripper.do(Goal(Named("Grasp"), effort={name: 2.0})).grasped
     before = gripper.force
-    gripper.accept(Goal("Grasp", effort={name: 3.0}))
+    gripper.accept(Goal(Named("Grasp"), effort={name: 3.0}))
     for _ in range(200):
         gripper.tick()
         assert gripper.force >= 0.99 * before
@@ -276,7 +287,7 @@ def test_a_goal_that_closes_further_does_not_let_go() -> None:
 @pytest.mark.parametrize("amperes", [0.05, 2.0])
 def test_a_device_that_measures_nothing_but_currents_feels_what_it_touches(amperes: float) -> None:
     gripper = Gripper(0.04, amperes=amperes)
-    gripper.accept(Goal("Grasp", on_contact={"": OnContact.STOP}, speed=0.3))
+    gripper.accept(Goal(Named("Grasp"), speed=0.3, on_contact={"": OnContact.STOP}))
     pressed = 0.0
     while not gripper.results:
         gripper.tick()
@@ -295,7 +306,7 @@ def test_a_device_that_measures_nothing_but_currents_feels_what_it_touches(amper
 def test_an_opening_is_judged_in_millimetres(off: float, reached: bool) -> None:
     # 1 mm are 0.009 rad there, less than what counts as reached of other goals.
     gripper = Gripper(stops_short=off / 0.111)
-    result = gripper.do(Goal("Grasp", opening=0.04, timeout=5.0))
+    result = gripper.do(Goal(Named("Grasp"), Opening(0.04), timeout=5.0))
     assert result.opening == pytest.approx(0.04 + off, abs=1.5e-4)
     assert result.reached == reached
     assert result.succeeded == reached
@@ -367,34 +378,34 @@ class Sticking(Gripper):
 def test_a_gripper_that_moves_in_steps_touches_nothing_in_the_air(kind: type[Gripper]) -> None:
     gripper = kind()
     for number in range(4):
-        result = gripper.do(Goal("Grasp", touch=True))
+        result = gripper.do(Goal(Named("Grasp"), FirstContact()))
         assert (result.touched, result.reached) == ((), True), number
-        gripper.do(Goal("open"))
+        gripper.do(Goal(Named("open")))
     # The first time, it says that it does not know yet what free motion takes.
     assert [event.kind for event in gripper.events] == ["contact_unknown"]
     # What it has learned is of use to the next run.
     kept = from_json(to_json(gripper.controller.learned_motion["finger_joint"]), LearnedMotion)
     assert kept.sound
     again = kind(learned={"finger_joint": kept})
-    assert again.do(Goal("Grasp", touch=True)).touched == ()
+    assert again.do(Goal(Named("Grasp"), FirstContact())).touched == ()
     assert again.events == []
 
 
 @pytest.mark.parametrize("width", [0.01, 0.03, 0.06])
 def test_it_touches_what_is_there_once_it_has_moved_freely(width: float) -> None:
     gripper = Stepping()
-    gripper.do(Goal("Grasp", touch=True))
-    gripper.do(Goal("open"))
+    gripper.do(Goal(Named("Grasp"), FirstContact()))
+    gripper.do(Goal(Named("open")))
     assert gripper.grip is not None
     gripper.contact = gripper.grip.position_at(gripper.grip.intensity_at(width))[0]
-    result = gripper.do(Goal("Grasp", touch=True))
+    result = gripper.do(Goal(Named("Grasp"), FirstContact()))
     assert result.touched
     assert result.opening == pytest.approx(width, abs=2e-3)
 
 
 def test_every_free_motion_teaches_what_a_contact_is_not() -> None:
     gripper = Stepping()
-    gripper.do(Goal("Grasp", speed=0.1))  # a goal that reacts to nothing
-    gripper.do(Goal("open"))
-    gripper.do(Goal("Grasp", touch=True))
+    gripper.do(Goal(Named("Grasp"), speed=0.1))  # a goal that reacts to nothing
+    gripper.do(Goal(Named("open")))
+    gripper.do(Goal(Named("Grasp"), FirstContact()))
     assert gripper.events == []

@@ -17,7 +17,7 @@ from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import Level, Thermal
 from rtee.sample import ActuatorState
-from rtee.types import Goal, Lifecycle, Reference
+from rtee.types import Goal, Lifecycle, Named, Reference
 
 from .hands import device, running
 
@@ -55,11 +55,11 @@ async def test_one_finger_may_hold_while_the_other_arrives(hand: Hand) -> None:
 @pytest.mark.parametrize("by", ["goal", "jog"])
 async def test_a_goal_that_is_preempted_tells_what_it_held(hand: Hand, by: str) -> None:
     async with running(hand, objects={"index": 0.4}) as rig:
-        rig.loop.submit(Goal("fist", speed=0.1))
+        rig.loop.submit(Goal(Named("fist"), speed=0.1))
         await rig.run(4.0)
         assert not rig.watcher.results, "the thumb is on its way"
         if by == "goal":
-            rig.loop.submit(Goal("open"))
+            rig.loop.submit(Goal(Named("open")))
         else:
             rig.loop.jog({"index_base": 0.0})
         result = await rig.result()
@@ -77,7 +77,7 @@ async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> 
 
 async def test_slow_motion_is_no_stall(hand: Hand) -> None:
     async with running(hand, LoopSettings(rate=100.0, goal_timeout=100.0)) as rig:
-        rig.loop.submit(Goal("Trig", ("index",), speed=0.01))
+        rig.loop.submit(Goal(Named("Trig", ("index",)), speed=0.01))
         result = await rig.result(within=90)
         assert result.reached
         assert not result.stalled
@@ -152,7 +152,7 @@ async def test_a_device_without_effort_limits_is_eased_off_by_its_position(hand:
     one = device(hand, objects={"index": 0.4})
     async with running(hand, settings, [(one, NoEffort(one.spec, BusPool()))]) as rig:
         with pytest.raises(GoalRejected, match="takes no effort limit"):
-            rig.loop.submit(Goal("Trig", ("index",), effort={"index_base": 1.0}))
+            rig.loop.submit(Goal(Named("Trig", ("index",)), effort={"index_base": 1.0}))
         await rig.do("Trig", "index")
         await rig.run(0.2)
         assert rig.driver.plants[0].target == 1.5
@@ -163,7 +163,7 @@ async def test_a_device_without_effort_limits_is_eased_off_by_its_position(hand:
 
 async def test_effort_limits_of_a_goal_are_sent_with_its_first_set_point(hand: Hand) -> None:
     async with running(hand, objects={"index": 0.4}) as rig:
-        rig.loop.submit(Goal("Trig", ("index",), effort={"index_base": 0.5}))
+        rig.loop.submit(Goal(Named("Trig", ("index",)), effort={"index_base": 0.5}))
         rig.loop.tick(rig.clock.next())
         await rig.clock.settle()
         assert rig.driver.plants[0].max_effort == 0.5
@@ -192,7 +192,7 @@ async def test_the_devices_own_word_counts_short_of_the_end(hand: Hand) -> None:
     one = device(hand, objects={"index": 0.4})
     driver = OwnWord(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.35)
         driver.word = 1
         result = await rig.result()
@@ -207,7 +207,7 @@ async def test_the_devices_own_word_does_not_count_at_the_end_of_the_range(hand:
     one = device(hand)
     driver = OwnWord(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.9)
         driver.word = 1
         result = await rig.result()
@@ -218,11 +218,11 @@ async def test_opening_a_grip_is_no_grasp_by_a_word_that_still_stands(hand: Hand
     one = device(hand, objects={"index": 0.4})
     driver = OwnWord(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.35)
         driver.word = 1
         assert (await rig.result()).grasped
-        rig.loop.submit(Goal("open"))
+        rig.loop.submit(Goal(Named("open")))
         await rig.run(0.1)
         driver.word = 0
         result = await rig.result()
@@ -283,7 +283,7 @@ async def test_opening_over_a_link_that_freezes_is_no_grasp(
         async with running(hand, None, [(one, driver)]) as rig:
             grasp = await rig.do("slide")
             assert grasp.grasped
-            rig.loop.submit(Goal("open"))
+            rig.loop.submit(Goal(Named("open")))
             while rig.loop.controller.reference_position[-1] > 0.016 + early:
                 await rig.run(0.001)
             driver.frozen = True
@@ -299,7 +299,7 @@ async def test_a_grip_that_does_not_open_is_no_grasp(hand: Hand) -> None:
     one = device(hand, objects={"index": 0.4})
     driver = OwnWord(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.35)
         driver.word = 1
         assert (await rig.result()).grasped
@@ -314,7 +314,7 @@ async def test_silence_is_no_stall(hand: Hand) -> None:
     driver = FreezingLink(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
         await rig.do("Trig", "index")
-        rig.loop.submit(Goal("open"))
+        rig.loop.submit(Goal(Named("open")))
         await rig.run(0.1)
         where = driver.plants[0].position
         driver.frozen = True
@@ -416,7 +416,7 @@ async def test_heat_warns_then_derates_then_disables(hand: Hand) -> None:
         assert rig.driver.plants[0].effort == 0.0
         await rig.run(1.0)
         with pytest.raises(GoalRejected, match="not active"):
-            rig.loop.submit(Goal("open"))
+            rig.loop.submit(Goal(Named("open")))
 
 
 async def test_what_is_recovered_too_hot_is_disabled_again(hand: Hand) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtee.hand.model import Hand
-from rtee.types import Goal, Lifecycle
+from rtee.types import Goal, Lifecycle, Named
 
 from .hands import NAMES, running
 
@@ -38,4 +38,4 @@ async def test_goal_is_reached(hand: Hand) -> None:
         assert progress[0] == 0.0
         assert progress[-1] == 1.0
         assert set(result.position) == set(NAMES)
-        assert rig.watcher.goals[0][0] == Goal("Trig", ("index",), goal_id=result.goal_id)
+        assert rig.watcher.goals[0][0] == Goal(Named("Trig", ("index",)), goal_id=result.goal_id)

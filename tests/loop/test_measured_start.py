@@ -17,7 +17,7 @@ from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.loop.shutdown import bring_to_rest
 from rtee.sample import ActuatorState
-from rtee.types import Goal, Lifecycle, Reference
+from rtee.types import Goal, Lifecycle, Named, Reference
 
 from .hands import Rig, device, running
 from .test_shutdown import stopped
@@ -83,7 +83,7 @@ async def _keep(rig: Rig) -> None:
 
 
 async def _goal(rig: Rig) -> None:
-    rig.loop.submit(Goal("open"))
+    rig.loop.submit(Goal(Named("open")))
 
 
 async def _stream(rig: Rig) -> None:
@@ -111,7 +111,7 @@ async def test_no_wrong_measurement_becomes_a_reference(hand: Hand, how: str, pa
     one = device(hand, rate=RATE)
     driver = Wrong(one.spec, BusPool())
     async with running(hand, LoopSettings(rate=RATE), [(one, driver)]) as rig:
-        rig.loop.submit(Goal("fist", speed=0.5))
+        rig.loop.submit(Goal(Named("fist"), speed=0.5))
         await rig.run(0.2)
         driver.how = how
         await rig.run(0.2)
@@ -172,7 +172,7 @@ async def test_a_record_says_fresh_of_what_was_measured_only(hand: Hand, how: st
 async def test_a_finger_that_presses_with_force_stops_pressing(hand: Hand) -> None:
     """What keeps an encoder still may be an object, which the effort shows."""
     async with running(hand, LoopSettings(rate=RATE), objects={"index_base": 0.5}) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.6)
         assert rig.loop.snapshot().reference_position[0] > 1.0
         await _stop(rig)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,13 +18,24 @@ from rtee.hand.load import load_configured
 from rtee.log.plans import encode_plan, plan_of
 from rtee.loop.clock import ManualClock
 from rtee.loop.configure import loop_settings
+from rtee.loop.forces import DeviceForces
 from rtee.loop.grip import EFFORT, LIMIT, TIPS, Grip
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
-from rtee.loop.opening_plan import DeviceForces
-from rtee.loop.plan import NO_DEVICES, Plan, make_plan
+from rtee.loop.plan import Plan
+from rtee.loop.planning import make_plan
+from rtee.messages.goals import goal_of
 from rtee.messages.schema import message_type
-from rtee.types import Goal, OnContact, Stage
+from rtee.types import (
+    Around,
+    Fingers,
+    FirstContact,
+    Goal,
+    Named,
+    OnContact,
+    Opening,
+    Stage,
+)
 
 from .hands import device
 
@@ -31,53 +43,56 @@ CONFIG = Path(__file__).parents[2] / "config"
 NAN = float("nan")
 
 
-def plan(name: str, goal: Goal, devices: DeviceForces = NO_DEVICES) -> Plan:
+def plan(name: str, goal: Goal, devices: DeviceForces | None = None) -> Plan:
     hand, config = load_configured(CONFIG / name)
     library = ActionLibrary.load(hand, CONFIG / name / "actions")
-    return make_plan(goal, hand, library, loop_settings(config), devices=devices)
+    return make_plan(goal, hand, library, loop_settings(config), devices=devices or DeviceForces())
 
 
-def grasp(width: float, force: float | None = None, *, action: str = "Grasp") -> Goal:
-    return Goal(action, opening=width, force=force, grasp=True)
+def grasp(width: float, force: float | None = None, **more: Any) -> Goal:
+    return goal_of(**{"action": "Grasp", "grasp": True, "opening": width, "force": force, **more})
 
 
 @pytest.mark.parametrize(
-    ("goal", "reason"),
+    ("asked", "reason"),
     [
-        (grasp(NAN), "the width must be 0 m or more, not nan"),
-        (grasp(-0.01), "the width must be 0 m or more"),
-        (grasp(0.2), r"opens 0.0 to 86.0 mm, not 200.0 mm; the nearest is 86.0 mm"),
-        (grasp(0.2, action=""), r"no action of 'robotiq_2f_85' holds .* nearest is 86.0 mm, by"),
-        (grasp(0.03, 900.0), r"at most 222 N at an opening of 30 mm, not 900 N; the nearest is"),
-        (grasp(0.03, NAN), "the force must be above 0 N, not nan"),
-        (grasp(0.03, 0.0), "the force must be above 0 N"),
-        (grasp(0.03, math.inf), "the force must be above 0 N, not inf"),
-        (replace(grasp(0.03), tip_speed=9.0), "opens and closes at .* mm/s at most"),
-        (replace(grasp(0.03), tip_speed=NAN), "the speed must be above 0 m/s"),
-        (replace(grasp(0.03), narrower=NAN), "the tolerance 'narrower' must be 0 m or more"),
-        (replace(grasp(0.03), intensity=0.5), "an intensity or an opening, not both"),
-        (replace(grasp(0.03), stage=Stage.GRASP), "a stage or an opening, not both"),
-        (replace(grasp(0.03), elements=("ring",), action=""), "unknown finger 'ring'"),
-        (Goal("Grasp", force=10.0), "a force needs the opening"),
-        (Goal("Grasp", tip_speed=0.1), "a speed in m/s needs the opening"),
+        ({"width": NAN}, "the width must be 0 m or more, not nan"),
+        ({"width": -0.01}, "the width must be 0 m or more"),
+        ({"width": 0.2}, r"opens 0.0 to 86.0 mm, not 200.0 mm; the nearest is 86.0 mm"),
         (
-            replace(grasp(0.03, 30.0), effort={"finger_joint": 1.0}),
-            "efforts or a force, not both",
+            {"width": 0.2, "action": ""},
+            r"no action of 'robotiq_2f_85' holds .* nearest is 86.0 mm, by",
         ),
+        ({"force": 900.0}, r"at most 222 N at an opening of 30 mm, not 900 N; the nearest is"),
+        ({"force": NAN}, "the force must be above 0 N, not nan"),
+        ({"force": 0.0}, "the force must be above 0 N"),
+        ({"force": math.inf}, "the force must be above 0 N, not inf"),
+        ({"tip_speed": 9.0}, "opens and closes at .* mm/s at most"),
+        ({"tip_speed": NAN}, "the speed must be above 0 m/s"),
+        ({"narrower": NAN}, "the tolerance 'narrower' must be 0 m or more"),
+        ({"intensity": 0.5}, "an intensity or an opening, not both"),
+        ({"stage": Stage.GRASP}, "a stage or an opening, not both"),
+        ({"elements": ("ring",), "action": ""}, "unknown finger 'ring'"),
+        ({"width": None, "grasp": False, "force": 10.0}, "a force needs the opening"),
+        ({"width": None, "grasp": False, "tip_speed": 0.1}, "a speed in m/s needs the opening"),
+        ({"width": None}, "a grasp needs the width of the object"),
+        ({"force": 30.0, "effort": {"finger_joint": 1.0}}, "efforts or a force, not both"),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_nearest_that_can(goal: Goal, reason: str) -> None:
+def test_what_cannot_be_is_refused_with_the_nearest_that_can(
+    asked: dict[str, Any], reason: str
+) -> None:
     with pytest.raises(GoalRejected, match=reason):
-        plan("robotiq_2f_85", goal)
+        plan("robotiq_2f_85", grasp(**{"width": 0.03, **asked}))
 
 
 def test_an_action_without_an_opening_is_refused_with_the_command_that_makes_one() -> None:
     with pytest.raises(ActionError, match="`rtee openings schunk_svh --save`"):
-        plan("schunk_svh", Goal("Trig", ("index",), opening=0.03))
+        plan("schunk_svh", Goal(Named("Trig", ("index",)), Opening(0.03)))
 
 
 def test_an_opening_is_a_single_way_to_its_intensity() -> None:
-    found = plan("robotiq_2f_85", Goal("Grasp", opening=0.04))
+    found = plan("robotiq_2f_85", Goal(Named("Grasp"), Opening(0.04)))
     [leg] = found.legs
     assert found.grip is not None
     assert found.grip.opening([leg.targets[0]]) == pytest.approx(0.04, abs=1e-4)
@@ -85,14 +100,14 @@ def test_an_opening_is_a_single_way_to_its_intensity() -> None:
 
 
 def test_a_grasp_opens_by_a_margin_then_closes_with_the_effort_of_the_force() -> None:
-    found = plan("robotiq_2f_85", replace(grasp(0.03, 50.0), tip_speed=0.05))
+    found = plan("robotiq_2f_85", grasp(0.03, 50.0, tip_speed=0.05))
     opens, closes = found.legs
     assert found.grip is not None
     assert found.grip.opening([opens.targets[0]]) == pytest.approx(0.04, abs=1e-4)
     assert closes.targets[0] > 0.8
     # By virtual work: 50 N times the slope of the opening, 111 mm/rad.
     assert found.effort[0] == pytest.approx(50.0 * 0.1126, rel=0.02)
-    assert 0.0 < found.goal.speed < 1.0
+    assert 0.0 < found.speed < 1.0
 
 
 def test_the_sheet_of_a_device_comes_before_the_geometry() -> None:
@@ -117,8 +132,8 @@ class WithSheet(KinematicDriver):
 @pytest.mark.parametrize(
     "goal",
     [
-        Goal("Grasp", touch=True),
-        Goal("Grasp", on_contact={"": OnContact.SQUEEZE}),
+        Goal(Named("Grasp"), FirstContact()),
+        Goal(Named("Grasp"), on_contact={"": OnContact.SQUEEZE}),
         grasp(0.03),
     ],
 )
@@ -146,7 +161,9 @@ async def test_goals_that_feel_contacts_know_the_sheet_of_the_device(goal: Goal)
         light = loop.controller.reference_effort[0]
     assert [plan.grip and plan.grip.sheet for plan in plans] == [WithSheet.SHEET]
     full = hand.actuators[0].effort
-    assert light < 0.5 * full if goal.touch else light == full, "a touch is light on any device"
+    assert light < 0.5 * full if isinstance(goal.to, FirstContact) else light == full, (
+        "a touch is light on any device"
+    )
 
 
 def test_devices_that_cannot_limit_an_effort_refuse_a_force() -> None:
@@ -157,20 +174,21 @@ def test_devices_that_cannot_limit_an_effort_refuse_a_force() -> None:
 
 
 def test_without_fingers_the_best_action_for_the_width_is_taken() -> None:
-    found = plan("schunk_svh", Goal("", opening=0.03, grasp=True))
+    found = plan("schunk_svh", Goal(Fingers(), Around(0.03)))
     assert "thumb" in found.elements
-    only = plan("schunk_svh", Goal("", ("ring", "thumb"), opening=0.03, grasp=True))
+    only = plan("schunk_svh", Goal(Fingers(("ring", "thumb")), Around(0.03)))
     assert (only.action, set(only.elements)) == ("PinchTight", {"ring", "thumb"})
     with pytest.raises(GoalRejected, match=r"no action of index of 'schunk_svh'|no action of"):
-        plan("schunk_svh", Goal("", ("index",), opening=0.03, grasp=True))
+        plan("schunk_svh", Goal(Fingers(("index",)), Around(0.03)))
 
 
 def test_a_recorded_plan_tells_opening_and_force_as_before() -> None:
     hand, _ = load_configured(CONFIG / "robotiq_2f_85")
     sheet = GripForce((2.0, 24.0), (20.0, 10.0), (235.0, 200.0), (0.0, 0.8))
-    made = plan("robotiq_2f_85", grasp(0.03, 50.0), DeviceForces(grips={0: sheet}))
+    goal = grasp(0.03, 50.0, tip_speed=0.05)
+    made = plan("robotiq_2f_85", goal, DeviceForces(grips={0: sheet}))
     data = encode_plan(made, hand.actuator_names, time=1.0, wall=2)
-    read = plan_of(message_type("rtee_msgs/Plan").decode(data), made.goal, hand.actuator_names)
+    read = plan_of(message_type("rtee_msgs/Plan").decode(data), goal, hand.actuator_names)
     assert read == made
 
 

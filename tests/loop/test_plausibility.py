@@ -16,7 +16,7 @@ from rtee.drivers.plausibility import MARGIN, Plausibility
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
-from rtee.types import ActuatorSpec, Event, Goal, JointKind
+from rtee.types import ActuatorSpec, Event, Goal, JointKind, Named
 
 from .hands import device, running
 
@@ -120,7 +120,7 @@ async def test_a_glitch_is_told_and_ends_nothing(hand: Hand) -> None:
     driver = Liar(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
         await rig.do("Trig", "index")
-        rig.loop.submit(Goal("open"))
+        rig.loop.submit(Goal(Named("open")))
         await rig.run(0.3)
         driver.lies, driver.most = 1, 5.0
         result = await rig.result()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -18,11 +19,19 @@ from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import FreeMotion
 from rtee.loop.measured import Measured
-from rtee.loop.plan import make_plan
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.tip_levers import TipLevers
 from rtee.messages import GOAL, RESULT
-from rtee.types import Event, Goal, OnContact, Result
+from rtee.messages.goals import goal_of
+from rtee.types import (
+    Event,
+    FirstContact,
+    Goal,
+    Named,
+    OnContact,
+    Result,
+)
 
 INDEX, THUMB = 0, 2
 NAN = math.nan
@@ -94,7 +103,7 @@ class World:
         controller.outbox.items.clear()
 
     def accept(self, **goal: object) -> None:
-        made = Goal("PinchTight", ("index", "thumb"), **goal)  # type: ignore[arg-type]
+        made = goal_of("PinchTight", ("index", "thumb"), **goal)  # type: ignore[arg-type]
         plan = make_plan(made, self.hand, make_library(self.hand), self.settings)
         self.controller.accept(plan, self.time)
 
@@ -165,7 +174,7 @@ def test_the_word_of_hand_yaml_counts_unless_a_goal_has_one(small: Hand) -> None
     world = World(small, {INDEX: 0.6}, tips=True, on_contact=OnContact.STOP)
     world.accept(speed=0.3)
     assert world.until_result().touched == ("index",)
-    goal = Goal("open")
+    goal = Goal(Named("open"))
     plan = make_plan(goal, small, make_library(small), world.settings)
     world.controller.accept(plan, world.time)
     result = world.until_result()
@@ -258,12 +267,12 @@ def test_effort_never_rises_above_that_of_the_goal(small: Hand) -> None:
 def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
     world = World(small, {THUMB: 0.2}, tips=True)
     plan = make_plan(
-        Goal("PinchTight", ("index", "thumb"), touch=True),
+        Goal(Named("PinchTight", ("index", "thumb")), FirstContact()),
         small,
         make_library(small),
         world.settings,
     )
-    assert plan.goal.speed == 0.05
+    assert plan.speed == 0.05
     world.controller.accept(plan, world.time)
     result = world.until_result()
     assert result.touched == ("thumb",)
@@ -276,7 +285,7 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
 
 def test_a_touch_may_take_as_long_as_its_slow_way(small: Hand) -> None:
     world = World(small, {THUMB: 0.75}, tips=True)
-    goal = Goal("PinchTight", ("index", "thumb"), touch=True)
+    goal = Goal(Named("PinchTight", ("index", "thumb")), FirstContact())
     settings = replace(world.settings, goal_timeout=2.0)
     # At a twentieth of 2 rad/s, the thumb takes 7.5 s to its wall.
     world.controller.accept(make_plan(goal, small, make_library(small), settings), world.time)
@@ -289,50 +298,53 @@ def test_a_touch_may_take_as_long_as_its_slow_way(small: Hand) -> None:
 
 def test_a_touch_by_a_timed_action_has_time_for_each_way(small: Hand) -> None:
     settings = LoopSettings(goal_timeout=2.0)
-    plan = make_plan(Goal("drill", touch=True), small, make_library(small), settings)
+    plan = make_plan(Goal(Named("drill"), FirstContact()), small, make_library(small), settings)
     ways = 1.5 / 3.0 + 1.0 / 2.0 + 1.0 / 2.0  # [rad] / [rad/s], the longest of each leg
     assert plan.timeout == pytest.approx(3 * 2.0 + 0.7 + ways * (1.0 / 0.05 - 1.0))
 
 
 def test_a_slow_goal_may_take_as_long_as_it_is_slow(small: Hand) -> None:
     settings, library = LoopSettings(goal_timeout=2.0), make_library(small)
-    fast = make_plan(Goal("drill"), small, library, settings).timeout
-    slow = make_plan(Goal("drill", speed=0.01), small, library, settings).timeout
+    fast = make_plan(Goal(Named("drill")), small, library, settings).timeout
+    slow = make_plan(Goal(Named("drill"), speed=0.01), small, library, settings).timeout
     ways = 1.5 / 3.0 + 1.0 / 2.0 + 1.0 / 2.0  # [rad] / [rad/s], the longest of each leg
     assert fast == pytest.approx(3 * 2.0 + 0.7)
     assert slow == pytest.approx(fast + ways * 99.0)
-    creeping = make_plan(Goal("fist", speed=1e-300), small, library, settings)
+    creeping = make_plan(Goal(Named("fist"), speed=1e-300), small, library, settings)
     assert creeping.timeout == pytest.approx(2.0 + 86400.0), "a day at most"
-    given = make_plan(Goal("fist", speed=0.01, timeout=3.0), small, library, settings)
+    given = make_plan(Goal(Named("fist"), speed=0.01, timeout=3.0), small, library, settings)
     assert given.timeout == 3.0
 
 
 @pytest.mark.parametrize(
-    ("goal", "reason"),
+    ("asked", "reason"),
     [
-        (Goal("fist", on_contact={"ring": OnContact.STOP}), "on_contact of an unknown finger"),
-        (Goal("fist", max_force=3.0), "a largest force needs the force"),
-        (Goal("fist", opening=0.01, force=4.0, max_force=3.0), "must be at least the force, 4 N"),
-        (Goal("fist", opening=0.01, force=4.0, max_force=NAN), "not nan"),
-        (Goal("fist", touch=True, opening=0.01), "a touch takes no opening"),
-        (Goal("", ("ring",), touch=True), "unknown finger 'ring'"),
-        (Goal("", touch=True), "no action closes the fingertips of 'small'"),
-        (Goal("fist", touch=True, tip_speed=0.01), "has no opening: give the speed as a share"),
-        (Goal("fist", touch=True, tip_speed=0.0), "the speed must be above 0 m/s, not 0"),
-        (Goal("fist", touch=True, tip_speed=-0.01), "above 0 m/s, not -0.01"),
-        (Goal("fist", touch=True, tip_speed=NAN), "above 0 m/s, not nan"),
-        (Goal("fist", touch=True, tip_speed=0.01, speed=0.5), "as a share or in m/s, not both"),
+        ({"on_contact": {"ring": OnContact.STOP}}, "on_contact of an unknown finger"),
+        ({"max_force": 3.0}, "a largest force needs the force"),
+        ({"opening": 0.01, "force": 4.0, "max_force": 3.0}, "must be at least the force, 4 N"),
+        ({"opening": 0.01, "force": 4.0, "max_force": NAN}, "not nan"),
+        ({"touch": True, "opening": 0.01}, "a touch takes no opening"),
+        ({"touch": True, "force": 1.0}, "a touch takes no force"),
+        ({"touch": True, "intensity": 0.5}, "give an intensity or a touch, not both"),
+        ({"action": "", "elements": ("ring",), "touch": True}, "unknown finger 'ring'"),
+        ({"action": "", "touch": True}, "no action closes the fingertips of 'small'"),
+        ({"touch": True, "tip_speed": 0.01}, "has no opening: give the speed as a share"),
+        ({"touch": True, "tip_speed": 0.0}, "the speed must be above 0 m/s, not 0"),
+        ({"touch": True, "tip_speed": -0.01}, "above 0 m/s, not -0.01"),
+        ({"touch": True, "tip_speed": NAN}, "above 0 m/s, not nan"),
+        ({"touch": True, "tip_speed": 0.01, "speed": 0.5}, "as a share or in m/s, not both"),
     ],
 )
-def test_what_cannot_be_is_refused(small: Hand, goal: Goal, reason: str) -> None:
+def test_what_cannot_be_is_refused(small: Hand, asked: dict[str, Any], reason: str) -> None:
     with pytest.raises(GoalRejected, match=reason):
-        make_plan(goal, small, make_library(small), LoopSettings())
+        make_plan(
+            goal_of(**{"action": "fist", **asked}), small, make_library(small), LoopSettings()
+        )
 
 
 def test_goals_and_results_cross_the_network() -> None:
-    goal = Goal("a", on_contact={"": OnContact.HOLD, "thumb": OnContact.STOP}, max_force=3.0)
+    goal = Goal(Named("a"), on_contact={"": OnContact.HOLD, "thumb": OnContact.STOP})
     assert GOAL.decode(GOAL.encode(goal)) == goal
-    assert GOAL.decode(GOAL.encode(Goal("a", touch=True))).touch
     result = Result("1", "a", touched=("thumb", "index"))
     assert RESULT.decode(RESULT.encode(result)).touched == ("thumb", "index")
 

@@ -16,7 +16,7 @@ from rtee.loop.observer import Observer
 from rtee.loop.settings import LoopSettings
 from rtee.loop.shutdown import bring_to_rest
 from rtee.sample import ActuatorState, TickRecord
-from rtee.types import Goal, Lifecycle, Reference
+from rtee.types import Goal, Lifecycle, Named, Reference
 
 from .hands import Rig, Watcher, device, running
 
@@ -70,7 +70,7 @@ async def stopped(rig: Rig, reason: str = "a test") -> list[tuple[str, bool]]:
 async def test_stop_is_confirmed_and_the_hand_stays_where_it_is(hand: Hand) -> None:
     settings, driver = listening(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
-        rig.loop.submit(Goal("fist"))
+        rig.loop.submit(Goal(Named("fist")))
         await rig.run(0.3)
         assert await stopped(rig) == [("dummy", True)]
         result = rig.watcher.results.pop()
@@ -238,7 +238,7 @@ async def test_stop_interrupts_homing(hand: Hand) -> None:
         assert loop.statuses()[0].message == "homing the thumb"
         assert "device 'dummy' is homing the thumb" in [event.text for event in watcher.events]
         with pytest.raises(GoalRejected, match="is not active; dummy is homing the thumb"):
-            loop.submit(Goal("open"))
+            loop.submit(Goal(Named("open")))
         assert await loop.stop() == [("dummy", True)]
         assert "homing" not in loop.statuses()[0].message
         for _ in range(50):
@@ -259,7 +259,7 @@ async def test_a_dead_client(hand: Hand, behaviour: Behaviour) -> None:
     settings = LoopSettings(safety=SafetySettings(on_client_lost=behaviour))
     configured, driver = listening(hand)
     async with running(hand, settings, [(configured, driver)]) as rig:
-        rig.loop.submit(Goal("fist", client="a script"))
+        rig.loop.submit(Goal(Named("fist"), client="a script"))
         await rig.run(0.3)
         rig.loop.client_lost("a script")
         await rig.run(2.0)
@@ -307,7 +307,7 @@ async def at_rest(rig: Rig, behaviour: Behaviour, *, ticking: bool = True) -> di
 async def test_the_last_command_is_the_configured_one(hand: Hand, behaviour: Behaviour) -> None:
     settings, driver = listening(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
-        rig.loop.submit(Goal("fist"))
+        rig.loop.submit(Goal(Named("fist")))
         await rig.run(0.4)
         assert await at_rest(rig, behaviour) == {"dummy": True}
         last = [plant.target for plant in driver.plants]
@@ -331,7 +331,7 @@ async def test_the_last_command_is_the_configured_one(hand: Hand, behaviour: Beh
 async def test_without_ticks_the_end_comes_all_the_same(hand: Hand, behaviour: Behaviour) -> None:
     settings, driver = listening(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
-        rig.loop.submit(Goal("fist"))
+        rig.loop.submit(Goal(Named("fist")))
         await rig.run(0.4)
         driver.told.clear()
         assert await at_rest(rig, behaviour, ticking=False) == {"dummy": True}
@@ -409,7 +409,7 @@ async def test_an_idle_hand_goes_limp_and_wakes_where_it_is(hand: Hand) -> None:
         assert driver.told[-2:] == ["disable", "deactivate"]
         assert rig.watcher.kinds().count("idle") == 1
         with pytest.raises(GoalRejected, match="recover"):
-            rig.loop.submit(Goal("open"))
+            rig.loop.submit(Goal(Named("open")))
         await rig.run(3.0)
         assert rig.watcher.kinds().count("idle") == 1
         driver.plants[0].position = 0.9
@@ -434,7 +434,7 @@ async def test_a_hand_that_holds_something_is_not_idle(hand: Hand) -> None:
 
 async def test_a_goal_that_runs_at_the_end_gets_its_result(hand: Hand) -> None:
     async with running(hand) as rig:
-        rig.loop.submit(Goal("fist"))
+        rig.loop.submit(Goal(Named("fist")))
         await rig.run(0.2)
     assert rig.watcher.results[0].cancelled
     assert rig.watcher.results[0].reason == "the loop ended"
@@ -459,11 +459,11 @@ async def test_an_observer_that_fails_is_dropped_and_the_hand_goes_on(hand: Hand
 
 async def test_a_goal_taken_after_the_last_tick_has_its_result_too(hand: Hand) -> None:
     async with running(hand) as rig:
-        rig.loop.submit(Goal("Trig", ("index",), goal_id="late"))
+        rig.loop.submit(Goal(Named("Trig", ("index",)), goal_id="late"))
         rig.loop.end()
         assert [goal.goal_id for goal, _ in rig.watcher.goals] == ["late"]
         (result,) = rig.watcher.results
         assert (result.goal_id, result.cancelled, result.reason) == ("late", True, "the loop ended")
         with pytest.raises(GoalRejected, match="ended"):
-            rig.loop.submit(Goal("Trig", ("index",)))
+            rig.loop.submit(Goal(Named("Trig", ("index",))))
     assert len(rig.watcher.results) == 1

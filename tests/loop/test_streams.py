@@ -30,11 +30,11 @@ from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
-from rtee.loop.plan import make_plan
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.streams.targets import Targets
 from rtee.loop.streams.time_base import TimeBase
-from rtee.types import Event, Goal, Result
+from rtee.types import Event, Goal, Named, Result
 
 from .hands import running
 
@@ -234,7 +234,7 @@ def test_taking_over_and_handing_back(
     hand: Hand, library: ActionLibrary, profile: ProfileKind, how: str
 ) -> None:
     bench = Bench(hand, profile)
-    first = make_plan(Goal("fist"), hand, library, bench.settings)
+    first = make_plan(Goal(Named("fist")), hand, library, bench.settings)
     bench.controller.accept(first, bench.now)
     bench.run(0.2)
     assert bench.controller.moving
@@ -249,7 +249,7 @@ def test_taking_over_and_handing_back(
     assert abs(moving) > 0.3
     match how:
         case "goal":
-            plan = make_plan(Goal("Trig", ("index",)), hand, library, bench.settings)
+            plan = make_plan(Goal(Named("Trig", ("index",))), hand, library, bench.settings)
             bench.controller.accept(plan, bench.now)
         case "jog":
             bench.apply(Jog({"index_base": 0.1}))

@@ -17,7 +17,7 @@ from rtee.hand.config_schema import TouchSection
 from rtee.hand.model import Hand
 from rtee.sample import ActuatorState
 from rtee.touch import STALE_AFTER, TouchReading, TouchSensor
-from rtee.types import DeviceSpec, Goal, OnContact, Reference
+from rtee.types import DeviceSpec, Goal, Named, OnContact, Reference
 
 from .hands import Rig, device, running
 
@@ -74,7 +74,7 @@ async def test_what_is_too_old_is_stale_and_felt_no_more(hand: Hand) -> None:
     one, driver = skin(hand, objects={"index": 0.4})
     async with running(hand, None, [(one, driver)]) as rig:
         driver.press([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], rig.clock.now())
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(STALE_AFTER - 0.1)
         assert not rig.watcher.records[-1].touch["dummy"].stale
         await rig.run(0.2)
@@ -92,7 +92,7 @@ async def test_taxels_decide_what_is_grasped(
 ) -> None:
     one, driver = skin(hand, objects={"index": 0.4})
     async with running(hand, None, [(one, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         while not rig.watcher.results:
             driver.press([force / 4] * 4 + [900.0] * 2, rig.clock.now())
             await rig.run(0.01)
@@ -103,7 +103,7 @@ async def test_taxels_decide_what_is_grasped(
 async def test_a_finger_stops_where_its_taxels_touch(hand: Hand) -> None:
     one, driver = skin(hand)
     async with running(hand, None, [(one, driver)]) as rig:
-        rig.loop.submit(Goal("Trig", ("index",), on_contact={"": OnContact.STOP}))
+        rig.loop.submit(Goal(Named("Trig", ("index",)), on_contact={"": OnContact.STOP}))
         while not rig.watcher.results:
             touches = driver.plants[0].position > 0.5
             driver.press([0.3 if touches else 0.0] * 4 + [0.0] * 2, rig.clock.now())
@@ -191,7 +191,7 @@ async def test_a_device_without_actuators_only_measures(hand: Hand) -> None:
     kinematic = KinematicDriver(hands.spec, BusPool())
     async with running(hand, None, [(hands, kinematic), (board, driver)]) as rig:
         driver.reading = TouchReading(np.array([0.0, 2.0, 0.0, 0.0]), rig.clock.now())
-        rig.loop.submit(Goal("Trig", ("index",)))
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.05)
         assert rig.watcher.records[-1].touch["board"].totals.tolist() == [2.0]
         driver.broken = True

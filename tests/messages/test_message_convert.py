@@ -25,26 +25,30 @@ from rtee.messages.codec import wall_ns
 from rtee.messages.convert import typed
 from rtee.messages.schema import recorded_type
 from rtee.types import (
+    Around,
     DeviceStatus,
     Event,
     Feedback,
+    Fingers,
+    FirstContact,
+    Force,
     Goal,
+    Intensity,
     Lifecycle,
     LoopStatistics,
+    Named,
+    Opening,
     Result,
     Stage,
+    TipSpeed,
 )
 
 GOAL = Goal(
-    "PinchTight",
-    ("thumb", "index"),
-    kind="primitive",
-    intensity=0.6,
-    effort={"thumb_flexion": 0.25},
-    tolerance=0.02,
+    Named("PinchTight", ("thumb", "index"), kind="primitive"),
+    Intensity(0.6, stage=Stage.PRE_GRASP, tolerance=0.02),
     speed=0.5,
+    effort={"thumb_flexion": 0.25},
     timeout=3.0,
-    stage=Stage.PRE_GRASP,
     goal_id="0123",
     client="tests",
 )
@@ -97,8 +101,12 @@ STATUS = DeviceStatus(
 STATISTICS = LoopStatistics(1000.0, 999.9, 10, 1, *[x / 8 for x in range(8)], dropped=4)
 
 PAIRS: list[tuple[Callable[..., bytes], Callable[[bytes], Any], Any]] = [
-    (convert.GOAL.encode, convert.GOAL.decode, GOAL),
-    (convert.GOAL.encode, convert.GOAL.decode, replace(GOAL, kind=None, timeout=None, effort={})),
+    (messages.GOAL.encode, messages.GOAL.decode, GOAL),
+    (
+        messages.GOAL.encode,
+        messages.GOAL.decode,
+        replace(GOAL, what=Named("fist"), timeout=None, effort={}),
+    ),
     (convert.FEEDBACK.encode, convert.FEEDBACK.decode, FEEDBACK),
     (convert.FEEDBACK.encode, convert.FEEDBACK.decode, Feedback("1", 1.0)),
     (convert.RESULT.encode, convert.RESULT.decode, RESULT),
@@ -138,27 +146,34 @@ def test_what_is_no_command_is_said(
 
 def test_stamps_are_kept() -> None:
     fields = message_type("rtee_msgs/Goal").decode(
-        convert.GOAL.encode(GOAL, time=7.25, wall=1_700_000_000_123_456_789)
+        messages.GOAL.encode(GOAL, time=7.25, wall=1_700_000_000_123_456_789)
     )
     assert fields["time"] == 7.25
     assert wall_ns(fields) == 1_700_000_000_123_456_789
 
 
 @pytest.mark.parametrize(
-    "goal", [GOAL, replace(GOAL, kind=None, timeout=None, effort={}, elements=(), client="größer")]
+    "goal",
+    [
+        GOAL,
+        replace(GOAL, what=Named("fist"), timeout=None, effort={}, client="größer"),
+        Goal(Fingers(), Around(0.03, 0.0, 0.01), TipSpeed(0.05), Force(2.0, 5.0)),
+        Goal(Fingers(("index",)), Opening(0.03), 0.5, Force(2.0)),
+        Goal(Named("fist"), FirstContact(0.02)),
+    ],
 )
 def test_a_goal_is_written_and_read_as_its_definition_says(goal: Goal) -> None:
     kind = message_type("rtee_msgs/Goal")
-    data = convert.GOAL.encode(goal, time=7.25, wall=1_700_000_000_123_456_789)
+    data = messages.GOAL.encode(goal, time=7.25, wall=1_700_000_000_123_456_789)
     fields = kind.decode(data)
     assert kind.encode(fields) == data
-    assert convert.GOAL.of(fields) == convert.GOAL.decode(data) == goal
+    assert messages.GOAL.of(fields) == messages.GOAL.decode(data) == goal
 
 
-@pytest.mark.parametrize("wrong", [{"intensity": "much"}, {"effort": None}, {"elements": "index"}])
+@pytest.mark.parametrize("wrong", [{"goal_id": 1}, {"effort": None}, {"what": "fist"}])
 def test_a_goal_with_a_value_of_the_wrong_kind_is_no_message(wrong: dict[str, Any]) -> None:
     with pytest.raises(MessageError):
-        convert.GOAL.encode(replace(GOAL, **wrong))
+        messages.GOAL.encode(replace(GOAL, **wrong))
 
 
 def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
@@ -170,13 +185,13 @@ def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
     ("decode", "data", "text"),
     [
         (
-            convert.GOAL.decode,
-            _with("rtee_msgs/Goal", convert.GOAL.encode(GOAL), stage="half"),
+            messages.GOAL.decode,
+            _with("rtee_msgs/Goal", messages.GOAL.encode(GOAL), stage="half"),
             "stage 'half' is none of",
         ),
         (
-            convert.GOAL.decode,
-            _with("rtee_msgs/Goal", convert.GOAL.encode(GOAL), effort=[]),
+            messages.GOAL.decode,
+            _with("rtee_msgs/Goal", messages.GOAL.encode(GOAL), effort=[]),
             "effort: 1 names for 0 values",
         ),
         (

@@ -21,7 +21,7 @@ from rtee.messages.identity import Signer
 from rtee.messages.requests import HERE, REQUESTS, inbox_key
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct
-from rtee.types import Event, Goal, Result
+from rtee.types import Event, Goal, Intensity, Named, Result
 
 from .serving import LASTING, Served, Told, serving, until
 
@@ -121,7 +121,7 @@ async def test_nobody_moves_the_hand_under_the_name_of_its_holder(
         assert holder == victim.client
         forged = Signer(holder)
         forged.secret = bytes(32)
-        goal = GOAL.encode(Goal("fist", client=holder))
+        goal = GOAL.encode(Goal(Named("fist"), client=holder))
         unsigned = "needs the attachment '<number> <client> <signature>'"
         for name in ("release", "cancel", "hold", "recover", "acquire"):
             question = fields_for(name, holder)
@@ -143,13 +143,13 @@ async def test_a_recorded_request_cannot_be_sent_again(
     async with serving(hand, library) as served, rtee.connect("small") as victim:
         bad = await intruder(served, mode, intruders)
         signer = victim._link._signer
-        goal = GOAL.encode(Goal("Trig", ("index",), intensity=0.1, client=victim.client))
+        goal = GOAL.encode(Goal(Named("Trig", ("index",)), Intensity(0.1), client=victim.client))
         proof = signer.attachment(signer.number(), "do", goal)
         assert await in_thread(bad.ask, "do", goal, proof) == [""], "once it is good"
         await until(lambda: len(served.watcher.results) == 1)
         assert "larger than those before" in (await in_thread(bad.ask, "do", goal, proof))[0]
         # Neither for another request, nor with another question.
-        other = GOAL.encode(Goal("fist", client=victim.client))
+        other = GOAL.encode(Goal(Named("fist"), client=victim.client))
         number = signer.number()
         question = fields_for("hold", victim.client)
         proof = signer.attachment(number, "hold", question)
@@ -242,7 +242,7 @@ async def test_nobody_answers_or_speaks_for_the_hand(
                 ("events", EVENT.encode(Event("stop", "x", "a lie", 0.0))),
                 ("feedback", b"junk"),
                 (f"answers/{victim.client}", b"junk"),
-                ("goals", GOAL.encode(Goal("fist"))),
+                ("goals", GOAL.encode(Goal(Named("fist")))),
                 ("joint_states", b"junk"),
             ):
                 await in_thread(partial(bad.session.put, f"rtee/small/{topic}", data))
@@ -295,4 +295,4 @@ async def test_open_cannot_be_shadowed(hand: Hand, library: ActionLibrary, name:
         with pytest.raises(RequestRejected, match="brings the hand to rest"):
             await remote.rename_action("fist", name)
         await remote.open()
-        assert served.watcher.goals[-1].action == "open"
+        assert served.watcher.goals[-1].what == Named("open")

@@ -21,10 +21,11 @@ from rtee.actions.types import ActionReference
 from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
+from rtee.messages.goals import goal_of
 from rtee.messages.requests import Role
 from rtee.remote.blocking import BlockingHand
 from rtee.remote.client import RemoteHand
-from rtee.types import Feedback, Goal
+from rtee.types import Feedback
 
 from .serving import LASTING, Served, serving
 
@@ -152,7 +153,7 @@ def test_a_goal_of_ones_own_and_what_others_see_of_it(served: Served) -> None:
     with rtee.connect_blocking("small") as remote:
         assert remote.role is Role.MAINTAINER
         feedback = remote.feedback()
-        running = remote.start_goal(Goal("fist", **LASTING, goal_id="mine"))
+        running = remote.start_goal(goal_of("fist", **LASTING, goal_id="mine"))
         assert next(feedback).goal_id == "mine"
         assert next(iter(running)).goal_id == "mine"
         running.cancel()

@@ -27,7 +27,7 @@ from rtee.cli.stop import recover, stop
 from rtee.drivers.capabilities import Capabilities
 from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
-from rtee.types import Lifecycle
+from rtee.types import Fingers, FirstContact, Intensity, Lifecycle, Named
 
 from .serving import Served, Told, announced, make_hand, make_library, serving
 
@@ -51,7 +51,7 @@ def test_do(served: Served) -> None:
     done = run(do, "pinchTight", "thumb", "index", "--intensity", "0.3")
     assert "PinchTight thumb index: reached" in done
     goal = served.watcher.goals[0]
-    assert (goal.intensity, goal.elements) == (0.3, ("thumb", "index"))
+    assert (goal.what, goal.to) == (Named("pinchTight", ("thumb", "index")), Intensity(0.3))
     assert goal.client.startswith("rtee-do-")
 
 
@@ -63,7 +63,8 @@ def test_do_with_everything_said(served: Served) -> None:
     assert set(found["position"]) == {"near", "thumb", "push"}
     goal = served.watcher.goals[0]
     assert goal.effort == {"near": 1.5, "push": 30.0}
-    assert (goal.speed, goal.timeout, goal.tolerance) == (0.5, 5.0, 0.02)
+    assert (goal.speed, goal.timeout) == (0.5, 5.0)
+    assert (goal.what, goal.to) == (Named("fist", kind="composed"), Intensity(0.2, tolerance=0.02))
 
 
 def test_do_says_what_fingers_do_on_contact(served: Served) -> None:
@@ -84,7 +85,7 @@ def test_touching_nothing_has_exit_status_1(served: Served) -> None:
     assert "Trig thumb: timed out" in said
     assert said.endswith("\nnothing was touched\n")
     [goal] = served.watcher.goals
-    assert goal.touch
+    assert (goal.what, goal.to) == (Fingers(("thumb",)), FirstContact())
     with pytest.raises(RequestRejected, match="unknown finger 'ring'"):
         run(touch, "ring")
 

@@ -16,7 +16,7 @@ from rtee.hand.model import Hand
 from rtee.messages import EVENT
 from rtee.remote.server import Server
 from rtee.remote.session import direct
-from rtee.types import Event, Feedback, Lifecycle
+from rtee.types import Event, Feedback, Intensity, Lifecycle, Stage
 
 from .serving import (
     LASTING,
@@ -74,7 +74,7 @@ async def test_everything_about_a_goal_arrives(hand: Hand, library: ActionLibrar
         )
         goal = served.watcher.goals[0]
     assert goal.effort == {"near": 1.5}
-    assert (goal.tolerance, goal.speed, goal.timeout, goal.stage) == (0.02, 0.75, 5.0, "pre_grasp")
+    assert (goal.to, goal.speed, goal.timeout) == (Intensity(0.5, Stage.PRE_GRASP, 0.02), 0.75, 5.0)
 
 
 @pytest.mark.parametrize(

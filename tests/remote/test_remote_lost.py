@@ -157,7 +157,7 @@ async def test_leaving_while_a_goal_runs_is_being_lost(hand: Hand, library: Acti
         async with rtee.connect("small") as remote:
             await remote.start("fist", **LASTING)
         await served.event("client_lost")
-        await until(lambda: [goal.action for goal in served.watcher.goals] == ["fist", "open"])
+        await until(lambda: [goal.what.action for goal in served.watcher.goals] == ["fist", "open"])
 
 
 async def test_a_killed_hand_is_noticed(tmp_path: Path) -> None:

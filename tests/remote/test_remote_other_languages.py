@@ -16,10 +16,10 @@ import pytest
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.hand.model import Hand
-from rtee.messages.convert import GOAL
+from rtee.messages import GOAL
 from rtee.messages.identity import Signer
 from rtee.messages.schema import message_type
-from rtee.types import Goal
+from rtee.types import Goal, Intensity, Named
 
 from .serving import serving
 from .test_remote_junk import Rude, signed
@@ -53,7 +53,7 @@ async def test_a_client_in_javascript(hand: Hand, library: ActionLibrary) -> Non
         assert json.loads(done.stdout)["reached"]
         (goal,) = served.watcher.goals
         # As a client of rtee sends it: the page's defaults are its own.
-        meant = Goal("PinchTight", ("thumb", "index"), intensity=0.5)
+        meant = Goal(Named("PinchTight", ("thumb", "index")), Intensity(0.5))
         assert goal == replace(meant, goal_id=goal.goal_id, client=goal.client)
         refused = await run("small", "Nothing")
         assert refused.returncode == 2
@@ -94,7 +94,7 @@ async def test_each_field_of_a_goal(hand: Hand, library: ActionLibrary) -> None:
     table = PAGE.split("### A goal")[1].split("### ")[0]
     rows = re.findall(r"^\| (`.*) \| (.*) \| (.*) \|$", table, re.MULTILINE)
     zeros = {name: zero for names, _, zero in rows for name in re.findall(r"`(\w+)`", names)}
-    goal = GOAL.fields(Goal("Trig", ("index",), goal_id="g"))
+    goal = GOAL.fields(Goal(Named("Trig", ("index",)), goal_id="g"))
     assert list(zeros) == list(goal)
     empty: dict[type, Any] = {float: 0.0, bool: False, str: ""}
     refused = []

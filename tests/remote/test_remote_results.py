@@ -19,7 +19,7 @@ from rtee.remote.goal import GoalClient
 from rtee.remote.goal_records import KEPT_FOR, GoalRecords
 from rtee.remote.lease import Lease
 from rtee.remote.link import Link
-from rtee.types import Feedback, Goal, Result
+from rtee.types import Feedback, Goal, Named, Result
 
 from .serving import LASTING, serving, until
 
@@ -41,7 +41,7 @@ async def test_of_a_burst_of_goals_every_result_arrives_everywhere(
                 seen.append(result.goal_id)
 
         async def do(number: int) -> None:
-            goal = Goal("Trig", ("index" if number % 2 else "thumb",))
+            goal = Goal(Named("Trig", ("index" if number % 2 else "thumb",)))
             running = await remote.start_goal(goal)
             await running.result()
             own.append(goal.goal_id)

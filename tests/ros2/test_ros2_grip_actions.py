@@ -26,11 +26,11 @@ from rtee.ros2 import interfaces
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import GoalState, Outcome, Refusal
 from rtee.ros2.diagnosis import check_graph
-from rtee.ros2.grasp_action import goal_of
+from rtee.ros2.grasp_action import goal_in
 from rtee.ros2.grip_actions import Command, is_stalled, joint_goal, joint_of
 from rtee.ros2.hand_goals import reason_of, state_of
 from rtee.ros2.serving import Shown
-from rtee.types import Aim, Result, Stage
+from rtee.types import Aim, Force, Intensity, Named, Opening, Result
 
 from .facing import Robot, a_hand_in_ros, facing
 from .facing import robot as robot_of
@@ -91,7 +91,7 @@ async def test_the_gap_in_metres(settings: Ros2Settings) -> None:
         assert (outcome.result.reached_goal, outcome.result.stalled) == (True, False)
         assert outcome.result.position == pytest.approx(0.03, abs=2e-3)
         asked = served.watcher.goals[-1]
-        assert (asked.opening, asked.force, asked.grasp) == (0.03, 50.0, False)
+        assert (asked.to, asked.effort) == (Opening(0.03), Force(50.0))
         assert heard
         assert not heard[-1].reached_goal
         # As wide as it goes, and a little more, as planners round.
@@ -107,7 +107,7 @@ async def test_more_force_than_the_hand_has_is_all_that_it_has(settings: Ros2Set
         client = await client_of(robot, f"/{NAME}/gripper_cmd", SIMPLE)
         outcome = await (await client.send_goal(simple_goal(client, 0.03, 900.0))).result(30)
         assert outcome.result.reached_goal
-        assert served.watcher.goals[-1].force == pytest.approx(222.0, rel=0.01)
+        assert served.watcher.goals[-1].force.value == pytest.approx(222.0, rel=0.01)
         parallel = await client_of(robot, f"/{NAME}/gripper_cmd", PARALLEL)
         asked = parallel_goal(parallel, name=["finger_joint"], position=[0.4], effort=[900.0])
         outcome = await (await parallel.send_goal(asked)).result(30)
@@ -176,7 +176,7 @@ async def test_a_joint_value(settings: Ros2Settings) -> None:
         assert list(outcome.result.state.name) == ["opening"]
         assert outcome.result.state.position[0] == pytest.approx(0.05, abs=2e-3)
         goal = served.watcher.goals[-1]
-        assert (goal.opening, goal.force) == (0.05, 60.0)
+        assert (goal.to, goal.effort) == (Opening(0.05), Force(60.0))
 
 
 async def test_a_gripper_as_moveit_and_ros2_control_have_it(
@@ -303,7 +303,7 @@ async def test_a_grasp_has_all_that_a_goal_has(
         assert len(result.opening) == 0
         assert list(heard[-1].inner_name) == ["up", "side"]
         goal = served.watcher.goals[-1]
-        assert (goal.timeout, goal.effort, goal.stage) == (20.0, {"near": 1.5}, Stage.BOTH)
+        assert (goal.timeout, goal.effort, goal.to) == (20.0, {"near": 1.5}, Intensity())
         asked = client.type.goal(
             action="PinchTight",
             elements=["thumb", "index"],
@@ -348,7 +348,7 @@ async def test_what_a_grasp_refuses(
 def test_a_grasp_that_is_none(fields: dict[str, Any], reason: str) -> None:
     made = interfaces().action(GRASP).goal(action="fist", **fields)
     with pytest.raises(GoalRejected, match=reason):
-        goal_of(made)
+        goal_in(made)
 
 
 async def test_the_parameters_of_a_gripper(settings: Ros2Settings) -> None:
@@ -363,15 +363,15 @@ async def test_the_parameters_of_a_gripper(settings: Ros2Settings) -> None:
         outcome = await (await client.send_goal(simple_goal(client, 0.05))).result(30)
         assert outcome.result.position == pytest.approx(0.05, abs=2e-3)
         goal = served.watcher.goals[-1]
-        assert (goal.action, goal.elements) == ("PinchTight", ("finger_1", "finger_2"))
+        assert goal.what == Named("PinchTight", ("finger_1", "finger_2"))
         assert not await put("gripper.action", "pinch_tight finger_2 finger_1")
         outcome = await (await client.send_goal(simple_goal(client, 0.03, 900.0))).result(30)
         assert outcome.result.reached_goal, "more force than it has is all that it has"
-        assert served.watcher.goals[-1].force == pytest.approx(222.0, rel=0.01)
+        assert served.watcher.goals[-1].force.value == pytest.approx(222.0, rel=0.01)
         assert not await put("gripper.joint", "finger_joint")
         outcome = await (await client.send_goal(simple_goal(client, 0.3))).result(30)
         assert outcome.result.position == pytest.approx(0.3, abs=0.02)
-        assert served.watcher.goals[-1].opening is None
+        assert isinstance(served.watcher.goals[-1].to, Intensity)
 
 
 async def test_a_command_of_ros_end_effector(
@@ -387,10 +387,10 @@ async def test_a_command_of_ros_end_effector(
                     "selectable_items": ["index", "thumb"],
                     "percentage": 0.5,
                 },
-                ("PinchTight", ("index", "thumb"), 0.5),
+                (Named("PinchTight", ("index", "thumb"), "primitive"), 0.5),
             ),
-            ({"action_name": "fist", "action_type": 2, "percentage": 0.2}, ("fist", (), 0.2)),
-            ({"action_name": "wave", "action_type": 3}, ("wave", (), 1.0)),
+            ({"action_name": "fist", "action_type": 2, "percentage": 0.2}, (Named("fist"), 0.2)),
+            ({"action_name": "wave", "action_type": 3}, (Named("wave", kind="timed"), 1.0)),
         ):
             heard: list[Any] = []
             asked = control(**fields)
@@ -399,7 +399,7 @@ async def test_a_command_of_ros_end_effector(
             assert outcome.state is GoalState.SUCCEEDED
             assert outcome.result.completed_action == asked
             got = served.watcher.goals[-1]
-            assert (got.action, got.elements, got.intensity, got.tolerance) == (*done, 0.01)
+            assert (got.what, got.to) == (done[0], Intensity(done[1]))
         assert {one.action_name_current for one in heard} >= {"side"}
         assert max(one.completation_percentage for one in heard) > 50.0
         fist = {"action_name": "fist", "action_type": 2}
@@ -441,8 +441,8 @@ def test_what_is_stalled(grasped: list[bool], velocity: list[float], stalled: bo
 def test_the_action_that_moves_a_joint(library: ActionLibrary, hand: Hand) -> None:
     near = hand.actuators[0]
     goal = joint_goal(Command("near", 0.75, speed=1.5), near, library.all())
-    assert (goal.action, goal.elements) == ("Trig", ("index",))
-    assert (goal.intensity, goal.speed, goal.effort) == (0.5, 0.5, {})
+    assert (goal.what, goal.to) == (Named("Trig", ("index",), "primitive"), Intensity(0.5))
+    assert (goal.speed, goal.effort) == (0.5, {})
     with pytest.raises(GoalRejected, match="the effort must be 0"):
         Command("near", 0.5, math.nan)
     with pytest.raises(GoalRejected, match="the velocity must be 0"):

@@ -15,6 +15,7 @@ from rtee.ros2 import Context
 from rtee.ros2.hand_services import CHANGED, Services
 from rtee.ros2.keys import Kind
 from rtee.ros2.serving import Shown, shown
+from rtee.types import Intensity, Named
 
 from .facing import Robot, a_hand_in_ros
 
@@ -35,7 +36,7 @@ async def test_triggers(hand: Hand, library: ActionLibrary, settings: Ros2Settin
         assert done.success
         assert "PinchTight index thumb: reached" in done.message
         goal = served.watcher.goals[-1]
-        assert (goal.action, goal.elements) == ("PinchTight", ("index", "thumb"))
+        assert goal.what == Named("PinchTight", ("index", "thumb"), "primitive")
         np.testing.assert_allclose(served.loop.snapshot().position, [1.0, 0.8, 0.0], atol=0.02)
         opened = await robot.call("/small/open", TRIGGER)
         assert opened.success
@@ -64,7 +65,7 @@ async def test_goals_have_the_parameters(
         assert answer.result.successful
         assert (await robot.call("/small/do/poke", TRIGGER)).success
         goal = served.watcher.goals[-1]
-    assert (goal.speed, goal.tolerance, goal.intensity) == (0.5, 0.02, 0.4)
+    assert (goal.speed, goal.to) == (0.5, Intensity(0.4, tolerance=0.02))
 
 
 async def test_actions_come_and_move(

@@ -26,7 +26,7 @@ from rtee.loop.configure import loop_settings
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.recorded import recorder_for
-from rtee.types import DeviceSpec, Goal, Reference
+from rtee.types import Around, DeviceSpec, Force, Goal, Intensity, Named, Reference
 
 pytestmark = pytest.mark.anyio
 
@@ -76,7 +76,7 @@ async def test_the_same_goal_ends_where_the_kinematic_hand_ends(name: str) -> No
     headless = start(name)
     goal = a_little(headless.hand)
     headless.library.add(generic(headless.hand, "a_little", goal))
-    result = headless.do(Goal("a_little"))
+    result = headless.do(Goal(Named("a_little")))
     assert result.reached, result
     headless.wait(0.3)
     kinematic = await kinematic_end(headless.hand, goal)
@@ -86,14 +86,14 @@ async def test_the_same_goal_ends_where_the_kinematic_hand_ends(name: str) -> No
 def test_a_timed_action_runs_through() -> None:
     # Without an object its fingertips meet the palm before they are closed.
     headless = start("robotiq_3f", object="cylinder:0.045x0.12")
-    result = headless.do(Goal("timed_wide_grasp"))
+    result = headless.do(Goal(Named("timed_wide_grasp")))
     assert result.succeeded
     assert result.grasped
 
 
 def test_an_unknown_action_is_refused() -> None:
     with pytest.raises(UnknownAction):
-        start("robotiq_2f_85").do(Goal("Wave"))
+        start("robotiq_2f_85").do(Goal(Named("Wave")))
 
 
 def test_a_recording_at_simulated_time_says_when_it_was_made(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_a_recording_at_simulated_time_says_when_it_was_made(tmp_path: Path) -> 
     before = time.time_ns()
     with recorder_for(ready, tmp_path) as recorder:
         headless = HeadlessHand(ready.hand, ready.library, settings, simulation, [recorder])
-        headless.do(Goal("Grasp"))
+        headless.do(Goal(Named("Grasp")))
         duration = headless.time
     recording = read(next(tmp_path.glob("*.mcap")))
     assert before <= recording.start <= time.time_ns()
@@ -119,7 +119,7 @@ def test_two_runs_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
     recordings: list[Recording] = []
     for run in ("one", "two"):
         headless = start("robotiq_2f_85", folder=tmp_path / run)
-        headless.do(Goal("Grasp", goal_id="first"))
+        headless.do(Goal(Named("Grasp"), goal_id="first"))
         headless.wait(0.2)
         for recorder in headless.observers:
             recorder.close()
@@ -135,10 +135,10 @@ def test_two_runs_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
 def test_a_recording_at_simulated_time_can_be_computed_anew(tmp_path: Path) -> None:
     first = start("robotiq_2f_85", folder=tmp_path, object="sphere:0.03")
     (recorder,) = first.observers
-    first.do(Goal("Grasp", goal_id="first"))
-    first.start(Goal("open", goal_id="second"))  # ends as pre-empted
+    first.do(Goal(Named("Grasp"), goal_id="first"))
+    first.start(Goal(Named("open"), goal_id="second"))  # ends as pre-empted
     first.wait(0.05)
-    first.do(Goal("Grasp", goal_id="third", intensity=0.5))
+    first.do(Goal(Named("Grasp"), Intensity(0.5), goal_id="third"))
     # As a trial at another place of the object: a hand of its own in the same recording.
     ready = bench("robotiq_2f_85")
     first.simulation.reset()
@@ -150,7 +150,7 @@ def test_a_recording_at_simulated_time_can_be_computed_anew(tmp_path: Path) -> N
         [recorder],
         ticks=first.ticks,
     )
-    again.do(Goal("Grasp", goal_id="again"))
+    again.do(Goal(Named("Grasp"), goal_id="again"))
     recorder.close()
     recording = read(next(tmp_path.glob("*.mcap")))
     assert recording.actuator_states.tick[0] == 0
@@ -173,7 +173,7 @@ def test_an_object_stands_where_the_gripper_closes_on_it(name: str, width: int) 
     )
     headless = HeadlessHand(hand, library, settings, simulation)
     result = headless.do(
-        Goal("PinchTight", ("finger_1", "finger_2"), opening=width / 1e3, force=20.0, grasp=True)
+        Goal(Named("PinchTight", ("finger_1", "finger_2")), Around(width / 1e3), effort=Force(20.0))
     )
     assert (result.grasped, result.within) == (True, True)
     assert result.opening == pytest.approx(width / 1e3, abs=1e-3)

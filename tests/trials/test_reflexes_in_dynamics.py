@@ -17,7 +17,7 @@ from rtee.loop.measured import Measured
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal, OnContact
+from rtee.types import Around, Fingers, FirstContact, Force, Goal, Named, OnContact, TipSpeed
 
 RATE = 500.0
 BOX = "box:0.03x0.03x0.08"
@@ -51,7 +51,7 @@ def test_a_touch_moves_a_light_object_by_less_than_two_millimetres() -> None:
     forces: list[float] = []
     headless.before_tick(lambda _: forces.append(headless.simulation.contact_forces.max()))
     before = headless.simulation.surroundings.object_frame[:3, 3]
-    result = headless.do(Goal("", touch=True, timeout=30.0))
+    result = headless.do(Goal(Fingers(), FirstContact(), timeout=30.0))
     headless.wait(0.5)
     moved = np.linalg.norm(headless.simulation.surroundings.object_frame[:3, 3] - before)
     assert len(result.touched) == 1
@@ -64,12 +64,10 @@ def test_a_touch_moves_a_light_object_by_less_than_two_millimetres() -> None:
 def test_a_gripper_does_on_contact_what_it_is_to_do(word: OnContact) -> None:
     headless = gripper(SimOptions(object=BOX, object_mass=0.05, support="floating", gravity=0.0))
     goal = Goal(
-        "Grasp",
-        opening=0.03,
-        force=5.0,
-        max_force=20.0,
-        grasp=True,
-        tip_speed=0.02,
+        Named("Grasp"),
+        Around(0.03),
+        speed=TipSpeed(0.02),
+        effort=Force(5.0, 20.0),
         on_contact={"": word},
     )
     result = headless.do(goal)
@@ -110,7 +108,7 @@ def test_the_levers_alone_give_the_force(
     simulation.reset()
     simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
     headless = Numb(hand, library, settings, simulation)
-    goal = Goal(action, elements, opening=width, force=force, grasp=True, tip_speed=0.05)
+    goal = Goal(Named(action, elements), Around(width), speed=TipSpeed(0.05), effort=Force(force))
     assert headless.do(goal).grasped
     headless.wait(0.5)
     # Each side presses as much as the other: half of the sum is the force.

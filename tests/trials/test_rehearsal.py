@@ -12,7 +12,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, GoalRejected
 from rtee.hand.load import hand_folder, load_configured
 from rtee.trials.rehearsal import Rehearsal, rehearse
-from rtee.types import Goal
+from rtee.types import Around, Fingers, Force, Goal, Intensity, Named
 
 CUBE = "box:0.03x0.03x0.03"
 
@@ -22,7 +22,7 @@ def played(name: str, goal: Goal, thing: str = "", **position: float) -> Rehears
 
 
 def test_what_is_held_may_be_done() -> None:
-    goal = Goal("", opening=0.03, force=10.0, grasp=True, speed=0.5)
+    goal = Goal(Fingers(), Around(0.03), speed=0.5, effort=Force(10.0))
     rehearsal = played("robotiq_2f_85", goal, CUBE)
     assert rehearsal.held
     assert rehearsal.refusal(20.0) == ""
@@ -34,7 +34,7 @@ def test_what_is_held_may_be_done() -> None:
 
 def test_what_is_lost_may_not() -> None:
     # It closes on nothing at a quarter of its way.
-    rehearsal = played("robotiq_2f_85", Goal("Grasp", intensity=0.25, speed=0.5), CUBE)
+    rehearsal = played("robotiq_2f_85", Goal(Named("Grasp"), Intensity(0.25), speed=0.5), CUBE)
     assert not rehearsal.held
     assert rehearsal.refusal(20.0) == f"{CUBE} is lost"
     assert f"{CUBE} is lost" in rehearsal.words
@@ -49,16 +49,20 @@ def test_a_hand_that_strikes_itself_is_told(tmp_path: Path) -> None:
     closed = {each.name: each.farthest for each in hand.actuators if "Spread" not in each.name}
     library.add(generic(hand, "crash", closed))
     library.save(folder / "actions")
-    assert "strikes itself with " in played(str(folder), Goal("crash", speed=0.5)).refusal(1000.0)
+    assert "strikes itself with " in played(str(folder), Goal(Named("crash"), speed=0.5)).refusal(
+        1000.0
+    )
 
 
 def test_it_begins_where_the_hand_is() -> None:
-    closed = played("robotiq_2f_85", Goal("open", speed=0.5), finger_joint=0.5)
-    assert closed.result.duration > 0.5 > played("robotiq_2f_85", Goal("open")).result.duration
+    closed = played("robotiq_2f_85", Goal(Named("open"), speed=0.5), finger_joint=0.5)
+    assert (
+        closed.result.duration > 0.5 > played("robotiq_2f_85", Goal(Named("open"))).result.duration
+    )
 
 
 def test_other_files_and_impossible_goals_are_refused() -> None:
     with pytest.raises(ConfigError, match="here are not those of the hand that runs"):
-        rehearse("robotiq_2f_85", "<robot/>", Goal("open"), "", {})
+        rehearse("robotiq_2f_85", "<robot/>", Goal(Named("open")), "", {})
     with pytest.raises(GoalRejected, match="mm"):
-        played("robotiq_2f_85", Goal("", opening=0.2, grasp=True), CUBE)
+        played("robotiq_2f_85", Goal(Fingers(), Around(0.2)), CUBE)

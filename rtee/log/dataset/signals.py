@@ -22,6 +22,7 @@ from rtee.messages.codec import SECOND
 from rtee.messages.features import Quantity, feature, taxels
 from rtee.sample import FloatArray
 from rtee.touch import STALE_AFTER
+from rtee.types import Goal, Intensity, Named
 
 Times = NDArray[np.int64]
 
@@ -175,8 +176,11 @@ def intensities(recording: Recording, actions: Sequence[str]) -> Signal:
         if isinstance(command := entry.value.command, StreamSample)
     }
     for entry in recording.goals:
-        goal = entry.value
-        rows[entry.wall] = row({" ".join((goal.action, *goal.elements)): goal.intensity})
+        targets: dict[str, float] = {}
+        match entry.value:
+            case Goal(what=Named(action, elements), to=Intensity(share)):
+                targets = {" ".join((action, *elements)): share}
+        rows[entry.wall] = row(targets)
     return _filled(tuple(actions), rows, _takeovers(recording))
 
 

@@ -20,7 +20,7 @@ from rtee.hand.load import load_hand, load_model
 from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal
+from rtee.types import Goal, Named
 
 GRAVITY = 9.81
 PADS = """<robot name="pads"><link name="base"/>
@@ -153,7 +153,7 @@ def test_nothing_gets_deeper_than_a_millimetre_into_an_object(name: str, shape: 
     headless = HeadlessHand(hand, ready.library, ready.settings, simulation)
     seen: list[tuple[float, float]] = []
     headless.before_tick(lambda _: seen.extend(depths(simulation)))
-    headless.do(Goal(action.name, action.elements))
+    headless.do(Goal(Named(action.name, action.elements)))
     headless.wait(0.4)
     around.remove_support()
     headless.wait(0.1)  # what falls through the fingers later on meets them at any speed
