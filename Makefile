@@ -94,8 +94,16 @@ lint: .venv/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
+PROGRAMS = $(addprefix examples/,batch.py compose.py jaw_driver.py live_plot.py notebook.py offline.py pick_and_act.py \
+	teleoperate.py test_picking.py to_pandas.py two_hands.py)
+
 types: .venv/.ready
 	$(BIN)/mypy
+	$(BIN)/mypy --strict $(PROGRAMS)
+
+# The same programs by Pyright, which npm fetches; matplotlib and pandas are not typed to its liking.
+pyright: .venv/.ready
+	npx --yes pyright -p examples
 
 layers: .venv/.ready
 	$(BIN)/lint-imports

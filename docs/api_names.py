@@ -17,9 +17,14 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
+import rtee
+
 PAGES = Path(__file__).parent / "reference" / "api"
 INDEX = PAGES / "index.md"
 SIGNATURES = Path(__file__).parents[1] / "tests" / "docs" / "public_api.txt"
+AUTHORS = ("buses.md", "drivers.md", "testing.md")
+"""The second tier: what authors of drivers and of tests use."""
+
 MARK = "<!-- Made by `python docs/api_names.py`; a test keeps it current. -->"
 
 _DIRECTIVE = re.compile(r"^::: (\S+)", re.MULTILINE)
@@ -40,13 +45,21 @@ class Name:
     summary: str
 
     @property
+    def name(self) -> str:
+        """The name itself."""
+        return self.path.rpartition(".")[2]
+
+    @property
+    def stable(self) -> bool:
+        """Whether it belongs to the first tier."""
+        return self.page not in AUTHORS
+
+    @property
     def row(self) -> str:
         """Its row in the list."""
-        name = self.path.rpartition(".")[2]
+        home = "rtee" if self.name in rtee.__all__ else self.path.rpartition(".")[0]
         said = self.summary.replace("|", "\\|")
-        return (
-            f"| [`{name}`]({self.page}#{self.path}) | `{self.path.rpartition('.')[0]}` | {said} |"
-        )
+        return f"| [`{self.name}`]({self.page}#{self.path}) | `{home}` | {said} |"
 
 
 def resolved(path: str) -> object:
@@ -120,10 +133,12 @@ def public_names() -> Iterator[Name]:
 
 def listed() -> str:
     """Return the list as Markdown."""
-    rows = [
-        name.row for name in sorted(public_names(), key=lambda n: n.path.rpartition(".")[2].lower())
-    ]
-    return "\n".join(["| name | from | |", "| --- | --- | --- |", *rows]) + "\n"
+    names = sorted(public_names(), key=lambda name: name.name.lower())
+    head = ["| name | from | |", "| --- | --- | --- |"]
+    stable = [name.row for name in names if name.stable]
+    others = [name.row for name in names if not name.stable]
+    title = "\n## For authors of drivers and tests\n"
+    return "\n".join([*head, *stable, title, *head, *others]) + "\n"
 
 
 def page() -> str:

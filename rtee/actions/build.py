@@ -42,13 +42,13 @@ class StepPlan:
     """An inner action of a timed action, before it is looked up.
 
     Attributes:
-        use: The inner action.
+        use: The inner action, or its text; see `ActionReference`.
         alias: Name within the timed action; empty: the action's own name.
         before: Margin before its start [s].
         after: Margin after its end [s].
     """
 
-    use: ActionReference
+    use: ActionReference | str
     alias: str = ""
     before: float = 0.0
     after: float = 0.0
@@ -109,7 +109,7 @@ def compose(
     hand: Hand,
     find: Find,
     name: str,
-    parts: Sequence[ActionReference],
+    parts: Sequence[ActionReference | str],
     *,
     independent: bool = False,
     description: str = "",
@@ -120,7 +120,7 @@ def compose(
         hand: The hand.
         find: Function that returns a part by name and elements.
         name: Name of the new action.
-        parts: The parts.
+        parts: The parts, or their texts; see `ActionReference`.
         independent: Refuse parts that set the same actuator.
         description: One sentence for people.
 
@@ -238,10 +238,10 @@ def rebuilt(hand: Hand, find: Find, action: CustomAction) -> CustomAction:
 
 
 def _resolve(
-    hand: Hand, find: Find, use: ActionReference, where: str
+    hand: Hand, find: Find, what: ActionReference | str, where: str
 ) -> tuple[ActionReference, Posture]:
-    what = label(use.action, use.elements)
-    check_scale(use.scale, f"{what} in {where}")
+    use = ActionReference.of(what)
+    check_scale(use.scale, f"{label(use.action, use.elements)} in {where}")
     action = find(use.action, use.elements)
     # A timed action has no single posture to scale or average.
     if isinstance(action, Timed):

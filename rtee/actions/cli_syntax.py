@@ -17,24 +17,6 @@ from rtee.actions.types import ActionReference
 from rtee.errors import ActionError
 
 
-def read_use(word: str) -> ActionReference:
-    """Read ``ACTION[:ELEMENT[,ELEMENT…]][*SCALE]``.
-
-    Raises:
-        ActionError: if the word is not like that.
-    """
-    body, star, factor = word.partition("*")
-    scale = _number(factor, "scale", word) if star else 1.0
-    name, colon, rest = body.partition(":")
-    elements = tuple(rest.split(",")) if colon else ()
-    if not name or not all(elements):
-        raise ActionError(
-            f"'{word}' is not an action; write ACTION, ACTION:ELEMENT or "
-            "ACTION:ELEMENT,ELEMENT*SCALE"
-        )
-    return ActionReference(name, elements, scale)
-
-
 def read_step(word: str) -> StepPlan:
     """Read ``ACTION[:ELEMENT…][*SCALE][:before=SECONDS,after=SECONDS,alias=NAME]``.
 
@@ -44,7 +26,7 @@ def read_step(word: str) -> StepPlan:
     # From the end, since elements follow a colon, too, but have no equals sign.
     body, colon, options = word.rpartition(":")
     if not colon or "=" not in options:
-        return StepPlan(read_use(word))
+        return StepPlan(ActionReference.of(word))
     # A scale after the options belongs to the action, too.
     options, star, factor = options.partition("*")
     alias, margins = "", {"before": 0.0, "after": 0.0}
@@ -59,7 +41,7 @@ def read_step(word: str) -> StepPlan:
                 f"'{option}' in '{word}' is not a margin; there are before=SECONDS, after=SECONDS "
                 "and alias=NAME"
             )
-    return StepPlan(read_use(body + star + factor), alias, **margins)
+    return StepPlan(ActionReference.of(body + star + factor), alias, **margins)
 
 
 def read_set_points(words: Sequence[str]) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
@@ -244,7 +244,8 @@ class UseEntry:
     @property
     def use(self) -> ActionReference:
         """Return the entry as a use of an action."""
-        return ActionReference(self.action, self.elements, self.scale)
+        use = ActionReference.of(self.action, self.elements)
+        return replace(use, scale=use.scale * self.scale)
 
 
 @dataclass(frozen=True, slots=True)

@@ -190,7 +190,7 @@ class ActionLibrary:
     def compose(
         self,
         name: str,
-        parts: Sequence[ActionReference],
+        parts: Sequence[ActionReference | str],
         *,
         independent: bool = False,
         description: str = "",

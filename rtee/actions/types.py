@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
 from typing import ClassVar, Final, Literal, Protocol, Self
 
+from rtee.errors import ActionError
 from rtee.values import Value
 
 
@@ -116,6 +118,9 @@ DEEPEST: Final = "deepest"
 SHALLOW: Final = 0.5
 """Share of the deepest posture's depth below which people are told of that posture."""
 
+_SEPARATOR: Final = re.compile("[:,]")
+"""What stands between the name and the elements of an action in a text, if no space does."""
+
 FARTHEST_CLEARANCE: Final = 0.005
 """Largest clearance measured [m]: at this distance, no link is in danger of a collision."""
 
@@ -156,7 +161,10 @@ class Evidence(Value):
 
 @dataclass(frozen=True, slots=True)
 class ActionReference(Value):
-    """A use of an action inside another one.
+    """A use of an action: alone, in a stream, or inside another one.
+
+    Its text, which `of` reads, is ``ACTION[:ELEMENT[,ELEMENT…]][*SCALE]``, such as
+    ``trig:ring*0.8``; spaces may stand for the colon and commas.
 
     Attributes:
         action: Name of the action.
@@ -167,6 +175,45 @@ class ActionReference(Value):
     action: str
     elements: tuple[str, ...] = ()
     scale: float = 1.0
+
+    @classmethod
+    def of(cls, what: ActionReference | str, elements: Sequence[str] = ()) -> ActionReference:
+        """Return the use that a text means; one that is given stays.
+
+        Args:
+            what: The use, or its text.
+            elements: Its elements, if the text has none.
+
+        Raises:
+            ActionError: if the text is not like that.
+        """
+        if isinstance(what, str):
+            body, star, factor = what.partition("*")
+            words = body.replace(",", " ").replace(":", " ").split()
+            whole = all(part.strip() for part in _SEPARATOR.split(body))
+            try:
+                scale = float(factor) if star else 1.0
+            except ValueError:
+                raise ActionError(
+                    f"the scale in '{what}' must be a number, not '{factor}'"
+                ) from None
+            if not words or not whole:
+                raise ActionError(
+                    f"'{what}' is not an action; write ACTION, ACTION:ELEMENT or "
+                    "ACTION:ELEMENT,ELEMENT*SCALE"
+                )
+            what = cls(words[0], tuple(words[1:]), scale)
+        elif not isinstance(what, cls):
+            raise ActionError(f"an action is a text such as 'trig:ring*0.8', not {what!r:.100}")
+        if not elements:
+            return what
+        if what.elements:
+            raise ActionError(f"the elements of '{what}' are given twice")
+        return replace(what, elements=tuple(elements))
+
+    def __str__(self) -> str:
+        elements = f":{','.join(self.elements)}" if self.elements else ""
+        return f"{self.action}{elements}" + (f"*{self.scale:g}" if self.scale != 1.0 else "")
 
 
 class _WithPosture(Protocol):

@@ -67,12 +67,12 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
 
 def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, Opening]]:
     """Return the actions given on the command line, with their openings by the model."""
-    from rtee.actions.cli_syntax import read_use
+    from rtee.actions.types import ActionReference
 
     openings, chosen = library.openings, []
     reason = f"there are none; 'rtee extract {library.hand.name} --save' finds them"
     if words:
-        uses = [read_use(word) for word in words]
+        uses = [ActionReference.of(word) for word in words]
         named = [library.find(use.action, use.elements) for use in uses]
         return [(action, openings.of(action)) for action in named]
     for action in library:

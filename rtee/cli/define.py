@@ -73,10 +73,10 @@ def compose(
 
     Example: rtee compose grasp trig:index trig:middle trig:thumb*0.3
     """
-    from rtee.actions.cli_syntax import read_use
+    from rtee.actions.types import ActionReference
 
     library = actions_of(hand)
-    uses = [read_use(part) for part in parts]
+    uses = [ActionReference.of(part) for part in parts]
     action = library.compose(name, uses, independent=independent, description=description)
     store(library, action, replace)
 

@@ -142,7 +142,7 @@ class ActionClient:
     async def add_composed(
         self,
         name: str,
-        parts: Sequence[ActionReference],
+        parts: Sequence[ActionReference | str],
         *,
         independent: bool = False,
         description: str = "",
@@ -150,7 +150,9 @@ class ActionClient:
         replace: bool = False,
     ) -> None:
         """Add a composed action; see `ActionLibrary.compose`."""
-        action = Composed(name, tuple(parts), _NOWHERE, independent, description)
+        action = Composed(
+            name, tuple(map(ActionReference.of, parts)), _NOWHERE, independent, description
+        )
         await self.add_action(action, store=store, replace=replace)
 
     async def add_timed(
@@ -163,7 +165,9 @@ class ActionClient:
         replace: bool = False,
     ) -> None:
         """Add a timed action; see `ActionLibrary.sequence`."""
-        timed = tuple(Step(s.use, s.alias, s.before, s.after, _NOWHERE) for s in steps)
+        timed = tuple(
+            Step(ActionReference.of(s.use), s.alias, s.before, s.after, _NOWHERE) for s in steps
+        )
         action = Timed(name, timed, description)
         await self.add_action(action, store=store, replace=replace)
 

@@ -12,33 +12,42 @@ from pathlib import Path
 import pytest
 
 import rtee
-import rtee.log
-import rtee.messages
 import rtee.testing
 
-ASKED_FOR = {
-    "HandInfo",
-    "RunningGoal",
-    "State",
-    "BusPool",
-    "SerialBus",
-    "ModbusBus",
-    "CanBus",
-    "CanopenBus",
-    "DynamixelBus",
-    "EthercatBus",
-    "ZmqBus",
-    "Emulator",
-    "Axis",
-    "Attached",
-    "Session",
-    "DriverContract",
-    "CYCLES",
-}
-"""What programs and drivers use and would miss."""
+MOST_STABLE = 110
+"""Most stable names: what is not worth a promise is provisional."""
 
-MADE_FOR_YOU = {"rtee.remote.link.Link"}
-"""Types in public signatures of what nobody makes himself: `connect` makes a `RemoteHand`."""
+PROVISIONAL = {
+    "rtee.actions.openings.Openings",
+    "rtee.actions.types.Opposition",
+    "rtee.commands.CommandRecord",
+    "rtee.hand.config_schema.ActuatorDynamics",
+    "rtee.hand.config_schema.FlangeSection",
+    "rtee.hand.config_schema.TouchSection",
+    "rtee.hand.model.JointRole",
+    "rtee.hand.transmission.Transmission",
+    "rtee.hand.urdf.Urdf",
+    "rtee.hand.urdfread.Edit",
+    "rtee.log.recording.Channel",
+    "rtee.log.recording.GripEstimate",
+    "rtee.log.recording.TouchSeries",
+    "rtee.loop.plan.Plan",
+    "rtee.objects.description.ObjectPart",
+    "rtee.planning.objects.GraspObject",
+    "rtee.planning.reached.Collision",
+    "rtee.planning.reached.Residual",
+    "rtee.planning.result.Check",
+    "rtee.planning.result.Contact",
+    "rtee.remote.client.Connection",
+    "rtee.remote.counts.Counts",
+    "rtee.remote.goal.GoalOptions",
+    "rtee.remote.link.Link",
+    "rtee.remote.monitoring.CollectedStates",
+    "rtee.remote.monitoring.Monitoring",
+    "rtee.sample.Quantity",
+    "rtee.types.Aim",
+}
+"""Types in signatures of public names that are provisional themselves."""
 
 
 @cache
@@ -75,19 +84,25 @@ def test_no_name_stands_twice() -> None:
     assert len(found) == len(set(found))
 
 
-def test_what_packages_export_is_documented() -> None:
+def test_the_stable_names_are_those_of_the_package_and_few_others() -> None:
+    from api_names import public_names, resolved
+
+    stable = {resolved(name.path) for name in public_names() if name.stable}
+    assert [name for name in rtee.__all__ if getattr(rtee, name) not in stable] == [
+        "SimulatedHand",  # of the second tier, with all that tests use
+        "simulated",
+    ]
+    assert len(stable) <= MOST_STABLE
+
+
+def test_what_authors_of_drivers_import_is_documented() -> None:
     there = set(documented().values())
     lacking = [
-        f"{package.__name__}.{name}"
-        for package in (rtee, rtee.log, rtee.messages, rtee.testing)
-        for name in package.__all__
-        if getattr(package, name) not in documented() and f"{package.__name__}.{name}" not in there
+        name
+        for name in rtee.testing.__all__
+        if getattr(rtee.testing, name) not in documented() and f"rtee.testing.{name}" not in there
     ]
     assert lacking == []
-
-
-def test_what_was_missed_is_documented() -> None:
-    assert {path.rpartition(".")[2] for path in documented().values()} >= ASKED_FOR
 
 
 @cache
@@ -139,13 +154,13 @@ def _signatures(thing: object) -> Iterator[tuple[object, dict[str, object]]]:
                 yield function, function.__annotations__
 
 
-def test_every_type_in_a_public_signature_is_documented() -> None:
+def test_every_type_in_a_public_signature_is_documented_or_held_as_provisional() -> None:
     lacking: dict[str, str] = {}
     for thing, path in documented().items():
         for owner, notes in _signatures(thing):
             for kind in _spoken_of(owner, notes):
                 name = f"{kind.__module__}.{kind.__qualname__}"
-                if kind not in documented() and name not in MADE_FOR_YOU:
+                if kind not in documented() and name not in PROVISIONAL:
                     lacking[name] = path
     assert lacking == {}
 

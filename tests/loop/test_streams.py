@@ -639,7 +639,7 @@ def test_a_blend_adds_the_ways_from_rest(hand: Hand, library: ActionLibrary) -> 
         ({"Trig index": 0.2, "index_base": 0.1}, {}, "meant twice"),
         ({"drill": 0.5}, {}, "timed"),
         ({"Trig nose": 0.5}, {}, "Trig"),
-        ({"": 0.5}, {}, "neither"),
+        ({"": 0.5}, {}, "is not an action"),
         ({"thumb_slide": 20.0}, {}, "are these millimetres"),
         ({"index_base": 0.2}, {"index_base": math.inf}, "finite"),
         ({"index_base": 0.2}, {"index_base": 500.0}, "far beyond its limit"),

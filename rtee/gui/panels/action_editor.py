@@ -439,7 +439,7 @@ class PartsPanel:
 
     def _draw(self, chosen: int = 0) -> None:
         lines = [
-            f"{index}. {escape(described(part.use))}"
+            f"{index}. {escape(described(ActionReference.of(part.use)))}"
             + (f" · {part.before:g} s before" if part.before else "")
             + (f" · {part.after:g} s after" if part.after else "")
             for index, part in enumerate(self._parts, 1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from rtee.actions.types import Timed
+from rtee.actions.types import ActionReference, Timed
 from rtee.errors import ActionError, GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
 from rtee.types import ActuatorSpec, JointKind
@@ -143,9 +143,9 @@ class Targets:
 
     def _blend(self, name: str, library: ActionLibrary) -> _Blend:
         hand = self._hand
-        action, *elements = name.split() or [""]
         try:
-            found = library.find(action, elements)
+            use = ActionReference.of(name)
+            found = library.find(use.action, use.elements)
         except UnknownAction:
             known = [*hand.actuator_names, *hand.joint_names, *library.names]
             raise GoalRejected(
@@ -159,7 +159,8 @@ class Targets:
         posture, rest = found.posture, hand.rest
         indices = [hand.actuator_index(each) for each in posture.involved]
         names = hand.actuator_names
-        return _Blend(name, {i: posture.position[names[i]] - float(rest[i]) for i in indices})
+        ways = {i: posture.position[names[i]] - float(rest[i]) for i in indices}
+        return _Blend(name, {i: use.scale * way for i, way in ways.items()})
 
     def resolve(
         self, values: Mapping[str, float], velocity: Mapping[str, float]
