@@ -46,6 +46,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
     "mcp": ("rtee.cli.mcp:mcp", "Offer hands to a language model, behind a gate."),
     "agent": ("rtee.cli.mcp:app", "Approve what a language model asks for, or let it in again."),
+    "metrics": ("rtee.cli.metrics:metrics", "Serve the metrics of hands for Prometheus."),
     "router": ("rtee.cli.router:router", "Run a router between hands and their clients."),
     "ros2": ("rtee.cli.ros2:app", "Look at a ROS 2 graph that hands are part of."),
     "log": ("rtee.cli.log:app", "Inspect, replay and repair recordings."),

@@ -70,7 +70,28 @@ def mcp(
     if not (names := hands or list(hands_running())):
         raise ConfigError("no hand runs here; name those that will: rtee mcp HAND")
     agents = [Agent(name, Limits.of(_settings(name), asked), connect) for name in names]
+    for name in names:
+        anyio.run(_say_if_absent, name, connect)
     anyio.run(serve, agents)
+
+
+async def _say_if_absent(name: str, connect: str | None) -> None:
+    """Say on stderr that a hand does not run; raises `ConfigError` if none of this name can."""
+    import anyio.to_thread
+
+    from rtee.errors import NoHand
+    from rtee.hand.catalog import hand_names
+    from rtee.remote.find import open_hand
+
+    try:
+        session = (await open_hand(name, connect, 0.0)).session
+    except NoHand as error:
+        if connect is None and name not in hand_names():
+            raise ConfigError(str(error)) from None
+        # stdout is for the protocol; a hand that runs later is as good.
+        print(f"rtee: {error}; its tools work as soon as it does", file=sys.stderr, flush=True)
+    else:
+        await anyio.to_thread.run_sync(session.close)
 
 
 def _settings(name: str) -> AgentSettings:

@@ -110,6 +110,10 @@ def run(
     ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="Open the hands in the browser.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Show the hands as nodes of ROS 2.")] = False,
+    metrics: Annotated[
+        str,
+        typer.Option(metavar="HOST:PORT", help="Serve metrics for Prometheus there."),
+    ] = "",
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="End after this many seconds.")
     ] = None,
@@ -149,6 +153,7 @@ def run(
         trace=trace,
         companions=_companions(gui, hands),
         ros2=ros2,
+        metrics=metrics,
     )
 
     async def main() -> int:

@@ -20,6 +20,7 @@ from rtee.hand.config_schema import (
     FlangeSection,
     LogSection,
     LoopSection,
+    MetricsSettings,
     Outside,
     ProfileSettings,
     RealtimeSettings,
@@ -132,6 +133,8 @@ class HandConfig(Section):
     """The hand on the network."""
     ros2: Ros2Settings = Ros2Settings()
     """The hand as a node of ROS 2."""
+    metrics: MetricsSettings = MetricsSettings()
+    """Metrics of the hand for Prometheus."""
     agent: AgentSettings = AgentSettings()
     """What a language model may do with the hand."""
     driver: Literal["kinematic", "devices"] = "kinematic"

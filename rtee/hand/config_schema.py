@@ -401,6 +401,14 @@ class RemoteSettings(Section):
     """Rate at which states are published [Hz]."""
 
 
+@dataclass(frozen=True, slots=True)
+class MetricsSettings(Section):
+    """Metrics of the hand for Prometheus, see `rtee.remote.metrics`."""
+
+    listen: str = ""
+    """``HOST:PORT`` to serve them on, such as ``127.0.0.1:9464``; empty: nowhere."""
+
+
 class Gate(Word):
     """What stands between an agent and the hand."""
 

@@ -247,6 +247,14 @@ def host_of(endpoint: str) -> tuple[str, int]:
     return match[1].strip("[]"), int(match[2])
 
 
+def address_of(text: str, what: str) -> tuple[str, int]:
+    """Return host and port of ``HOST:PORT`` for something; raises `ConfigError`."""
+    host, _, port = text.rpartition(":")
+    if not (host and port.isascii() and port.isdigit() and int(port) < 1 << 16):
+        raise ConfigError(f"{what}: '{text[:50]}' should be HOST:PORT, such as 127.0.0.1:9464")
+    return host.strip("[]"), int(port)
+
+
 def is_safe(endpoint: str) -> bool:
     """Return whether only admitted clients can connect through an endpoint."""
     # An endpoint with metadata does not match: anything not understood counts as unsafe.

@@ -93,6 +93,12 @@ class Diagnostics(Part):
             "recording": status.recording,
             "grip effort": status.grip_effort,
             "profile": status.profile,
+            "lateness max [s]": clock.lateness_max,
+            "records dropped": clock.dropped,
+            "clients": status.counts.clients,
+            "stops": status.counts.stops,
+            "version": status.counts.version,
+            **{f"goals {outcome}": n for outcome, n in status.counts.goals.items()},
         }
         return self._entry("loop", level, summary, values)
 
@@ -128,6 +134,8 @@ class Diagnostics(Part):
         if worst >= limits.warn:
             level = Level.ERROR if worst >= limits.disable else Level.WARN
         values = {f"{name} [°C]": value for name, value in known.items()}
+        currents = zip(state.names, state.current.tolist(), strict=True)
+        values |= {f"{name} [A]": value for name, value in currents if not math.isnan(value)}
         return self._entry("temperatures", level, f"{hottest} has {worst:.0f} °C", values)
 
 

@@ -45,6 +45,7 @@ class RunOptions:
         trace: Whether to record the bytes of all buses.
         companions: Commands that run beside the hands, and end with them.
         ros2: Whether all hands are nodes of ROS 2, even if hand.yaml says otherwise.
+        metrics: ``HOST:PORT`` to serve the metrics of all hands on; empty: as in hand.yaml.
         config_dirs: Folders in which hands are looked up before the usual ones.
     """
 
@@ -62,6 +63,7 @@ class RunOptions:
     trace: bool = False
     companions: tuple[tuple[str, ...], ...] = ()
     ros2: bool = False
+    metrics: str = ""
     config_dirs: tuple[Path, ...] = ()
 
 

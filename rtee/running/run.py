@@ -44,6 +44,7 @@ from rtee.loop.shutdown_signals import (
 )
 from rtee.loop.tick_driver import drive
 from rtee.remote.server import RemoteSettings, Server
+from rtee.remote.session import address_of
 from rtee.running import free_motion
 from rtee.running.prepare import PreparedHand, RunOptions, prepare
 from rtee.types import Event
@@ -107,7 +108,8 @@ async def run_hands(
             log.warning("%s: %s", one.hand.name, warning)
     _warn_of_profiles(prepared)
     if serve is not None:
-        companions = (*options.companions, *_in_ros2(names, prepared, options))
+        beside_all = (*_in_ros2(names, prepared, options), *_metrics(prepared, options))
+        companions = (*options.companions, *beside_all)
         options = replace(options, companions=companions)
     wanted = [realtime_settings(hand.config, enabled=options.realtime) for hand in prepared]
     realtime = next((settings for settings in wanted if settings.enabled), RealtimeSettings())
@@ -179,6 +181,20 @@ def _in_ros2(
             if importlib.util.find_spec("xxhash") is None:
                 raise ImportError
         yield beside_this_run("ros2", "serve", *shown)
+
+
+def _metrics(prepared: Sequence[PreparedHand], options: RunOptions) -> Iterator[tuple[str, ...]]:
+    """Yield the commands that serve metrics, one for each address; clients, as in ROS 2."""
+    hands: dict[str, list[str]] = {}
+    for one in prepared:
+        if listen := options.metrics or one.config.metrics.listen:
+            address_of(listen, "metrics")
+            hands.setdefault(listen, []).append(one.hand.name)
+    for listen, names in hands.items():
+        with needing_extra("metrics", "metrics"):
+            if importlib.util.find_spec("prometheus_client") is None:
+                raise ImportError
+        yield beside_this_run("metrics", *names, "--listen", listen)
 
 
 def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:

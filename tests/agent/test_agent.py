@@ -262,6 +262,7 @@ def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
     ("words", "sentence"),
     [
         ("mcp", "no hand runs here; name those that will: rtee mcp HAND"),
+        ("mcp clew", "the hand 'clew' does not run on this computer; there are none"),
         ("mcp claw --force 21", "--force 21.0 is more than hand.yaml allows an agent: 20.0"),
         ("mcp claw --gate act", "--gate act is more than hand.yaml allows an agent: approve"),
         ("agent admit claw", "'rtee agent admit' wants a person at a terminal, not a script"),

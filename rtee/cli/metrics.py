@@ -1,0 +1,53 @@
+"""`rtee metrics`: the metrics of running hands, for Prometheus."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from rtee.cli._common import BesideOption, check_files, complete_running, lower_priority
+from rtee.cli._fleet import ConnectOptions
+from rtee.errors import needing_extra
+
+
+def metrics(
+    hands: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[HAND…]",
+            help="Names of hands; all that are found unless given.",
+            autocompletion=complete_running,
+        ),
+    ] = None,
+    connect: ConnectOptions = None,
+    listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where Prometheus scrapes them.")
+    ] = "127.0.0.1:9464",
+    beside: BesideOption = None,
+) -> None:
+    """Serve the metrics of running hands over HTTP for Prometheus, until Ctrl-C.
+
+    'rtee run HAND --metrics HOST:PORT' does the same beside a run. Example: rtee metrics --connect
+    tls/router:7447
+    """
+    import anyio
+
+    check_files()
+    lower_priority()  # before the network starts threads, which inherit it
+    with needing_extra("'rtee metrics'", "metrics"):
+        from rtee.remote.metrics import serve
+    from rtee.loop.shutdown_signals import work_beside
+    from rtee.remote.fleet import following
+    from rtee.remote.session import address_of
+
+    address_of(listen, "--listen")
+    # Beside a run only its own hands are meant, wherever the environment points to.
+    endpoints = [] if beside is not None else connect or []
+
+    async def run() -> None:
+        async with following(endpoints, hands or (), here=not endpoints) as fleet:
+            await fleet.known()
+            await serve(fleet, listen)
+
+    anyio.run(work_beside, beside, run)

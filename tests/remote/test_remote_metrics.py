@@ -1,0 +1,91 @@
+"""Metrics of hands as Prometheus scrapes them, and the alerts and the dashboard made of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import urllib.request
+from pathlib import Path
+
+import anyio
+import anyio.lowlevel
+import anyio.to_thread
+import pytest
+from ruamel.yaml import YAML
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.hand.model import Hand
+from rtee.remote.fleet import Look, Place, following
+
+from .serving import serving
+
+pytestmark = pytest.mark.anyio
+
+pytest.importorskip("prometheus_client", reason="needs the extra metrics")
+
+DEPLOY = Path(__file__).parent.parent.parent / "deploy" / "prometheus"
+
+
+def _scraped(port: int) -> str:
+    accept = {"Accept": "application/openmetrics-text; version=1.0.0"}
+    request = urllib.request.Request(f"http://127.0.0.1:{port}/metrics", headers=accept)
+    with urllib.request.urlopen(request) as answer:
+        return str(answer.read().decode())
+
+
+async def test_a_scrape_tells_what_the_hand_did(hand: Hand, library: ActionLibrary) -> None:
+    from prometheus_client.openmetrics.parser import text_string_to_metric_families
+
+    from rtee.remote.metrics import serve
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    async with serving(hand, library), following() as fleet, rtee.connect() as remote:
+        await remote.do("Trig", "index", intensity=0.2)
+        await remote.stop()
+        await fleet.known()
+        async with anyio.create_task_group() as group:
+            group.start_soon(serve, fleet, f"127.0.0.1:{port}")
+            await anyio.lowlevel.checkpoint()
+            text = await anyio.to_thread.run_sync(_scraped, port)
+            group.cancel_scope.cancel()
+    samples = {
+        (
+            sample.name,
+            *(sample.labels.get(k, "") for k in ("device", "outcome", "le")),
+        ): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+        if sample.labels["hand"] == "small"
+    }
+    assert samples["rtee_up", "", "", ""] == 1.0
+    assert samples["rtee_goals_total", "", "reached", ""] == 1.0
+    assert samples["rtee_stops_total", "", "", ""] == 1.0
+    assert samples["rtee_device_active", "sim", "", ""] == 1.0
+    assert samples["rtee_clients", "", "", ""] == 2.0
+    ticks = samples["rtee_loop_ticks_total", "", "", ""]
+    assert samples["rtee_loop_busy_seconds_bucket", "", "", "+Inf"] >= ticks > 0
+
+
+async def test_alerts_and_dashboard_name_metrics_that_there_are(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    from rtee.remote.metrics import families
+
+    async with serving(hand, library), rtee.connect() as remote:
+        look = Look(Place("small"), await remote.status(), await remote.state())
+    known = {family.name for family in families([look])}
+    rules = YAML(typ="safe").load(DEPLOY / "rtee-alerts.yaml")["groups"][0]["rules"]
+    panels = json.loads((DEPLOY / "grafana-dashboard.json").read_text())["panels"]
+    used = [rule["expr"] for rule in rules]
+    used += [target["expr"] for panel in panels for target in panel["targets"]]
+    named = {
+        re.sub("_(total|bucket|info)$", "", name)
+        for text in used
+        for name in re.findall(r"\brtee_[a-z_]+", text)
+    }
+    assert named
+    assert named <= known
