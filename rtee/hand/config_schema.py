@@ -168,6 +168,9 @@ class ActuatorDynamics(Section):
     shares: dict[str, float] | None = None
     """Instead of ``joints``: their torques in relation to one another; unless given, in proportion
     to how far each follows."""
+    finger_force: Positive | None = None
+    """Largest force of each fingertip by the device's sheet [N], where its effort limit would give
+    more at some openings: goals ask for no more, and the simulation exerts no more."""
     give: Positive | None = None
     """How far a joint on a spring yields to its part of the full effort [rad | m]; 0.4 rad or 4 mm
     unless given."""

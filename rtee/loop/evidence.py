@@ -38,13 +38,17 @@ actuator may or may not have been at rest."""
 _CONFIRMED = 2
 """Measurements in succession whose effort must show a contact: a single one may be noise."""
 
+_STEP_WAYS = 1.5
+"""Its effort must show a contact while the reference moves on by so many counts of the position: a
+servo that moves in steps of it has moved by then."""
+
 _UNKNOWN_SHARE = 0.05
 """Threshold of a contact for an actuator that moves no fingertip, as a share of its effort limit
 above the effort of free motion: its lever, and so the force, is unknown."""
 
 _SET_OUT = 0.1
 """Efforts are not evaluated for this long after an actuator has started to move, while it overcomes
-static friction [s]."""
+static friction, nor after a silence of its device [s]."""
 
 _STEPS = 12
 """Measurements of an actuator on its way before its current is judged: a slow device moves in
@@ -119,6 +123,7 @@ class _Approach:
         most: Largest current of its free motion [A].
         steps: Number of measurements of it.
         was: Where it was measured last [rad | m].
+        led_from: Its reference when its effort first showed a contact [rad | m].
     """
 
     ahead: float
@@ -132,6 +137,7 @@ class _Approach:
     most: float = 0.0
     steps: int = 0
     was: float = math.nan
+    led_from: float = math.nan
 
 
 class Evidence:
@@ -703,6 +709,10 @@ class Evidence:
         here = measured.position[i]
         moves = (here - approach.was) * approach.ahead > 0.0
         approach.was = here
+        if dt > _SILENCE * self._usual[i]:
+            # What a device did meanwhile, it did by itself: it sets out anew.
+            approach.began = math.nan
+            self._stretches[i].restart()
         if approach.began != approach.began:
             if not moves:
                 return False  # the device has not begun: no effort of its is one of motion
@@ -721,8 +731,15 @@ class Evidence:
         # What may be a contact must not teach the model that contacts are free motion.
         sample = None if excess > SURELY_FREE else (signal, velocity, gain)
         stretch.take(free, here, reference, sample)
-        approach.over = approach.over + 1 if excess > 1.0 else 0
-        return approach.over >= _CONFIRMED
+        if excess <= 1.0:
+            approach.over = 0
+            return False
+        if not approach.over:
+            approach.led_from = reference
+        approach.over += 1
+        # A servo that moves in steps of its position takes as much before each of them.
+        led = abs(reference - approach.led_from)
+        return approach.over >= _CONFIRMED and led >= _STEP_WAYS * stretch.count
 
     def _surges(self, approach: _Approach, current: float, *, moves: bool) -> bool:
         """Return whether an actuator that stands still needs more current than its free motion.

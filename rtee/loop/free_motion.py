@@ -246,6 +246,11 @@ class Stretches:
         self._step = math.inf
         self.restart()
 
+    @property
+    def count(self) -> float:
+        """Least change of the position [rad | m]: the device's count; 0: not known yet."""
+        return self._step if self._step < math.inf else 0.0
+
     def restart(self) -> None:
         """Forget the stretch on the way: another motion begins."""
         self._before: list[tuple[float, float, float]] = []

@@ -88,6 +88,7 @@ class Grip:
         sheet: Force by effort limit from the device's data sheet, for a single actuator.
         inertia: Inertia of motor and gear at each actuator [kg·m² | kg]; 0: not stated.
         empty: Opening at which the empty hand's fingertips meet one another [m].
+        strongest: Largest force by the sheets of fingers whose effort limits would give more [N].
     """
 
     indices: tuple[int, ...]
@@ -104,6 +105,7 @@ class Grip:
     sheet: GripForce | None = None
     inertia: tuple[float, ...] = (0.0,)
     empty: float = 0.0
+    strongest: float = math.inf
 
     @classmethod
     def of(
@@ -143,6 +145,9 @@ class Grip:
             single,
             tuple(k.armature or 0.0 for k in known),
             empty,
+            # Of tips all around, the force is the sum.
+            min((k.finger_force for k in known if k.finger_force), default=math.inf)
+            * (len(sides) if opening.around else 1),
         )
 
     # --- the opening -------------------------------------------------------------------------
@@ -280,8 +285,14 @@ class Grip:
             )
         ]
         least = max(_SQUEEZES * max(closes), _LEAST_TRAVEL)
+        # Of tips all around, the opening is a diameter: each closes by a half of it.
+        share = 0.5 if self.around else 1.0
         levers = self._levers(intensity)
-        return [(k, self.indices[k], abs(levers[k])) for k, by in enumerate(closes) if by >= least]
+        return [
+            (k, self.indices[k], share * abs(levers[k]))
+            for k, by in enumerate(closes)
+            if by >= least
+        ]
 
     def forces(self, hand: Hand, intensity: float) -> tuple[float, float]:
         """Return the weakest and the strongest force that can be requested at an intensity [N]."""
@@ -297,7 +308,7 @@ class Grip:
             # The weakest actuator decides, since the others can press less.
             left = hand.actuators[i].effort - self.friction[k]
             strongest = min(strongest, max(left, 0.0) * self.efficiency[k] / lever)
-        return 0.0, strongest
+        return 0.0, min(strongest, self.strongest)
 
     def efforts(self, force: float, intensity: float) -> dict[int, float]:
         """Return the effort limits [N·m | N] for a force [N] at an intensity, by actuator index."""

@@ -43,6 +43,17 @@ def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool
     assert truth.result.force == pytest.approx(truth.low, abs=truth.result.force_error)
 
 
+@pytest.mark.parametrize(
+    ("hand", "width", "most"), [("onrobot_rg6", 0.135, 120.0), ("onrobot_3fg15", 0.094, 240.0)]
+)
+def test_a_whole_effort_presses_with_no_more_than_the_sheet_has(
+    hand: str, width: float, most: float
+) -> None:
+    truth = try_case(bench(hand, RATE), Case(Thing.SPHERE, width, None, seed=1))
+    assert truth.held
+    assert 0.9 * most <= truth.high <= 1.05 * most
+
+
 @pytest.mark.samples("wsg50-True", "schunk_egu-False")
 @pytest.mark.parametrize("numb", [False, True])
 @pytest.mark.parametrize("hand", ["wsg50", "schunk_egu", "robotiq_hand_e", "robotiq_2f_140"])

@@ -15,6 +15,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import rest_position
 from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
+from rtee.drivers.mujoco.sheet_forces import SheetForces
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.drivers.mujoco.tangents import Couplings
 from rtee.drivers.mujoco.taxels import Taxels
@@ -85,6 +86,7 @@ class Simulation:
         self._forces = FingerForces(model, hand)
         self.taxels = Taxels(model, hand, options)
         self._couplings = Couplings(model, hand)
+        self._sheet = SheetForces(hand, model, list(actuators))
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)
         self._seen = SeenChannels(model, self.data, hand, self.surroundings, options)
@@ -234,9 +236,12 @@ class Simulation:
             self._speed[mask] = np.minimum(self._fastest, np.maximum(max_velocity, 0.0))[mask]
         # Limits rarely change from one exchange to the next.
         limited = max_effort.tobytes(), mask.tobytes()
-        if limited != self._limited:
+        if limited != self._limited or self._sheet:
             self._limited = limited
-            limit = np.minimum(self.effort_limit, np.maximum(max_effort, 0.0))[mask]
+            own = self.effort_limit
+            if self._sheet:
+                own = self._sheet.lower(own, self.data.qpos[self._qpos])
+            limit = np.minimum(own, np.maximum(max_effort, 0.0))[mask]
             motors = self._motor[mask]
             self.model.actuator_forcerange[motors, 0] = -limit
             self.model.actuator_forcerange[motors, 1] = limit
