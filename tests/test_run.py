@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import os
@@ -17,14 +18,15 @@ import pytest
 
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import ConfigError, LoopError, UserError
-from rtee.hand.config_schema import Behaviour
+from rtee.hand.config_schema import Behaviour, Lines
 from rtee.log import read
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.measured import Measured
 from rtee.running import free_motion
+from rtee.running.event_lines import EventLines, Fields, entry, line
 from rtee.running.run import RunOptions, prepare, run_hands
-from rtee.types import Reference
+from rtee.types import Event, Goal, Named, Reference, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -88,15 +90,35 @@ def options(folder: Path, **more: object) -> RunOptions:
     return RunOptions(config_dirs=(folder,), **more)  # type: ignore[arg-type]
 
 
-async def test_a_run_tells_how_it_starts_and_how_it_went(folder: Path) -> None:
+async def test_a_run_tells_how_it_starts_and_how_it_went(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     said: list[str] = []
-    status = await run_hands(["jaw"], options(folder, duration=0.3), serve=None, say=said.append)
+    chosen = options(folder, duration=0.3, events=Lines.STDOUT)
+    status = await run_hands(["jaw"], chosen, serve=None, say=said.append)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["hand"] for line in lines} == {"jaw"}
     assert status == 0
     assert said[0].startswith("jaw: 1 actuator, 1 joints, 0 actions; 200 Hz; kinematic: ")
     assert "active" in said[0]
     assert "network off" in said[0]
     assert any("ticks at 200 Hz" in line and "lateness p50" in line for line in said)
     assert said[-1] == "jaw: 0 goals"
+
+
+def test_goals_and_results_are_events_with_the_goal() -> None:
+    found: list[Fields] = []
+    lines = EventLines("jaw", ("drive",), found.append)
+    goal = Goal(Named("Trig", ("index",)), client="ann.rtee-do")
+    lines.on_goal(goal, 12.0)
+    lines.on_event(Event("device_fault", "drive", "too hot\nto hold", 13.0, "error"))
+    lines.on_result(Result(goal.goal_id, "Trig", reached=True))
+    assert [fields["kind"] for fields in found] == ["goal", "device_fault", "result"]
+    assert {fields["goal"] for fields in found} == {goal.goal_id}
+    assert found[1]["device"] == "drive"
+    assert json.loads(line(found[0]))["text"] == "ann.rtee-do begins Trig index"
+    # A name, a line, the length in 8 bytes, the value, a line.
+    assert b"MESSAGE\n\x14\0\0\0\0\0\0\0jaw: too hot\nto hold\nPRIORITY\n" in entry(found[1])
 
 
 async def test_everything_is_recorded(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,7 @@ from rtee.cli._common import (
     log_to_stderr,
     named_values,
 )
+from rtee.hand.config_schema import Lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -114,6 +116,9 @@ def run(
         str,
         typer.Option(metavar="HOST:PORT", help="Serve metrics for Prometheus there."),
     ] = "",
+    events: Annotated[
+        Lines | None, typer.Option(help="Write each event as a line of JSON, or to the journal.")
+    ] = None,
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="End after this many seconds.")
     ] = None,
@@ -154,10 +159,14 @@ def run(
         companions=_companions(gui, hands),
         ros2=ros2,
         metrics=metrics,
+        events=events,
     )
 
     async def main() -> int:
-        # Flushed, since a program that reads the output may wait for a line.
-        return await run_hands(hands, options, say=lambda line: print(line, flush=True))
+        def say(line: str) -> None:
+            # Flushed, since a program that reads the output may wait for a line.
+            print(line, flush=True, file=sys.stderr if events is Lines.STDOUT else sys.stdout)
+
+        return await run_hands(hands, options, say=say)
 
     raise typer.Exit(anyio.run(main, backend_options=backend_options()))

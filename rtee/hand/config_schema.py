@@ -404,6 +404,15 @@ class RemoteSettings(Section):
     """Rate at which states are published [Hz]."""
 
 
+class Lines(Word):
+    """Where lines about events go."""
+
+    STDOUT = "stdout"
+    """One JSON object per line."""
+    JOURNALD = "journald"
+    """Entries with fields ``RTEE_HAND``, ``RTEE_GOAL``, ``RTEE_DEVICE`` and so on."""
+
+
 @dataclass(frozen=True, slots=True)
 class MetricsSettings(Section):
     """Metrics of the hand for Prometheus, see `rtee.remote.metrics`."""

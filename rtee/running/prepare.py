@@ -16,6 +16,7 @@ from rtee.drivers.objects import between_fingers
 from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.hand.config import HandConfig, read_document
+from rtee.hand.config_schema import Lines
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.log import RecorderSettings
@@ -46,6 +47,7 @@ class RunOptions:
         companions: Commands that run beside the hands, and end with them.
         ros2: Whether all hands are nodes of ROS 2, even if hand.yaml says otherwise.
         metrics: ``HOST:PORT`` to serve the metrics of all hands on; empty: as in hand.yaml.
+        events: Where a line about each event goes; ``None``: nowhere.
         config_dirs: Folders in which hands are looked up before the usual ones.
     """
 
@@ -64,6 +66,7 @@ class RunOptions:
     companions: tuple[tuple[str, ...], ...] = ()
     ros2: bool = False
     metrics: str = ""
+    events: Lines | None = None
     config_dirs: tuple[Path, ...] = ()
 
 

@@ -46,6 +46,7 @@ from rtee.loop.tick_driver import drive
 from rtee.remote.server import RemoteSettings, Server
 from rtee.remote.session import address_of
 from rtee.running import free_motion
+from rtee.running.event_lines import EventLines, Fields, event_lines
 from rtee.running.prepare import PreparedHand, RunOptions, prepare
 from rtee.types import Event
 
@@ -125,7 +126,8 @@ async def run_hands(
         signals = stack.enter_context(receive_signals())
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
-        hands = [await _open(one, pool, options, stack, trace) for one in prepared]
+        lines = stack.enter_context(event_lines(options.events)) if options.events else None
+        hands = [await _open(one, pool, options, stack, trace, lines) for one in prepared]
         await _connected(hands)
         for hand in hands:
             if serve is not None:
@@ -214,6 +216,7 @@ async def _open(
     options: RunOptions,
     stack: AsyncExitStack,
     trace: _Trace,
+    lines: Callable[[Fields], None] | None,
 ) -> _RunningHand:
     devices = [
         (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
@@ -245,6 +248,8 @@ async def _open(
     loop.add_observer(recorder)
     loop.add_observer(tally)
     loop.add_observer(EventLog())
+    if lines is not None:
+        loop.add_observer(EventLines(loop.name, loop.devices.keys(), lines))
     await stack.enter_async_context(loop)
     return _RunningHand(prepared, loop, recorder, tally)
 
