@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand as RemoteHand
     from rtee.remote.client import connect as connect
     from rtee.remote.find import hands_running as hands_running
+    from rtee.remote.goal_values import action_goal as action_goal
+    from rtee.remote.goal_values import grasp_goal as grasp_goal
+    from rtee.remote.goal_values import touch_goal as touch_goal
     from rtee.remote.hand_info import HandInfo as HandInfo
     from rtee.remote.monitoring import HandStatus as HandStatus
     from rtee.remote.running_goal import RunningGoal as RunningGoal
@@ -73,6 +76,7 @@ _NAMES = {
     "rtee.remote.blocking": "BlockingGoal BlockingHand BlockingStream connect_blocking",
     "rtee.remote.client": "RemoteHand connect",
     "rtee.remote.find": "hands_running",
+    "rtee.remote.goal_values": "action_goal grasp_goal touch_goal",
     "rtee.remote.hand_info": "HandInfo",
     "rtee.remote.monitoring": "HandStatus",
     "rtee.remote.running_goal": "RunningGoal",

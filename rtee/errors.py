@@ -492,7 +492,29 @@ class GoalRejected(ActionError, RequestRejected):
     """A goal, or another motion, that cannot be executed; the hand has not moved.
 
     The same error, whether the hand refuses it or this computer already does.
+
+    Attributes:
+        code: Kind of the mistake: ``unknown`` for a name or word that there is not, else ``value``.
+        option: The option or argument that is wrong, if one is.
+        valid: What would be possible there, where it can be listed.
+        nearest: What of it is most like what was given; empty: nothing.
     """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        option: str = "",
+        given: str = "",
+        valid: Iterable[str] = (),
+        path: Path | str | None = None,
+        line: int | None = None,
+    ) -> None:
+        super().__init__(message, path=path, line=line)
+        self.option = option
+        self.valid = tuple(valid)
+        self.code = "unknown" if self.valid else "value"
+        self.nearest = next(iter(difflib.get_close_matches(given, self.valid, n=1)), "")
 
 
 class TooManyRequests(RequestRejected):

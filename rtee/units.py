@@ -58,7 +58,7 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
         GoalRejected: if the value is not such a quantity, not finite, or negative; or a length
             of some metres without a unit, which is meant in millimetres.
     """
-    kind = _KINDS[id(units)]
+    kind, unit = _KINDS[id(units)], ""
     if isinstance(value, str):
         match = None if "," in value else _QUANTITY.fullmatch(value)
         if match is None:
@@ -70,14 +70,14 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
                 f"the {name} must be {kind}, and '{unit}' is not a unit of one; "
                 f"{suggestion(unit, units)}"
             )
-        if units is LENGTH and not unit and _LONGEST < number < math.inf:
-            raise GoalRejected(f"the {name} would be {number:g} m; write {number:g}mm")
         # A number without a unit counts as SI.
         size = number * units.get(unit, 1.0)
     elif isinstance(value, SupportsFloat):
         size = float(value)
     else:
         raise GoalRejected(f"the {name} must be {kind}, not {value!r:.100}")
+    if units is LENGTH and not unit and _LONGEST < size < math.inf:
+        raise GoalRejected(f"the {name} would be {size:g} m; write {size:g}mm")
     if not math.isfinite(size):
         raise GoalRejected(f"the {name} must be {kind}, not {size:g}")
     if size < 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 # Imported before a goal begins: a signal that arrives during an import would not cancel it.
 import anyio
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from anyio.abc import TaskStatus
 
     from rtee.remote.client import RemoteHand
-    from rtee.remote.goal import GoalOptions
     from rtee.remote.running_goal import RunningGoal
     from rtee.types import Feedback, Result
 
@@ -94,30 +93,27 @@ def do(
     """
     from rtee.actions.cli_syntax import read_efforts, read_on_contact
     from rtee.actions.naming import label
-    from rtee.remote.goal_values import sizes
+    from rtee.remote.goal_values import action_goal
 
     efforts = read_efforts(effort or [])
     chosen = tuple(elements or ())
-    options: GoalOptions = {
+    options: dict[str, Any] = {
         "intensity": intensity,
         "speed": speed,
         "tolerance": tolerance,
         "timeout": timeout,
         "stage": stage,
         "kind": kind,
+        "on_contact": read_on_contact(on_contact or []),
+        "opening": opening,
+        "force": force,
     }
-    words = read_on_contact(on_contact or [])
-    if words:
-        options["on_contact"] = words
-    if opening is not None:
-        options["opening"] = opening
-    if force is not None:
-        options["force"] = force
-    sizes(options)  # before a hand is looked for
+    action_goal(action, *chosen, **options)  # before a hand is looked for
 
     async def execute(remote: RemoteHand) -> Result:
         options["effort"] = await effort_limits(remote, efforts)
-        return await follow(remote.start(action, *chosen, **options), label(action, chosen))
+        goal = action_goal(action, *chosen, **options)
+        return await follow(remote.start_goal(goal), label(action, chosen))
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+import math
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,7 +18,7 @@ from rtee.cli._common import (
 from rtee.cli._online import result_json, with_hand
 from rtee.cli.do import follow
 from rtee.remote.words import sentence
-from rtee.types import Outcome
+from rtee.types import Around, Outcome
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
@@ -68,27 +69,24 @@ def grasp(
     Example: rtee grasp --width 30mm --force 10N index thumb
     """
     from rtee.actions.cli_syntax import read_on_contact
-    from rtee.units import FORCE, LENGTH, SPEED, quantity
+    from rtee.remote.goal_values import grasp_goal
 
-    words = read_on_contact(on_contact or [])
-    wanted = quantity(width, LENGTH, "width")
-    newtons = None if force is None else quantity(force, FORCE, "force")
-    fast = None if speed is None else quantity(speed, SPEED, "speed")
-    within = quantity(narrower, LENGTH, "tolerance"), quantity(wider, LENGTH, "tolerance")
+    options: dict[str, Any] = {"on_contact": read_on_contact(on_contact or [])}
+    goal = grasp_goal(
+        width,
+        force=force,
+        tip_speed=speed,
+        fingers=fingers,
+        width_tolerance=(narrower, wider),
+        action=action,
+        timeout=timeout,
+        max_force=max_force,
+        **options,
+    )
+    asked = goal.to if isinstance(goal.to, Around) else Around(math.nan)
 
     async def execute(remote: RemoteHand) -> Result:
-        start = remote.start_grasp(
-            wanted,
-            newtons,
-            fast,
-            fingers,
-            within,
-            action=action,
-            timeout=timeout,
-            on_contact=words,
-            max_force=max_force,
-        )
-        return await follow(start, f"grasp {wanted * 1e3:g} mm")
+        return await follow(remote.start_goal(goal), f"grasp {asked.width * 1e3:g} mm")
 
     result = with_hand(hand, connect, "grasp", execute, wait=wait)
     if as_json:
@@ -97,7 +95,7 @@ def grasp(
         print(sentence(result, result.elements))
         # The exit status alone would not say why it is a failure.
         if result.outcome is Outcome.WRONG_WIDTH:
-            least, most = (1e3 * (wanted + each) for each in (-within[0], within[1]))
+            least, most = (1e3 * (asked.width + by) for by in (-asked.narrower, asked.wider))
             print(f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked")
     raise typer.Exit(0 if result.succeeded else 1)
 
@@ -123,10 +121,12 @@ def touch(
 
     Example: rtee touch index thumb
     """
+    from rtee.remote.goal_values import touch_goal
+
+    goal = touch_goal(fingers=fingers, action=action, tip_speed=speed, timeout=timeout)
 
     async def execute(remote: RemoteHand) -> Result:
-        start = remote.start_touch(fingers, action=action, speed=speed, timeout=timeout)
-        return await follow(start, "touch")
+        return await follow(remote.start_goal(goal), "touch")
 
     result = with_hand(hand, connect, "touch", execute, wait=wait)
     if as_json:

@@ -36,6 +36,7 @@ from rtee.types import (
     Event,
     Feedback,
     Goal,
+    JointKind,
     LoopStatistics,
     Named,
     Reference,
@@ -53,6 +54,10 @@ ITSELF = "rtee"
 
 GRIP_EFFORT = "grip_effort"
 """The hand's own gain: effort kept on a held object, as a fraction of the effort limit."""
+
+
+_ROUNDED = 1e-4
+"""A position this far beyond a limit is one that a client has rounded [rad | m]."""
 
 
 class HandLoop:
@@ -325,16 +330,29 @@ class HandLoop:
         """Move some actuators directly; a running goal is pre-empted.
 
         Args:
-            positions: Target positions by actuator [rad | m], clamped into the limits.
+            positions: Target positions by actuator, inside their limits [rad | m].
             max_velocity: Velocity limit [rad/s | m/s]; ``None``: the actuators' own.
 
         Raises:
-            GoalRejected: if an actuator is unknown or not active, or a value is not a number.
+            GoalRejected: if an actuator is unknown or not active, or a value is not a number or
+                beyond a limit.
         """
         names = self.hand.actuator_names
         for name, value in positions.items():
             if name not in names:
-                raise GoalRejected(f"unknown actuator '{name}'; {suggestion(name, names)}")
+                raise GoalRejected(
+                    f"unknown actuator '{name}'; {suggestion(name, names)}",
+                    option="positions",
+                    given=name,
+                    valid=names,
+                )
+            spec = self.hand.actuator(name)
+            if math.isfinite(value) and not spec.lower - _ROUNDED <= value <= spec.upper + _ROUNDED:
+                raise GoalRejected(
+                    f"the position {value:g} of '{name}' is outside its limits {spec.lower:g} to "
+                    f"{spec.upper:g} {'m' if spec.kind == JointKind.PRISMATIC else 'rad'}",
+                    option="positions",
+                )
             if not math.isfinite(value):
                 raise GoalRejected(f"the position of '{name}' must be a number, not {value:g}")
         if max_velocity is not None and not (max_velocity > 0 and math.isfinite(max_velocity)):

@@ -23,6 +23,7 @@ from collections.abc import (
 from concurrent.futures import CancelledError, Future
 from contextlib import AbstractAsyncContextManager
 from functools import partial, wraps
+from inspect import signature
 from types import TracebackType
 from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 
@@ -184,6 +185,8 @@ def _starting(
         start = partial(method, self._hand, *args, **kwargs)
         return BlockingGoal(self._portal, _wait(self._portal, start))
 
+    shown: Any = call
+    shown.__signature__ = signature(method).replace(return_annotation="BlockingGoal")
     return call
 
 
@@ -269,8 +272,6 @@ class BlockingHand:
 
     start = _starting(RemoteHand.start)
     start_goal = _starting(RemoteHand.start_goal)
-    start_grasp = _starting(RemoteHand.start_grasp)
-    start_touch = _starting(RemoteHand.start_touch)
     do = _following(RemoteHand.do)
     open = _following(RemoteHand.open)
     move_opening = _following(RemoteHand.move_opening)

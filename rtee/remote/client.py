@@ -14,17 +14,18 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from functools import wraps
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, SupportsFloat, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import anyio
 import anyio.to_thread
 
-from rtee.errors import ConfigError, GoalRejected, NoHand, RemoteError
+from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.messages.requests import Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.find import VARIABLE as CONNECT
 from rtee.remote.find import chosen_here, open_hand
 from rtee.remote.goal import GoalClient
+from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import Link, introduced
 from rtee.remote.monitoring import Monitoring
 from rtee.remote.reaching import ReachClient
@@ -150,9 +151,7 @@ class RemoteHand:
     do = _part("_goals", GoalClient.do)
     open = _part("_goals", GoalClient.open)
     move_opening = _part("_goals", GoalClient.move_opening)
-    start_grasp = _part("_goals", GoalClient.start_grasp)
     grasp = _part("_goals", GoalClient.grasp)
-    start_touch = _part("_goals", GoalClient.start_touch)
     touch = _part("_goals", GoalClient.touch)
     cancel = _part("_goals", GoalClient.cancel)
     effort_limits = _part("_goals", GoalClient.effort_limits)
@@ -218,11 +217,11 @@ class RemoteHand:
         """Move some actuators; returns at once.
 
         Args:
-            positions: Target by actuator [rad | m]; clamped to the limits.
+            positions: Target by actuator, inside its limits [rad | m].
             max_velocity: Velocity limit [rad/s | m/s]; ``None``: the actuators' own limits.
 
         Raises:
-            GoalRejected: if a value is no number, or an actuator is unknown.
+            GoalRejected: if a value is no number or beyond a limit, or an actuator is unknown.
         """
         await self._send_values("jog", "", positions, max_velocity)
         self._lease.jogged = True
@@ -273,15 +272,13 @@ class RemoteHand:
     async def _send_values(
         self, name: str, source: str, values: Mapping[str, float], limit: float | None = None
     ) -> None:
-        for key, value in values.items():
-            if not isinstance(value, SupportsFloat):
-                raise GoalRejected(f"the value of '{key}' must be a number, not {value!r:.100}")
+        given = numbers(values, "value")
         fields = {
             "client": self.client,
             "source": source,
-            "name": list(values),
-            "value": list(values.values()),
-            "limit": math.nan if limit is None else limit,
+            "name": list(given),
+            "value": list(given.values()),
+            "limit": math.nan if limit is None else finite(limit, "velocity"),
         }
         await self._link.ask(name, fields)
 

@@ -1,16 +1,139 @@
-"""The values of a goal's options as people write them: checked and translated."""
+"""Goals from the options of calls as people write them: checked, and translated to SI units."""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Final, SupportsFloat
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Final, Literal, SupportsFloat, TypedDict, TypeVar, Unpack
 
-from rtee.errors import GoalRejected, suggestion
-from rtee.types import OnContact
+from rtee.actions.types import ActionKind, ActionReference
+from rtee.errors import ActionError, GoalRejected, suggestion
+from rtee.messages.goals import goal_of
+from rtee.types import Goal, OnContact, Stage
 from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, quantity
 
-QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], str]]] = {
+F = TypeVar("F", bound=Callable[..., Any])
+
+Reaction = OnContact | Literal["stop", "hold", "squeeze"]
+
+OnContactWords = Mapping[str, Reaction] | Reaction
+"""One reaction for all fingers, or reactions by finger, "" for all others."""
+
+StageWord = Stage | Literal["both", "pre_grasp", "grasp"]
+
+KindWord = ActionKind | Literal["primitive", "composed", "timed", "generic"]
+
+
+class GoalOptions(TypedDict, total=False):
+    """Options of a goal that names an action.
+
+    Attributes:
+        intensity: 0 (rest) to 1 (the action's posture); or a text such as ``60%``.
+        effort: Effort limit by actuator [N·m | N]; or one share of the limit of every actuator,
+            above 0 up to 1, such as ``40%``.
+        tolerance: Norm of the error at which the goal counts as reached [rad | m].
+        speed: Share of the velocity limits, above 0 up to 1.
+        timeout: Longest time the goal may take [s]; by default as configured for the hand.
+        stage: Stages of a pinch: ``both``, ``pre_grasp`` or ``grasp``.
+        kind: Kind of the action, where its name is ambiguous.
+        opening: Target opening of the fingertips, instead of an intensity [m]; or such as ``40mm``.
+        force: Force between the fingertips, with an opening [N].
+        tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
+        on_contact: Reaction of fingers to a contact: ``stop``, ``hold`` or ``squeeze``; or
+            reactions by finger, "" for all others. By default as configured for the hand.
+        max_force: Force up to which slips raise ``force`` [N].
+    """
+
+    intensity: float | str
+    effort: Mapping[str, float] | float | str | None
+    tolerance: float
+    speed: float | str
+    timeout: float | str | None
+    stage: StageWord
+    kind: KindWord | None
+    opening: float | str | None
+    force: float | str | None
+    tip_speed: float | str | None
+    on_contact: OnContactWords | None
+    max_force: float | str | None
+
+
+class GraspOptions(TypedDict, total=False):
+    """Options of a grasp of an object.
+
+    Attributes:
+        force: Force between the fingertips [N]; by default by the effort limits.
+        tip_speed: Speed at which the opening changes [m/s]; by default as fast as the hand can.
+        fingers: The fingers that hold the object; by default those of the hand's best action for
+            that width.
+        width_tolerance: How much narrower and wider than the width the object may be held [m].
+        action: The action to close with, instead of the best one.
+        timeout: Longest time the goal may take [s]; by default as configured for the hand.
+        on_contact: Reaction of fingers to a contact: with ``squeeze`` they wait until enough of
+            them touch, so that a light object is not pushed away; see `GoalOptions`.
+        max_force: Force up to which slips raise ``force`` [N]; by default they do not.
+    """
+
+    force: float | str | None
+    tip_speed: float | str | None
+    fingers: Sequence[str] | None
+    width_tolerance: tuple[float | str, float | str]
+    action: ActionReference | str
+    timeout: float | str | None
+    on_contact: OnContactWords | None
+    max_force: float | str | None
+
+
+class TouchOptions(TypedDict, total=False):
+    """Options of a touch.
+
+    Attributes:
+        fingers: The fingers to close; by default those of the action with the most fingers.
+        action: The action to close with, instead of the fingers' own.
+        tip_speed: Speed at which the opening closes [m/s]; 10 mm/s by default.
+        timeout: Longest time the goal may take [s]; by default as configured for the hand.
+    """
+
+    fingers: Sequence[str] | None
+    action: ActionReference | str
+    tip_speed: float | str | None
+    timeout: float | str | None
+
+
+_DEFAULTS: Final = {
+    "intensity": 1.0,
+    "tolerance": 0.01,
+    "speed": 1.0,
+    "stage": "both",
+    "width_tolerance": (0.005, 0.005),
+    "action": "",
+}
+"""Defaults that a signature shows; those of all other options are ``None``."""
+
+
+def spelled_out(method: F) -> F:
+    """Give a method with ``**options: Unpack[…]`` the signature and the help of all of them."""
+    signature = inspect.signature(method)
+    *given, last = signature.parameters.values()
+    kind: Any = globals()[str(last.annotation).removeprefix("Unpack[").removesuffix("]")]
+    options = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=_DEFAULTS.get(name),
+            annotation=annotation.__forward_arg__,
+        )
+        for name, annotation in kind.__annotations__.items()
+    ]
+    shown: Any = method
+    shown.__signature__ = signature.replace(parameters=[*given, *options])
+    _, _, told = str(inspect.getdoc(kind)).partition("Attributes:\n")
+    method.__doc__ = f"{inspect.cleandoc(str(method.__doc__))}\n\nOptions:\n{told}"
+    return method
+
+
+_QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], str]]] = {
     "intensity": (SHARE, "intensity"),
     "speed": (SHARE, "speed"),
     "opening": (LENGTH, "opening"),
@@ -47,77 +170,201 @@ def numbers(values: object, what: str) -> dict[str, float]:
     return {name: finite(value, f"{what} '{name}'") for name, value in values.items()}
 
 
-def check_types(
-    action: str, elements: Sequence[str], options: Mapping[str, Any], known: Collection[str]
-) -> None:
-    """Raise `GoalRejected` for what a message cannot carry: a text as a number, a list as a name.
+def share_of(effort: object) -> float | None:
+    """Return an effort that is one share of all limits; ``None`` if it is none, or by actuator."""
+    if effort is None or isinstance(effort, Mapping):
+        return None
+    try:
+        return quantity(effort, SHARE, "effort")  # type: ignore[arg-type]
+    except GoalRejected:
+        raise GoalRejected(
+            "the effort must be a share of all limits, such as 0.4 or 40%, or a number for each "
+            f"actuator, not {effort!r:.100}"
+        ) from None
 
-    Values are for the hand to check, which knows its actions and limits; names of options must be
-    known.
+
+def shares(
+    limits: Mapping[str, float],
+    share: float,
+    only: Collection[str] | None = None,
+    besides: Collection[str] = (),
+) -> dict[str, float]:
+    """Return a share of effort limits [N·m | N], of some actuators; raises `GoalRejected`."""
+    if not 0.0 < share <= 1.0:
+        raise GoalRejected(
+            f"an effort for all actuators is a share of their limits, above 0 and at most 1 "
+            f"(100 %), not {share:g}"
+        )
+    chosen = [name for name in (limits if only is None else only) if name not in besides]
+    for name in chosen:
+        if name not in limits:
+            raise GoalRejected(
+                f"effort for an unknown actuator '{name}'; {suggestion(name, limits)}"
+            )
+        if not math.isfinite(limits[name]):
+            raise GoalRejected(
+                f"'{name}' has no effort limit to take a share of; give one under 'limits' "
+                "in hand.yaml, or its effort by name"
+            )
+    return {name: share * limits[name] for name in chosen}
+
+
+@spelled_out
+def action_goal(
+    action: ActionReference | str, *elements: str, **options: Unpack[GoalOptions]
+) -> Goal:
+    """Return the goal to do an action; its effort is none or by actuator.
+
+    Args:
+        action: Its name, or the name with elements and scale, such as ``trig:ring*0.8``.
+        elements: Fingers or actuator of a primitive.
+        options: See below.
+
+    Raises:
+        GoalRejected: if something is not what it should be; what is possible, the hand says.
     """
-    for name in (action, *elements):
+    _check_known(options, GoalOptions)
+    use = _use(action, elements) if action else ActionReference("", _names(elements))
+    values = _translated(options)
+    if use.scale != 1.0:
+        values["intensity"] = use.scale * values.get("intensity", 1.0)
+    if "tolerance" in values:
+        values["tolerance"] = finite(values["tolerance"], "tolerance")
+    if values.get("effort") is not None:
+        values["effort"] = numbers(values["effort"], "effort limit")
+    return goal_of(use.action, use.elements, **values)
+
+
+@spelled_out
+def grasp_goal(width: float | str, **options: Unpack[GraspOptions]) -> Goal:
+    """Return the goal to grasp an object of a width; see `rtee.RemoteHand.grasp`.
+
+    Args:
+        width: Width of the object [m]; or a text such as ``30mm``.
+        options: See below.
+
+    Raises:
+        GoalRejected: if something is not what it should be; what is possible, the hand says.
+    """
+    _check_known(options, GraspOptions)
+    values = _translated(options)
+    narrower, wider = _tolerances(values.pop("width_tolerance", _DEFAULTS["width_tolerance"]))
+    use = _closing(values)
+    return goal_of(
+        use.action,
+        use.elements,
+        grasp=True,
+        opening=quantity(width, LENGTH, "width"),
+        narrower=narrower,
+        wider=wider,
+        **values,
+    )
+
+
+def opening_goal(
+    opening: float | str, fingers: Sequence[str] | None = None, tip_speed: float | str | None = None
+) -> Goal:
+    """Return the goal to bring fingertips to an opening [m]; raises `GoalRejected`."""
+    values = _translated({"opening": opening, "tip_speed": tip_speed})
+    return goal_of("", _names(fingers), **values)
+
+
+@spelled_out
+def touch_goal(**options: Unpack[TouchOptions]) -> Goal:
+    """Return the goal to close until a first contact; see `rtee.RemoteHand.touch`.
+
+    Args:
+        options: See below.
+
+    Raises:
+        GoalRejected: if something is not what it should be; what is possible, the hand says.
+    """
+    _check_known(options, TouchOptions)
+    values = _translated(options)
+    use = _closing(values)
+    return goal_of(use.action, use.elements, touch=True, **values)
+
+
+def _check_known(options: Mapping[str, Any], kind: Any) -> None:
+    known = kind.__annotations__
+    if unknown := [name for name in options if name not in known]:
+        raise GoalRejected(
+            f"unknown option '{unknown[0]}' of a goal; {suggestion(unknown[0], known)}",
+            option=unknown[0],
+            given=unknown[0],
+            valid=known,
+        )
+
+
+def _use(action: object, elements: Sequence[str]) -> ActionReference:
+    for name in elements:
         if not isinstance(name, str):
             raise GoalRejected(
                 f"an action and its elements are names, one argument each, not {name!r:.100}"
             )
-    if unknown := [name for name in options if name not in known]:
-        raise GoalRejected(
-            f"unknown option '{unknown[0]}' of a goal; {suggestion(unknown[0], known)}"
-        )
-    tolerance = options.get("tolerance", 0.0)
-    if not isinstance(tolerance, SupportsFloat):
-        raise GoalRejected(f"the tolerance must be a number, not {tolerance!r:.100}")
-    effort = options.get("effort", {})
-    efforts = effort.values() if isinstance(effort, Mapping) else [effort]
-    if not all(isinstance(value, SupportsFloat) for value in efforts):
-        raise GoalRejected(
-            "the effort must be a share of all limits, such as 0.4, or a number for each "
-            f"actuator, not {effort!r:.100}"
-        )
+    try:
+        return ActionReference.of(action, elements)  # type: ignore[arg-type]
+    except ActionError as error:
+        raise GoalRejected(error.message) from None
 
 
-def names(fingers: Sequence[str] | None) -> tuple[str, ...]:
+def _closing(values: dict[str, Any]) -> ActionReference:
+    """Take the fingers and the action that they close with out of options."""
+    fingers, action = _names(values.pop("fingers", None)), values.pop("action", "")
+    return _use(action, fingers) if action else ActionReference("", fingers)
+
+
+def _names(fingers: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of fingers; raises `GoalRejected` for a single text, a list of letters."""
-    if isinstance(fingers, str):
-        raise GoalRejected(f"the fingers are a list of names, such as [{fingers!r:.100}]")
+    if isinstance(fingers, str) or not all(isinstance(name, str) for name in fingers or ()):
+        raise GoalRejected(
+            f"the fingers are a list of names, such as ['index'], not {fingers!r:.100}"
+        )
     return tuple(fingers or ())
 
 
-def tolerances(pair: tuple[float | str, float | str]) -> tuple[float, float]:
+def _tolerances(pair: object) -> tuple[float, float]:
     """Return how much narrower and wider a width may be [m]; raises `GoalRejected`."""
     if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
         raise GoalRejected(
             f"the tolerance is two lengths, narrower and wider, such as ('5mm', '5mm'), "
             f"not {pair!r:.100}"
         )
-    return quantity(pair[0], LENGTH, "tolerance"), quantity(pair[1], LENGTH, "tolerance")
+    narrower, wider = (quantity(each, LENGTH, "tolerance") for each in pair)
+    return narrower, wider
 
 
-def sizes(options: Mapping[str, Any]) -> dict[str, float]:
-    """Return the quantities among the options in SI units; raises `GoalRejected`.
+def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options with quantities in SI units and words as those of enumerations.
 
     Whether a number is possible is for the hand to say, which knows what is.
     """
-    given = {
-        option: options[option]
-        for option in QUANTITIES
-        if option in options and (options[option] is not None or option in _ALWAYS)
-    }
-    return {
-        option: float(value)
-        if isinstance(value, SupportsFloat)
-        else quantity(value, *QUANTITIES[option])
-        for option, value in given.items()
-    }
-
-
-def reactions(given: Mapping[str, OnContact | str] | OnContact | str) -> dict[str, OnContact]:
-    """Return the reactions to contacts by finger; raises `GoalRejected` for unknown ones."""
+    values = dict(options)
+    for name, how in _QUANTITIES.items():
+        value: Any = values.get(name, None if name not in _ALWAYS else 1.0)
+        if value is not None or name in _ALWAYS:
+            plain = isinstance(value, SupportsFloat) and how[0] is not LENGTH
+            values[name] = float(value) if plain else quantity(value, *how)
+    if "stage" in values:
+        values["stage"] = _word(values["stage"], Stage, "stage")
+    if values.get("kind"):
+        values["kind"] = str(_word(values["kind"], ActionKind, "kind"))
+    given = values.pop("on_contact", None) or {}
     words = given if isinstance(given, Mapping) else {"": given}
+    reactions = {finger: _word(word, OnContact, "on_contact") for finger, word in words.items()}
+    return values | ({"on_contact": reactions} if reactions else {})
+
+
+W = TypeVar("W", Stage, OnContact, ActionKind)
+
+
+def _word(word: Any, kind: type[W], what: str) -> W:
     try:
-        return {finger: OnContact(word) for finger, word in words.items()}
+        return kind(word)
     except ValueError:
-        wrong = next(word for word in words.values() if word not in list(OnContact))
         raise GoalRejected(
-            f"unknown on_contact '{wrong}'; {suggestion(str(wrong), OnContact)}"
+            f"unknown {what} '{word}'; {suggestion(str(word), kind)}",
+            option=what,
+            given=str(word),
+            valid=list(kind),
         ) from None

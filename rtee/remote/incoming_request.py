@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import zenoh
 
-from rtee.errors import LeaseHeld, MessageError, RteeError, TooManyRequests
+from rtee.errors import (
+    GoalRejected,
+    LeaseHeld,
+    MessageError,
+    RteeError,
+    TooManyRequests,
+    UnknownAction,
+)
 from rtee.messages import network_key
 from rtee.messages.identity import LONGEST_CLAIM
 from rtee.messages.requests import HELLO, INBOX, REQUESTS, Request
@@ -50,9 +58,20 @@ def refusal(error: Exception) -> bytes:
             "accepted": False,
             "error": type(error).__name__,
             "reason": str(error) if known else f"internal error: {error!r}",
-            "text": error.holder if isinstance(error, LeaseHeld) else "",
+            "text": _details(error),
         }
     )
+
+
+def _details(error: Exception) -> str:
+    """Return what a client makes the same error of, beside its reason."""
+    if isinstance(error, LeaseHeld):
+        return error.holder
+    if isinstance(error, GoalRejected):
+        return json.dumps({"option": error.option, "given": error.nearest, "valid": error.valid})
+    if isinstance(error, UnknownAction):
+        return json.dumps({"option": "action", "given": error.name, "valid": error.valid})
+    return ""
 
 
 class IncomingRequest:

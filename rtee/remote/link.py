@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import os
 import secrets
 import uuid
@@ -292,7 +293,7 @@ class Link:
             case "TooManyRequests":
                 return TooManyRequests(reply["reason"])
             case "GoalRejected" | "UnknownAction" | "ActionError":
-                return GoalRejected(reply["reason"])
+                return GoalRejected(reply["reason"], **_details(reply["text"]))
             case _:
                 return RequestRejected(reply["reason"])
 
@@ -332,6 +333,18 @@ async def introduced(
         # Even when cancelled: while its token is there, the client is alive to the hand.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)
+
+
+def _details(text: str) -> dict[str, Any]:
+    """Return what the hand says of a refused goal; a hand of an earlier version says nothing."""
+    with contextlib.suppress(ValueError, TypeError):
+        said = json.loads(text)
+        return {
+            "option": str(said["option"]),
+            "given": str(said["given"]),
+            "valid": [str(name) for name in said["valid"]],
+        }
+    return {}
 
 
 def _decoded(receive: Callable[[bytes], object], data: bytes) -> None:

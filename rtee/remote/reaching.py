@@ -140,7 +140,7 @@ class ReachClient:
                 reached.action, *reached.elements, intensity=reached.pre_intensity
             )
         return await self._goals.grasp(
-            reached.width, force, fingers=reached.elements, action=reached.action
+            reached.width, force=force, fingers=reached.elements, action=reached.action
         )
 
     async def _by_postures(self, reached: ReachedGrasp, part: Stage) -> Result:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from rtee.actions.naming import normalise, snake_case
-from rtee.actions.types import Action, kind_of
+from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.errors import NoHand, RteeError
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.words import sentence
@@ -139,7 +139,7 @@ class Services(Part):
         return True, "all devices have recovered"
 
     async def _goal(
-        self, name: str, elements: tuple[str, ...], kind: str | None = None
+        self, name: str, elements: tuple[str, ...], kind: ActionKind | None = None
     ) -> tuple[bool, str]:
         face = self._face
         result: Result = await face.hand.do(
@@ -228,9 +228,9 @@ def _gains(status: HandStatus) -> Iterator[tuple[str, str, float]]:
             yield device.name, gain, value
 
 
-def _reference(action: Action) -> tuple[str, tuple[str, ...], str]:
+def _reference(action: Action) -> tuple[str, tuple[str, ...], ActionKind]:
     """Return name, elements and kind, which identify an action."""
-    return action.name, tuple(action.elements), str(kind_of(action))
+    return action.name, tuple(action.elements), kind_of(action)
 
 
 async def _with(

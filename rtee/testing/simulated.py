@@ -9,30 +9,40 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar, Unpack
 
 import anyio
 
+from rtee.actions.types import ActionReference
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.registry import find_driver
-from rtee.errors import GoalRejected, NotReady
+from rtee.errors import NotReady
 from rtee.hand.load import hand_folder
 from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.tick_driver import drive
-from rtee.messages.goals import goal_of
-from rtee.remote.goal import GoalOptions, goal_with
+from rtee.remote.goal_values import (
+    GoalOptions,
+    GraspOptions,
+    TouchOptions,
+    action_goal,
+    grasp_goal,
+    opening_goal,
+    share_of,
+    shares,
+    spelled_out,
+    touch_goal,
+)
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.bench import act
 from rtee.types import DeviceStatus, Event, Goal, Lifecycle, Result
-from rtee.units import FORCE, LENGTH, SPEED, quantity
 
 T = TypeVar("T")
 
@@ -133,44 +143,48 @@ class SimulatedHand(Observer):
 
     # --- goals
 
-    def do(self, action: str, *elements: str, **options: Unpack[GoalOptions]) -> Result:
-        """Do an action and return its result; raises `GoalRejected` if it cannot be done."""
-        effort = options.get("effort")
-        if isinstance(effort, float | int):
-            if not 0.0 < effort <= 1.0:
-                raise GoalRejected(f"an effort for all is above 0 and at most 1, not {effort:g}")
-            limits = {a.name: effort * a.effort for a in self._prepared.hand.actuators}
-            options["effort"] = limits
-        return self.execute(goal_with(action, elements, "test", options))
-
-    def open(self) -> Result:
-        """Go to the rest posture."""
-        return self.do("open")
-
-    def grasp(
-        self,
-        width: float | str,
-        force: float | str | None = None,
-        fingers: Sequence[str] | None = None,
-        *,
-        action: str = "",
+    @spelled_out
+    def do(
+        self, action: ActionReference | str, *elements: str, **options: Unpack[GoalOptions]
     ) -> Result:
+        """Do an action and return its result; see `RemoteHand.do`.
+
+        Raises `GoalRejected` if it cannot be done.
+        """
+        share = share_of(options.get("effort"))
+        if share is not None:
+            limits = {a.name: a.effort for a in self._prepared.hand.actuators}
+            options["effort"] = shares(limits, share)
+        return self.execute(action_goal(action, *elements, **options))
+
+    def open(
+        self,
+        *,
+        speed: float | str = 1.0,
+        effort: Mapping[str, float] | float | str | None = None,
+    ) -> Result:
+        """Go to the rest posture; see `RemoteHand.open`."""
+        return self.do("open", speed=speed, effort=effort)
+
+    def move_opening(
+        self,
+        opening: float | str,
+        *,
+        fingers: Sequence[str] | None = None,
+        tip_speed: float | str | None = None,
+    ) -> Result:
+        """Open or close the fingertips to an opening [m]; see `RemoteHand.move_opening`."""
+        return self.execute(opening_goal(opening, fingers, tip_speed))
+
+    @spelled_out
+    def grasp(self, width: float | str, **options: Unpack[GraspOptions]) -> Result:
         """Open wider than an object, close on it and keep a force; see `RemoteHand.grasp`."""
-        newtons = None if force is None else quantity(force, FORCE, "force")
-        gap = quantity(width, LENGTH, "width")
-        goal = goal_of(action, tuple(fingers or ()), opening=gap, force=newtons, grasp=True)
-        return self.execute(goal)
+        return self.execute(grasp_goal(width, **options))
 
-    def touch(
-        self,
-        fingers: Sequence[str] | None = None,
-        *,
-        action: str = "",
-        speed: float | str | None = None,
-    ) -> Result:
+    @spelled_out
+    def touch(self, **options: Unpack[TouchOptions]) -> Result:
         """Close slowly until a first contact; see `RemoteHand.touch`."""
-        tip_speed = None if speed is None else quantity(speed, SPEED, "speed")
-        return self.execute(goal_of(action, tuple(fingers or ()), tip_speed=tip_speed, touch=True))
+        return self.execute(touch_goal(**options))
 
     def execute(self, goal: Goal) -> Result:
         """Execute a complete goal to its end."""

@@ -40,7 +40,6 @@ PROVISIONAL = {
     "rtee.planning.result.Contact",
     "rtee.remote.client.Connection",
     "rtee.remote.counts.Counts",
-    "rtee.remote.goal.GoalOptions",
     "rtee.remote.link.Link",
     "rtee.remote.monitoring.CollectedStates",
     "rtee.remote.monitoring.Monitoring",

@@ -330,7 +330,10 @@ async def test_any_sequence_of_calls_gives_every_goal_one_result(hand: Hand) -> 
                 case 3:
                     rig.loop.cancel(running_goal)
                 case 4:
-                    rig.loop.jog({"index_base": rng.uniform(-1, 2)}, rng.uniform(0.1, 3))
+                    spec = hand.actuator("index_base")
+                    rig.loop.jog(
+                        {"index_base": rng.uniform(spec.lower, spec.upper)}, rng.uniform(0.1, 3)
+                    )
                 case 5:
                     rig.loop.hold("a test")
             await rig.run(rng.uniform(0.005, 0.3))
@@ -361,7 +364,7 @@ async def test_jog_moves_what_it_names_and_nothing_else(hand: Hand) -> None:
     async with running(hand) as rig:
         rig.loop.jog({"index_base": 0.5}, 0.4)
         await rig.run(0.2)
-        rig.loop.jog({"thumb_base": 5.0})
+        rig.loop.jog({"thumb_base": 1.0})
         await rig.run(2.0)
         sent = rig.loop.snapshot().reference_position
         assert sent.tolist() == [0.5, 0.0, 1.0, 0.0]
@@ -373,6 +376,11 @@ async def test_jog_moves_what_it_names_and_nothing_else(hand: Hand) -> None:
     [
         ({"index": 0.5}, None, "unknown actuator 'index'"),
         ({"index_base": NAN}, None, "must be a number"),
+        (
+            {"thumb_base": 45.0},
+            None,
+            "45 of 'thumb_base' is outside its limits .* to 1 rad",
+        ),
         ({"index_base": 0.1}, NAN, "velocity must be above 0"),
         ({"index_base": 0.1}, 0.0, "velocity must be above 0"),
     ],

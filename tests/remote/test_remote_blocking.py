@@ -197,9 +197,9 @@ def test_leaving_the_hand_ends_a_wait_in_another_thread(served: Served) -> None:
         ((), {"intensity": None}, "intensity must be a share, such as 60% or 0.6, not None"),
         ((), {"speed": "fast"}, "speed must be a share, such as 60% or 0.6, not 'fast'"),
         ((), {"timeout": "5m"}, "timeout must be a number of seconds, such as 5s, and 'm' is not"),
-        ((), {"tolerance": "1"}, "tolerance must be a number, not '1'"),
-        ((), {"effort": "40%"}, "such as 0.4, or a number for each actuator, not '40%'"),
-        ((), {"effort": {"near": "1"}}, "not {'near': '1'}"),
+        ((), {"tolerance": "1"}, "tolerance must be a finite number, not '1'"),
+        ((), {"effort": "4N"}, "such as 0.4 or 40%, or a number for each actuator, not '4N'"),
+        ((), {"effort": {"near": "1"}}, "effort limit 'near' must be a finite number, not '1'"),
         ((), {"intensty": 0.5}, "unknown option 'intensty' of a goal; did you mean 'intensity'"),
     ],
 )
@@ -272,10 +272,10 @@ def test_a_script_that_is_interrupted_cancels_its_goal(served: Served, tmp_path:
 
 ENDINGS: dict[str, Callable[[BlockingHand, Any], object]] = {
     "do": lambda remote, heard: remote.do("Grasp", speed=0.01, on_feedback=heard),
-    "grasp": lambda remote, heard: remote.grasp(0.02, speed=0.0005, on_feedback=heard),
-    "touch": lambda remote, heard: remote.touch(speed=0.0005, on_feedback=heard),
+    "grasp": lambda remote, heard: remote.grasp(0.02, tip_speed=0.0005, on_feedback=heard),
+    "touch": lambda remote, heard: remote.touch(tip_speed=0.0005, on_feedback=heard),
     "move_opening": lambda remote, heard: remote.move_opening(
-        0.01, speed=0.0005, on_feedback=heard
+        0.01, tip_speed=0.0005, on_feedback=heard
     ),
 }
 """The calls that wait for a goal, each so slow that it is left while the goal runs."""
@@ -336,14 +336,17 @@ def test_however_a_call_is_left_its_goal_ends(
 @pytest.mark.parametrize(
     ("mistake", "told"),
     [
-        (lambda hand: hand.jog({"near": "0.1"}), "value of 'near' must be a number"),
+        (lambda hand: hand.jog({"near": "0.1"}), "value 'near' must be a finite number"),
         (lambda hand: hand.jog({"nea": 0.1}), "did you mean 'near'"),
         (lambda hand: hand.do("Trig", "index", intensity=2.0), "intensity must be 0 to 1, not 2"),
         (lambda hand: hand.do("no_such_action"), "unknown action 'no_such_action'"),
         (lambda hand: hand.grasp("30mm", fingers="index"), r"a list of names, such as \['index'\]"),
-        (lambda hand: hand.touch("index"), r"a list of names, such as \['index'\]"),
-        (lambda hand: hand.grasp("30mm", tolerance="99"), "two lengths, narrower and wider"),
+        (lambda hand: hand.touch(fingers="index"), r"a list of names, such as \['index'\]"),
+        (lambda hand: hand.grasp("30mm", width_tolerance="99"), "two lengths, narrower and wider"),
         (lambda hand: hand.grasp(None), "width must be a length, such as 30mm"),
+        (lambda hand: hand.move_opening(40), "the opening would be 40 m; write 40mm"),
+        (lambda hand: hand.jog({"near": 45}), "position 45 of 'near' is outside its limits"),
+        (lambda hand: hand.do("trig:index", "thumb"), "elements of 'trig:index' are given twice"),
     ],
 )
 def test_this_computer_and_the_hand_refuse_by_the_same_error(
@@ -354,3 +357,7 @@ def test_this_computer_and_the_hand_refuse_by_the_same_error(
             mistake(remote)
         assert isinstance(caught.value, RequestRejected)
         assert isinstance(caught.value, ValueError)
+        if "did you mean" in told:
+            found = caught.value.code, caught.value.option, caught.value.nearest
+            assert found == ("unknown", "positions", "near")
+            assert "near" in caught.value.valid

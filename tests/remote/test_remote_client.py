@@ -86,7 +86,7 @@ async def test_everything_about_a_goal_arrives(hand: Hand, library: ActionLibrar
         ("fist", (), {"intensity": math.nan}, "intensity must be 0 to 1"),
         ("fist", (), {"speed": 0.0}, "speed must be above 0"),
         ("fist", (), {"timeout": -1.0}, "timeout must be above 0"),
-        ("fist", (), {"tolerance": math.inf}, "tolerance must be above 0"),
+        ("fist", (), {"tolerance": math.inf}, "tolerance must be"),
         ("fist", (), {"effort": {"pollex": 1.0}}, "unknown actuator 'pollex'"),
         ("fist", (), {"effort": {"near": 99.0}}, "effort limit of 'near'"),
         ("fist", (), {"kind": "timed"}, "unknown action 'fist'"),
@@ -240,7 +240,7 @@ async def test_jog(hand: Hand, library: ActionLibrary) -> None:
                 break
         for positions, limit, reason in (
             ({"pollex": 1.0}, None, "unknown actuator"),
-            ({"near": math.nan}, None, "must be a number"),
+            ({"near": math.nan}, None, "must be a finite number"),
             ({"near": 0.1}, -1.0, "velocity must be above 0"),
         ):
             with pytest.raises(RequestRejected, match=reason):

@@ -10,7 +10,7 @@ from rtee.testing.simulated import StartSimulatedHand
 
 def test_a_part_is_pulled_out_and_the_cable_too(rtee_simulated_hand: StartSimulatedHand) -> None:
     hand = rtee_simulated_hand("robotiq_2f_85", object="50mm")
-    held = hand.grasp("50mm", "40N")
+    held = hand.grasp("50mm", force="40N")
     assert (held.grasped, held.within) == (True, True)
     hand.take_away()
     hand.wait(2.0)

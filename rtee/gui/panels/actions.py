@@ -15,6 +15,7 @@ from rtee.gui.trial_results import Tried
 from rtee.gui.wording import offer
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
+from rtee.remote.goal_values import grasp_goal
 from rtee.remote.openings import OpeningRange
 from rtee.trials.result import TrialResult
 
@@ -252,10 +253,12 @@ class HoldingPanel:
         fingers = str(self._fingers.value)
         # A force or speed of 0 is left out of the goal: the hand then uses its own.
         await self._execution.follow(
-            self._hand.start_grasp(
-                float(self._width.value) / 1e3,
-                float(self._force.value) or None,
-                float(self._speed.value) / 1e3 or None,
-                None if fingers == _ANY else fingers.split(_JOINED),
-            ),
+            self._hand.start_goal(
+                grasp_goal(
+                    float(self._width.value) / 1e3,
+                    force=float(self._force.value) or None,
+                    tip_speed=float(self._speed.value) / 1e3 or None,
+                    fingers=None if fingers == _ANY else fingers.split(_JOINED),
+                )
+            )
         )

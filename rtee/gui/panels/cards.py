@@ -18,7 +18,7 @@ from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, offer, small
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
-from rtee.remote.goal import GoalOptions
+from rtee.remote.goal_values import GoalOptions, touch_goal
 from rtee.remote.openings import OpeningRange
 from rtee.types import OnContact, Stage
 
@@ -358,7 +358,8 @@ class Card:
 
     async def _close_to_touch(self) -> None:
         name, elements = key_of(self.action)
-        await self._execution.follow(self._hand.start_touch(elements, action=name))
+        goal = touch_goal(fingers=elements, action=name)
+        await self._execution.follow(self._hand.start_goal(goal))
 
     # --- place among the cards
 
