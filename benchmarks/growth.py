@@ -34,10 +34,12 @@ from rtee.log.settings import RecorderSettings
 from rtee.log.writer import LogWriter
 from rtee.loop import contact_rules
 from rtee.loop.clock import ManualClock
+from rtee.loop.controller import Controller
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.types import DeviceSpec, Goal
+from rtee.loop.snapshot import capture
+from rtee.types import DeviceSpec, Goal, Intensity, Named
 
 STEP = 4  # each size is so many times the one before
 
@@ -61,8 +63,9 @@ class Quantity:
 class Writing(Observer):
     """Hands the loop's reports to a writer at once, on simulated time."""
 
-    def __init__(self, writer: LogWriter) -> None:
+    def __init__(self, writer: LogWriter, controller: Controller) -> None:
         self.writer = writer
+        self.controller = controller
         self.stamp = 0.0
         self.ended = 0
 
@@ -70,6 +73,9 @@ class Writing(Observer):
         self.stamp = record.stamp
         self.writer.tick(record)
         self.writer.poll()
+        if self.writer.sink.begun:
+            self.writer.sink.begun = False
+            self.writer.state(capture(self.controller), record.tick, record.stamp)
 
     def on_goal(self, goal, stamp) -> None:
         self.writer.item(goal, stamp)
@@ -111,7 +117,8 @@ async def record(name: str, folder: Path, seconds: float, **changes: object) -> 
         | {"max_file_time": 1e9, "max_total_size": 1e13} | changes
     )  # fmt: skip
     contents = Contents(hand, settings.rate, {REPLAY: replay}, {"decimation": "1"})
-    writing = Writing(LogWriter(contents, recorder, monotonic=clock.now, simulated=True))
+    writer = LogWriter(contents, recorder, monotonic=clock.now, simulated=True)
+    writing = Writing(writer, loop.controller)
     loop.add_observer(writing)
     writing.writer.start()
     source = random.Random(1)
@@ -125,7 +132,7 @@ async def record(name: str, folder: Path, seconds: float, **changes: object) -> 
                 begun += 1
                 action = source.choice(primitives)
                 intensity = source.uniform(0.2, 1.0)
-                loop.submit(Goal(action.name, action.elements, intensity=intensity))
+                loop.submit(Goal(Named(action.name, action.elements), Intensity(intensity)))
             loop.tick(clock.next())
     writing.writer.close()
     return sorted(folder.glob("*.mcap"))[0]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +18,13 @@ from rtee.hand.files import temporary_folder
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import from_json
-from rtee.log.layout import REPLAY, RUN_BEGINS, Replayable
-from rtee.log.recording import Entry, Recording
+from rtee.log.layout import REPLAY, RUN_BEGINS, STATE, Replayable, library_name
+from rtee.log.recording import Entry, JointSeries, Recording
 from rtee.loop import contact_rules
 from rtee.loop.controller import Controller
 from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.plan import Plan
+from rtee.loop.snapshot import restore
 from rtee.messages import topics
 from rtee.sample import FloatArray, Measurements, measured_arrays
 from rtee.types import Result, readonly
@@ -39,6 +42,8 @@ TOPICS = (
     topics.ROBOT_DESCRIPTION,
 )
 """Topics that are needed to compute a recording anew."""
+
+S = TypeVar("S", bound=JointSeries)
 
 _UNEQUAL = "holds no states and references of the same ticks"
 _QUANTITIES = ("position", "velocity", "effort")
@@ -180,11 +185,14 @@ class _Checker:
         # Those that the other side has not had yet: of weeks, few are in memory.
         self._computed: deque[Result] = deque()
         self._recorded: deque[Result] = deque()
-        self._next_tick = 0  # the tick after the last one
+        self._begin = self._next_tick = 0  # the first tick, and that after the last one
+        self._begin_wall = -1
         self._sum = Check(0, 0, 0, 0, 0.0, None, True, 0, rules=replayable.rules)
 
     def take(self, piece: Recording) -> None:
         """Compute and compare the ticks of a piece."""
+        if not self._sum.ticks:
+            piece = self._begun(piece)
         states, reference = piece.actuator_states, piece.reference
         rows = range(len(states))
         self._sum = replace(
@@ -204,12 +212,6 @@ class _Checker:
             raise LogError(_UNEQUAL, path=self.path)
         if not rows:
             return
-        if not self._sum.ticks and states.tick[0] != 0:
-            raise LogError(
-                f"begins at tick {states.tick[0]} of the loop; only what was recorded from the "
-                "loop's start can be recomputed (with rotated files: give --series)",
-                path=self.path,
-            )
         if states.names != self._names or reference.names != self._names:
             raise LogError("has other actuators than its settings", path=self.path)
         computed = {name: np.empty((len(rows), len(self._names))) for name in _QUANTITIES}
@@ -220,6 +222,37 @@ class _Checker:
             computed["effort"][row] = self._controller.reference_effort
         self._next_tick = int(states.tick[-1]) + 1
         self._compare(piece, computed)
+
+    def _begun(self, piece: Recording) -> Recording:
+        """Return the rest of a piece from the tick on from which it can be computed."""
+        ticks = piece.actuator_states.tick
+        if not self._begin and len(ticks) and ticks[0] != 0:
+            state = json.loads(piece.attachments.get(STATE, b"{}"))
+            if state.get("library") != library_name() or state["tick"] < ticks[0] - 1:
+                raise LogError(
+                    f"begins at tick {ticks[0]} of the loop, without a state of the controller by "
+                    "this version of rtee: only what was recorded from the loop's start can be "
+                    "recomputed (with rotated files: give --series)",
+                    path=self.path,
+                )
+            restore(self._controller, state["nodes"])
+            # As in the live loop: a command may look at what this tick has measured.
+            self._measured = self._controller.measured
+            self._begin, self._begin_wall = state["tick"] + 1, state["wall"]
+            self._next_tick = self._begin
+        if not self._begin:
+            return piece
+        later: dict[str, Any] = {
+            name: [each for each in getattr(piece, name) if each.wall > self._begin_wall]
+            for name in ("goals", "plans", "commands", "stream_samples", "results", "events")
+        }
+        rows = ticks >= self._begin
+        return replace(
+            piece,
+            actuator_states=_rows(piece.actuator_states, rows),
+            reference=_rows(piece.reference, piece.reference.wall > self._begin_wall),
+            **later,
+        )
 
     def _step(self, tick: int, stamp: float, measured: Measured) -> None:
         while self._runs and self._runs[0] <= stamp:
@@ -312,8 +345,17 @@ class _Checker:
             # When the loop ended, it may have published one more result after the last recorded
             # tick.
             results=self._sum.results and not self._computed and len(self._recorded) <= 1,
-            missing=self._next_tick - self._sum.ticks,
+            missing=self._next_tick - self._begin - self._sum.ticks,
         )
+
+
+def _rows(series: S, chosen: NDArray[np.bool_]) -> S:
+    arrays: dict[str, Any] = {
+        each.name: getattr(series, each.name)[chosen]
+        for each in fields(series)
+        if each.name != "names"
+    }
+    return replace(series, **arrays)
 
 
 def _replayable(recording: Recording) -> Replayable:

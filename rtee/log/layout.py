@@ -41,6 +41,9 @@ DIGESTED = (
 REPLAY = "replay.json"
 """Name of the attachment with the settings needed to recompute the references."""
 
+STATE = "controller.json"
+"""Name of the attachment with a state of the controller, from which a part can be recomputed."""
+
 RUN_BEGINS = "run_begins"
 """Kind of the event at which another run, with a new controller, begins in a recording."""
 

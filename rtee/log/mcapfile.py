@@ -230,6 +230,16 @@ class McapFile:
             if chunk.digest is None or self._digest.size > _LARGEST_DIGEST:
                 self._digest = None
 
+    def attach(self, name: str, data: bytes) -> None:
+        """Append an attachment between two chunks; raises `OSError` as `write` does."""
+        attachment = Attachment(self._end, self._end, name, "application/json", data)
+        indexes = len(self._indexes)
+        try:
+            self._append(self._attached(attachment, self._size))
+        except OSError:
+            del self._indexes[indexes:]
+            raise
+
     def close(self) -> None:
         """Write the summary and close the file; further calls do nothing.
 

@@ -30,8 +30,10 @@ from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop import contact_rules
+from rtee.loop.controller import Controller
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
+from rtee.loop.snapshot import capture
 from rtee.objects.description import ObjectDescription
 from rtee.sample import COLUMNS, NOTHING, FloatArray, TickRecord
 from rtee.touch import TouchState
@@ -138,6 +140,10 @@ class Recorder:
     writes them item by item, so that neither waits for the other. A full queue drops and counts
     ticks.
 
+    Attributes:
+        controller: The loop's controller, if parts of the recording shall be computed anew without
+            those before: each begins with its state.
+
     Args:
         hand: The hand.
         settings: Settings of the recorder.
@@ -194,6 +200,7 @@ class Recorder:
         self._failed = 0
         self._failure = ""
         self._thread: threading.Thread | None = None
+        self.controller: Controller | None = None
 
     # --- life --------------------------------------------------------------------------------
 
@@ -249,6 +256,8 @@ class Recorder:
     def on_tick(self, record: TickRecord) -> None:
         """Record a tick, or drop it when the writer is too far behind."""
         self._stamp = record.stamp
+        if self._writer.sink.begun and self.controller is not None:
+            self._capture(self.controller, record)
         waiting = self._queue.qsize()
         if waiting >= self._limit:
             self._dropped += 1  # never waited for: the loop's thread calls this
@@ -258,6 +267,13 @@ class Recorder:
             self._queue.put(record)
         else:
             self._queue.put(self._packed(record))
+
+    def _capture(self, controller: Controller, record: TickRecord) -> None:
+        """Have the state of the controller written, if a file was begun after the first tick."""
+        self._writer.sink.begun = False
+        if record.tick:
+            snapshot = capture(controller)
+            self._queue.put(lambda: self._writer.state(snapshot, record.tick, record.stamp))
 
     def _packed(self, record: TickRecord) -> PackedTicks | TickRecord:
         """Add a tick to a piece of the backlog and return that; or the tick, if it fits none."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtee.log.chunks import PackedChunk
-from rtee.log.layout import Contents
+from rtee.log.layout import STATE, Contents
 from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import (
     FLIGHT,
@@ -62,6 +62,8 @@ class DiskSink:
         self._run = 0
         self._retention = Retention(settings, contents.hand.name)
         self.wanted = False
+        self.begun = False  # whether the next file needs a state of the controller
+        self._state = b""
         self.problem = ""
         self.written_ticks = 0
         self.lost_ticks = 0
@@ -84,7 +86,7 @@ class DiskSink:
         if self.wanted:
             return
         # Before the file is made, which may fail: each later chunk then tries again.
-        self.wanted = True
+        self.wanted = self.begun = True
         self._session = session_name(wall_ns)
         self._run = next_run(self._settings.folder)
         self._part = 0
@@ -129,6 +131,7 @@ class DiskSink:
     def _close(self) -> None:
         file, self._file = self._file, None
         if file is not None:
+            self.begun = True
             # Without its summary the file is still readable up to its last chunk.
             with contextlib.suppress(OSError):
                 file.close()
@@ -163,6 +166,9 @@ class DiskSink:
             if not self._file.end:
                 # With the first chunk instead of at the opening: a file without ticks stays small.
                 self._file.write(self._contents.description(chunk.start))
+            if self._state:
+                self._file.attach(STATE, self._state)
+                self._state = b""
             self._file.write(chunk)
         except OSError as error:
             self.problem = reason(error)
@@ -175,6 +181,10 @@ class DiskSink:
             self._close()
         # The size of a part that was just closed counts from now on.
         self._make_room(look=full)
+
+    def attach(self, state: bytes) -> None:
+        """Attach a state of the controller to the file, with its next chunk."""
+        self._state = state
 
     def write_flight(
         self, chunks: tuple[PackedChunk, ...], wall_ns: int, cause: str

@@ -15,13 +15,14 @@ from zlib import crc32
 from rtee.commands import CommandRecord, StreamSample
 from rtee.hand.config_schema import Recorded
 from rtee.log.chunks import ChunkBuilder, PackedChunk, message_head
-from rtee.log.layout import CHANNELS, DIGESTED, Contents
+from rtee.log.layout import CHANNELS, DIGESTED, Contents, library_name
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
 from rtee.log.tick_messages import LinkTransforms, TickEncoder
 from rtee.loop.grip import grip_at
 from rtee.loop.plan import Plan
+from rtee.loop.snapshot import Snapshot, to_bytes
 from rtee.messages import GOAL, convert, topics
 from rtee.messages.codec import SECOND, Codec, channel_fields, header
 from rtee.messages.schema import message_type
@@ -234,6 +235,12 @@ class LogWriter:
             "force_source": source,
         }
         self._add(topics.GRIP, wall, _GRIP.encode(fields))
+
+    def state(self, snapshot: Snapshot, tick: int, stamp: float) -> None:
+        """Attach the state of the controller after a tick of a time [s] to the file."""
+        more = {"library": library_name(), "tick": tick, "wall": self.wall_of(stamp)}
+        with contextlib.suppress(TypeError):  # then this part can be checked with those before only
+            self.sink.attach(to_bytes(snapshot, **more))
 
     def item(self, item: Item, stamp: float) -> None:
         """Encode any other item of time ``stamp``, CLOCK_MONOTONIC [s]."""

@@ -143,6 +143,10 @@ class Controller:
             hand, self._contact, self._limiter.position, self.reference_effort, self._holding
         )
 
+    def restored(self) -> None:
+        """Go on from a state that was set from outside."""
+        self._profile.restored()
+
     # --- goals and commands ------------------------------------------------------------------
 
     @property
@@ -165,6 +169,11 @@ class Controller:
         """Whether the reference is on its way or a goal is running."""
         streams = self.stream is not None and self.stream.playing
         return self._profile.moving or self.running is not None or streams
+
+    @property
+    def measured(self) -> Measured:
+        """What was measured at the last tick."""
+        return self._measured
 
     @property
     def idle(self) -> bool:

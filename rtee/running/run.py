@@ -242,6 +242,7 @@ async def _open(
         notify=notify,
     )
     tally = Tally()
+    recorder.controller = loop.controller
     # The recorder before the loop, so that it still records how the devices are closed.
     await stack.enter_async_context(recorder)
     trace.recorders.append(recorder)

@@ -105,6 +105,9 @@ class Profile(ABC):
             changed: Actuators with another velocity limit than before.
         """
 
+    def restored(self) -> None:  # noqa: B027 - most profiles have all of their state in attributes
+        """Compute what is not in attributes anew, after those were set."""
+
     @abstractmethod
     def advance(self) -> None:
         """Advance the reference by one period."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from collections.abc import Set as AbstractSet
+from typing import Any
 
 from ruckig import (
     ControlInterface,
@@ -19,6 +20,7 @@ from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.stepwise import Step
 
+_STATE = ("position", "velocity", "_acceleration", "target", "_top", "_braking")
 _SLACK = 1e-9  # how far rounding may put an extremum beyond a limit [rad | m]
 
 
@@ -45,6 +47,7 @@ class JerkLimited(Profile):
         self._duration = 0.0
         self._time = 0.0
         self._plain: Step | None = None
+        self._begun: list[list[Any]] = []
 
     def _seeded(self, indices: Collection[int]) -> None:
         for index in indices:
@@ -63,7 +66,22 @@ class JerkLimited(Profile):
                 self.target[index] = self.position[index]
         self._plan()
 
+    def restored(self) -> None:
+        """See `Profile.restored`: the trajectory follows from what it began with."""
+        if not self.moving or self._plain is not None:
+            return
+        present = [getattr(self, name) for name in _STATE], self._time
+        self._set(self._begun)
+        self._plan()
+        values, self._time = present
+        self._set(values)
+
+    def _set(self, values: Iterable[list[Any]]) -> None:
+        for name, value in zip(_STATE, values, strict=True):
+            setattr(self, name, value)
+
     def _plan(self) -> None:
+        self._begun = [list(getattr(self, name)) for name in _STATE]
         given = self._input
         given.current_position = self.position
         given.current_velocity = self.velocity

@@ -1,0 +1,182 @@
+"""The state of a controller as data, from which a computation can go on elsewhere.
+
+`capture` copies references only, within the time of a tick; `encode` makes JSON of them later, in
+another thread. `restore` puts them into a new controller of the same hand and settings, bit for
+bit. It makes only objects of the controller's own classes, and runs none of their code.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import deque
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from types import BuiltinMethodType, MappingProxyType, MethodType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rtee.errors import LogError
+from rtee.loop.controller import Controller
+
+_SCALARS = frozenset({type(None), bool, int, float, str})
+_LISTS = {kind.__name__: kind for kind in (list, tuple, set, frozenset, deque)}
+_MAPPINGS = {kind.__name__: kind for kind in (dict, MappingProxyType)}
+_OURS = (
+    "rtee.loop.",
+    "rtee.types",
+    "rtee.commands",
+    "rtee.hand.",
+    "rtee.objects.",
+    "rtee.drivers.capabilities",
+    "rtee.drivers.plausibility",
+)
+"""Modules of the classes of a controller's parts."""
+
+
+class Snapshot(NamedTuple):
+    """A captured state: each object by its identity, with its parts; the controller is the first.
+
+    The objects are held, so that their identities stay theirs.
+    """
+
+    nodes: Mapping[int, tuple[object, list[Any]]]
+    given: Mapping[int, str]
+
+
+def capture(controller: Controller) -> Snapshot:
+    """Return the state between two ticks."""
+    given = {id(controller.hand): "hand", id(controller.settings): "settings"}
+    nodes: dict[int, tuple[object, list[Any]]] = {}
+    waiting: list[Any] = [controller]
+    while waiting:
+        value = waiting.pop()
+        if id(value) not in nodes:
+            parts = [] if id(value) in given else _parts(value)
+            nodes[id(value)] = value, parts
+            waiting += [each for each in parts if type(each) not in _SCALARS]
+    return Snapshot(nodes, given)
+
+
+def _parts(value: Any) -> list[Any]:
+    kind = type(value)
+    if kind in (dict, MappingProxyType):
+        return [*value.keys(), *value.values()]
+    if kind in (list, tuple, set, frozenset, deque):
+        return [*value]
+    if kind in (MethodType, BuiltinMethodType):
+        return [value.__self__]
+    if kind is np.ndarray:
+        return [value.dtype.str, value.tobytes().hex(), *value.shape]
+    if kind.__module__.startswith(_OURS) and not isinstance(value, (Enum, type)):
+        return [getattr(value, name) for name in _names(value)]
+    return []
+
+
+def _names(value: object) -> Iterator[str]:
+    yield from getattr(value, "__dict__", ())
+    for kind in type(value).__mro__:
+        for name in kind.__dict__.get("__slots__", ()):
+            if hasattr(value, name):
+                yield name
+
+
+def encode(snapshot: Snapshot) -> list[Any]:
+    """Return a state as lists for JSON, one for each object; `TypeError` if there is no way to."""
+    places = {key: place for place, key in enumerate(snapshot.nodes)}
+
+    def part(value: Any) -> Any:
+        if isinstance(value, np.generic):
+            return value.item()
+        return value if type(value) in _SCALARS else [places[id(value)]]
+
+    return [
+        _node(value, [part(each) for each in parts], snapshot.given.get(key))
+        for key, (value, parts) in snapshot.nodes.items()
+    ]
+
+
+def _node(value: Any, parts: list[Any], given: str | None) -> list[Any]:
+    kind = type(value)
+    if given is not None:
+        return ["given", given]
+    if kind.__name__ in _LISTS or kind.__name__ in _MAPPINGS or kind is np.ndarray:
+        return [kind.__name__, *parts]
+    if kind in (MethodType, BuiltinMethodType):
+        return ["method", *parts, value.__name__]
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if isinstance(value, Enum):
+        return ["enum", name, value.value]
+    if kind.__module__.startswith("rtee.") and not kind.__module__.startswith(_OURS):
+        raise TypeError(f"{name} is not known as a part of a controller")
+    if not kind.__module__.startswith(_OURS):
+        return ["other"]
+    return ["object", name, dict(zip(_names(value), parts, strict=True))]
+
+
+def restore(controller: Controller, nodes: list[Any]) -> None:
+    """Give a new controller a state; raises `LogError` if the lists are none of its states."""
+    try:
+        _Restoring(controller, nodes).value([0], controller)
+        controller.restored()
+    except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise LogError(f"holds a state of the controller that makes no sense: {error}") from None
+
+
+class _Restoring:
+    def __init__(self, controller: Controller, nodes: list[Any]) -> None:
+        self._given = {"hand": controller.hand, "settings": controller.settings}
+        self._nodes = nodes
+        self._made: dict[int, Any] = {}
+
+    def value(self, part: Any, there: Any) -> Any:
+        """Return a part; ``there`` is what a new controller has in its place."""
+        if not isinstance(part, list):
+            return part
+        (place,) = part
+        if place not in self._made:
+            self._make(place, there)
+        return self._made[place]
+
+    def _make(self, place: int, there: Any) -> None:
+        kind, *parts = self._nodes[place]
+        made: Any = there  # an object of another library: the new one does as well
+        if kind == "object":
+            its = _class(parts[0])
+            made = self._made[place] = there if type(there) is its else object.__new__(its)
+            for name, part in parts[1].items():
+                object.__setattr__(made, name, self.value(part, getattr(made, name, None)))
+        elif kind == "list":
+            made = self._made[place] = []
+            made += [self.value(part, None) for part in parts]
+        elif kind in _LISTS:
+            made = _LISTS[kind](self.value(part, None) for part in parts)
+        elif kind in _MAPPINGS:
+            values = [self.value(part, None) for part in parts]
+            half = len(values) // 2
+            made = _MAPPINGS[kind](dict(zip(values[:half], values[half:], strict=True)))
+        elif kind == "ndarray":
+            made = np.frombuffer(bytes.fromhex(parts[1]), parts[0]).reshape(parts[2:]).copy()
+        elif kind == "method" and not parts[1].startswith("_"):
+            made = getattr(self.value(parts[0], getattr(there, "__self__", None)), parts[1])
+        elif kind == "enum":
+            made = _class(parts[0])(parts[1])
+        elif kind == "given":
+            made = self._given[parts[0]]
+        self._made[place] = made
+
+
+def _class(name: str) -> type[Any]:
+    module, _, inside = name.partition(":")
+    found: Any = sys.modules[module] if module.startswith(_OURS) else None
+    for each in inside.split("."):
+        found = vars(found)[each]
+    if not isinstance(found, type) or found.__module__ != module:
+        raise ValueError(f"{name} is no class of a controller")
+    return found
+
+
+def to_bytes(snapshot: Snapshot, **more: object) -> bytes:
+    """Return a state as JSON with further values."""
+    return json.dumps({**more, "nodes": encode(snapshot)}).encode()
