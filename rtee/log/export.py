@@ -313,6 +313,32 @@ def _touch(recording: Recording) -> Table:
     return table
 
 
+def _described(topic: str) -> Callable[[Recording], Table]:
+    """Return what makes the table of a topic by the fields of its messages, a row for each item."""
+
+    def flat(fields: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, value in fields.items():
+            if isinstance(value, Mapping):
+                found |= flat(value, f"{path}{name}.")
+            else:
+                found[path + name] = value.tolist() if isinstance(value, np.ndarray) else value
+        return found
+
+    def make(recording: Recording) -> Table:
+        rows = [
+            (entry, flat(item))
+            for entry in recording.others.get(topic, ())
+            # The transforms of a message are its only field.
+            for item in entry.value.get("transforms", [entry.value])
+        ]
+        names = dict.fromkeys(name for _, row in rows for name in row)
+        columns = {name: _column([row.get(name) for _, row in rows]) for name in names}
+        return _times([entry for entry, _ in rows]) | columns
+
+    return make
+
+
 _MAKERS: Mapping[str, Callable[[Recording], Table]] = {
     topics.JOINT_STATES: lambda recording: _series(recording.joint_states),
     topics.ACTUATOR_STATES: lambda recording: _series(recording.actuator_states),
@@ -329,10 +355,11 @@ _MAKERS: Mapping[str, Callable[[Recording], Table]] = {
     topics.EVENTS: lambda recording: _entries(recording.events),
     topics.DEVICE_STATUS: lambda recording: _entries(recording.device_status),
     topics.LOOP_STATISTICS: lambda recording: _entries(recording.loop_statistics),
+    **{name: _described(name) for name in sorted(topics.DESCRIBING)},
 }
 
 TABLES = tuple(_MAKERS)
-"""Topics that can be converted to a table."""
+"""Topics that can be converted to a table: all that a recording has."""
 
 
 def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:

@@ -368,6 +368,11 @@ class _Collector:
             object_description=objects[-1].value if objects else None,
             urdf=self._urdf(attachments),
             meshes=self._file_indexes[0].metadata.get(MESHES, {}),
+            # Those that stay valid are kept for the next pieces, but belong to one.
+            others={
+                name: [entry for entry in entries(name, _fields) if entry.wall >= self._from]
+                for name in topics.DESCRIBING
+            },
         )
         self._skipped += sum(table.skipped for table in self._rows.values())
         if self._damaged and ended:
@@ -495,6 +500,10 @@ def _chunks_ahead(
 def _goal(fields: Fields) -> Goal:
     # In recordings of before, the speed of the opening has its share beside it.
     return GOAL.of(fields if math.isnan(fields["tip_speed"]) else {**fields, "speed": 1.0})
+
+
+def _fields(fields: Fields) -> Fields:
+    return fields
 
 
 def _grip(fields: Fields) -> GripEstimate:

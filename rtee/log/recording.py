@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,6 +254,7 @@ class Recording(Value):
         object_description: Object in a simulated hand, if there was one.
         urdf: Text of the URDF.
         meshes: Names of attachments by address of a mesh in the URDF.
+        others: Messages by topic that have no place above, as fields: descriptions, transforms.
         notes: Sentences about problems of the files.
         damage: Those notes that report damage.
     """
@@ -283,6 +284,7 @@ class Recording(Value):
     object_description: ObjectDescription | None = None
     urdf: str = ""
     meshes: Mapping[str, str] = field(default_factory=dict)
+    others: Mapping[str, Sequence[Entry[Mapping[str, Any]]]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
 

@@ -56,6 +56,9 @@ TYPES: dict[str, str] = {
 FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
 """Topics that follow from others and are recorded only for other software."""
 
+DESCRIBING = frozenset({ROBOT_DESCRIPTION, OBJECT, TOUCH_SENSORS}) | FOR_VIEWERS
+"""Topics that say what a hand and its surroundings are, or where, for others."""
+
 LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC, OBJECT, TOUCH_SENSORS})
 """Topics whose last message stays valid until the next one and is kept for later subscribers."""
 
