@@ -128,7 +128,7 @@ def _primitive(form: Canonical, pinch: FoundPinch) -> Primitive:
 
 
 def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
-    notes = []
+    notes = list(inspector.scene.geometry.notes)
     extents = {
         s.link: float(np.ptp(s.box, axis=0).max()) / form.unit for s in inspector.scene.shapes
     }

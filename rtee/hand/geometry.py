@@ -7,19 +7,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import product
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Final
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from rtee.errors import ModelError
+from rtee.hand.coarse import MOST, coarsened, welded
 from rtee.hand.kinematics import Kinematics, pose
 from rtee.hand.linalg import norm, rotated
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import Triangles, box, cylinder, sphere, stl_corners
+from rtee.hand.tessellation import Triangles, binary_stl, box, cylinder, sphere, stl_corners
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.hand.urdfread import FARTHEST
 from rtee.sample import FloatArray
@@ -112,9 +115,7 @@ class Shape:
             return sphere(source.radius)
         if kind == "cylinder":
             return cylinder(source.radius, source.length)
-        corners = (self.exact.tri_indices(i) for i in range(self.exact.num_tris))
-        faces = [(c[0], c[1], c[2]) for c in corners]
-        return np.array(self.exact.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
+        return _triangles(self.exact)
 
     @cached_property
     def box(self) -> tuple[FloatArray, FloatArray]:
@@ -150,6 +151,7 @@ class HandGeometry:
     Attributes:
         kinematics: The hand's kinematics.
         shapes: All collision shapes, link by link in the order of the URDF's tree.
+        notes: What was changed about meshes, one sentence each.
     """
 
     def __init__(
@@ -174,6 +176,7 @@ class HandGeometry:
             for link, (body, placement) in self.kinematics.bodies.items()
             for source, exact in _of_link(hand.urdf.links[link], loader, visual=visual)
         )
+        self.notes = tuple(loader.notes)
 
     def of_links(self, *links: str) -> tuple[int, ...]:
         """Return the indices of the shapes of some links."""
@@ -244,6 +247,12 @@ class HandGeometry:
         return np.concatenate(vertices), np.concatenate(faces)
 
 
+def _triangles(mesh: coal.BVHModelBase) -> Triangles:
+    corners = (mesh.tri_indices(i) for i in range(mesh.num_tris))
+    faces = [(c[0], c[1], c[2]) for c in corners]
+    return np.array(mesh.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
+
+
 class _Meshes:
     """Loads meshes; equal meshes are loaded once."""
 
@@ -252,6 +261,7 @@ class _Meshes:
         self._loader = coal.MeshLoader(coal.NODE_TYPE.BV_kIOS)
         self._draft = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)  # fastest bounding volumes
         self._known: dict[tuple[object, ...], coal.BVHModelBase] = {}
+        self.notes: list[str] = []
 
     def load(self, source: UrdfGeometry) -> coal.BVHModelBase:
         path = check_mesh(source, self._hand.urdf, self._hand.package_dirs)
@@ -268,17 +278,37 @@ class _Meshes:
         corners = stl_corners(path.read_bytes()) if path.suffix.lower() == ".stl" else None
         if corners is not None:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused, too
-                self._check(corners * scale, source)
+                corners = corners * scale
+                self._check(corners, source)
+            if len(corners) > 3 * MOST:
+                return self._coarse(*welded(corners), source)
             return self._loaded(self._loader, path, scale, source)
         draft = self._loaded(self._draft, path, scale, source)
         self._check(draft.vertices(), source)
         if path.suffix.lower() != ".stl":
             # Files of other formats may have several parts, which the loader mixes up (see
             # `mesh_repair`).
-            mesh = repaired(draft, self._loader)
+            mesh = repaired(draft, self._loader if draft.num_tris <= MOST else self._draft)
+            if draft.num_tris > MOST:
+                return self._coarse(*_triangles(mesh), source)
             if mesh is not draft:
                 return mesh
         return self._loaded(self._loader, path, scale, source)
+
+    def _coarse(
+        self, points: FloatArray, faces: NDArray[np.int64], source: UrdfGeometry
+    ) -> coal.BVHModelBase:
+        """Return a mesh of corners ``(v, 3)`` [m] with fewer faces, but the same convex hull."""
+        hull = hull_of(points)
+        corners = coarsened(points, faces, np.array(hull.points()))
+        self.notes.append(
+            f"mesh '{source.mesh}' has {len(faces)} triangles; it is coarsened to {len(corners)}"
+        )
+        with NamedTemporaryFile(suffix=".stl") as file:
+            # Coal's Python bindings make bounding volumes only when they load a mesh.
+            file.write(binary_stl(corners))
+            file.flush()
+            return self._loader.load(file.name, np.ones(3))
 
     def _loaded(
         self, loader: coal.MeshLoader, path: Path, scale: FloatArray, source: UrdfGeometry

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import ConfigError, ModelError
+from rtee.hand.coarse import welded
 from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
+from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (
     DRILL,
     LARGEST,
@@ -30,7 +32,7 @@ from rtee.objects.shape import (
 from rtee.sample import FloatArray
 
 _MOST_TRIANGLES: Final = 300_000
-"""Triangles of a mesh; more take longer to read than to plan for."""
+"""Triangles of a mesh that is no binary STL file; more take longer to read than to plan for."""
 
 _MOST_PIECES: Final = 64
 """Pieces of a mesh; more are likely loose triangles."""
@@ -252,9 +254,14 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
 
 def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return the corners ``(v, 3)`` [m] and faces ``(f, 3)`` of a mesh file."""
-    wrong = why_no_mesh(read_bytes(path, "mesh", ModelError), path.suffix.lower())
+    data = read_bytes(path, "mesh", ModelError)
+    wrong = why_no_mesh(data, path.suffix.lower())
     if wrong:
         raise ModelError(f"the mesh cannot be read: {wrong}", path=path)
+    stl = stl_corners(data) if path.suffix.lower() == ".stl" else None
+    if stl is not None and len(stl) > 3 * _MOST_TRIANGLES and np.isfinite(stl).all():
+        # Coal would take 1 kB a triangle, for bounding volumes that nobody asks.
+        return welded(stl * scale)
     loader = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)
     try:
         mesh = loader.load(str(path), np.full(3, scale))
@@ -265,8 +272,8 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
         raise ModelError(f"the mesh cannot be read: {lines[0].strip()}", path=path) from None
     if mesh.num_tris > _MOST_TRIANGLES:
         raise ModelError(
-            f"the mesh has {mesh.num_tris} triangles, {_MOST_TRIANGLES} are the most; its convex "
-            "hull counts, so a simplified copy of it will do",
+            f"the mesh has {mesh.num_tris} triangles, {_MOST_TRIANGLES} are the most but in a "
+            "binary STL file; its convex hull counts, so a simplified copy of it will do",
             path=path,
         )
     if path.suffix.lower() != ".stl":  # a single part

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import make_object
+from rtee.hand.coarse import welded
+from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (
     HANDLE,
     MOTOR,
@@ -27,6 +30,9 @@ TRIGGER = "object/trigger"
 
 MESHES = (".stl", ".obj")
 """Suffixes of the mesh files that MuJoCo reads."""
+
+_MOST = 200_000
+"""Triangles of an STL file that MuJoCo reads."""
 
 _SPRING = 350.0
 """Stiffness of the trigger's spring [N/m]."""
@@ -90,8 +96,7 @@ def _set_size(geom: mujoco.MjsGeom, *half_extents: float) -> None:
 
 def _add_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: ObjectShape) -> None:
     """Give a geom the mesh of a shape, made smaller by its skin about its middle."""
-    mesh = spec.add_mesh(name=OBJECT, file=str(shape.path))
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    mesh = _read_mesh(spec, str(shape.path))
     geom.type = mujoco.mjtGeom.mjGEOM_MESH
     geom.meshname = OBJECT
     mesh.scale = [shape.scale] * 3
@@ -106,12 +111,28 @@ def _add_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: ObjectShape) -> 
     geom.pos = 0.5 * (least + most) * (1.0 - smaller)
 
 
+def _read_mesh(spec: mujoco.MjSpec, path: str) -> mujoco.MjsMesh:
+    corners = _corners(path)
+    mesh = spec.add_mesh(name=OBJECT, file="" if corners is not None else path)
+    if corners is not None:
+        mesh.uservert = corners.ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    return mesh
+
+
+@lru_cache(maxsize=4)
+def _corners(path: str) -> FloatArray | None:
+    """Return the corners of an STL file that MuJoCo refuses, of which it takes the hull anyway."""
+    file = Path(path)
+    corners = stl_corners(file.read_bytes()) if file.suffix.lower() == ".stl" else None
+    return None if corners is None or len(corners) <= 3 * _MOST else welded(corners)[0]
+
+
 @lru_cache(maxsize=4)
 def _bounds(path: str) -> tuple[FloatArray, FloatArray] | None:
     """Return the least and the largest coordinates ``(3,)`` of a mesh; ``None``: it is no solid."""
     probe = mujoco.MjSpec()
-    mesh = probe.add_mesh(name=OBJECT, file=path)
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    _read_mesh(probe, path)
     probe.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=OBJECT)
     try:
         model = probe.compile()
