@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from rtee.trials.result import TrialResult as TrialResult
     from rtee.types import Around as Around
     from rtee.types import Event as Event
+    from rtee.types import EventKind as EventKind
     from rtee.types import Feedback as Feedback
     from rtee.types import Fingers as Fingers
     from rtee.types import FirstContact as FirstContact
@@ -84,8 +85,8 @@ _NAMES = {
     "rtee.testing.simulated": "SimulatedHand simulated",
     "rtee.trials.batch": "run_trials",
     "rtee.trials.result": "Trial TrialResult",
-    "rtee.types": "Around Event Feedback Fingers FirstContact Force Goal Intensity Named OnContact"
-    " Opening Outcome Result Stage TipSpeed",
+    "rtee.types": "Around Event EventKind Feedback Fingers FirstContact Force Goal Intensity Named"
+    " OnContact Opening Outcome Result Stage TipSpeed",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 _EXTRAS = {"grasp_plan": "extract", "run_trials": "sim"}

@@ -616,13 +616,50 @@ class Result(Value):
         raise TypeError("a result is neither true nor false; ask its 'succeeded' or its 'outcome'")
 
 
+class EventKind(StrEnum):
+    """The kinds of events; ``docs/reference/events.md`` says when each comes."""
+
+    DEVICE_LOST = "device_lost"
+    DEVICE_UNREACHABLE = "device_unreachable"
+    RECONNECTED = "reconnected"
+    DEVICE_FAULT = "device_fault"
+    RECOVERED = "recovered"
+    DEVICE_WARNING = "device_warning"
+    DEVICE_RATE = "device_rate"
+    DEVICE_BUSY = "device_busy"
+    REJECTED = "rejected"
+    TOUCH_REFUSED = "touch_refused"
+    IMPLAUSIBLE = "implausible"
+    LIMITED = "limited"
+    THERMAL = "thermal"
+    CONTACT = "contact"
+    CONTACT_UNKNOWN = "contact_unknown"
+    SLIP = "slip"
+    GRASP_LOST = "grasp_lost"
+    STREAM_PAUSED = "stream_paused"
+    STREAM_ENDED = "stream_ended"
+    CLIENT_LOST = "client_lost"
+    AGENTS_ADMITTED = "agents_admitted"
+    ACTIONS_CHANGED = "actions_changed"
+    IDLE = "idle"
+    STOP = "stop"
+    AT_REST = "at_rest"
+    OBSERVER_FAILED = "observer_failed"
+    MARK = "mark"
+    TRACE = "trace"
+    LOG_DROPPED = "log_dropped"
+    LOG_FAILED = "log_failed"
+    LOG_RESUMED = "log_resumed"
+    FLIGHT_RECORDED = "flight_recorded"
+    RUN_BEGINS = "run_begins"
+
+
 @dataclass(frozen=True, slots=True)
 class Event(Value):
     """A notable occurrence that is neither feedback nor a result.
 
     Attributes:
-        kind: ``grasp_lost``, ``device_fault``, ``stop``, ``mark`` and others, which
-            ``docs/reference/events.md`` lists.
+        kind: An `EventKind`, or the text of one that a newer hand has.
         source: The device, finger or client it concerns.
         text: One sentence.
         stamp: CLOCK_MONOTONIC [s].

@@ -17,11 +17,13 @@ from rtee.actions.types import (
     Step,
     Timed,
 )
+from rtee.errors import RequestRejected
 from rtee.planning.apart import Question, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
+from rtee.remote.hand_info import info_of
 from rtee.remote.link import Link
-from rtee.remote.openings import OpeningRange, opening_of
+from rtee.remote.openings import GripLimits, OpeningRange, limits_of, opening_of
 
 _NOWHERE = Posture({}, ())
 """Posture of an action that is sent: the hand computes it from the parts."""
@@ -62,6 +64,20 @@ class ActionClient:
     async def openings(self) -> list[OpeningRange]:
         """Return the ranges of openings and forces for goals, of the actions that have them."""
         return [opening_of(entry) for entry in (await self._link.ask("openings"))["openings"]]
+
+    async def limits(self) -> GripLimits:
+        """Return the openings, forces and speeds that goals may ask for.
+
+        Raises:
+            RequestRejected: if no action of the hand has an opening.
+        """
+        ranges = await self.openings()
+        if not ranges:
+            raise RequestRejected(
+                f"no action of '{self._link.hand}' has an opening of its fingertips"
+            )
+        info = info_of(await self._link.ask("info", {"name": [], "position": []}))
+        return limits_of(ranges, await self.actions(), info)
 
     async def trials(self) -> str:
         """Return the text of the file with the results of trials; empty if there is none.

@@ -307,6 +307,7 @@ class BlockingHand:
     primitives = _waiting(RemoteHand.primitives)
     partners = _waiting(RemoteHand.partners)
     openings = _waiting(RemoteHand.openings)
+    limits = _waiting(RemoteHand.limits)
     trials = _waiting(RemoteHand.trials)
     grasp_plan = _waiting(RemoteHand.grasp_plan)
     reach = _waiting(RemoteHand.reach)

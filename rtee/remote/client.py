@@ -181,6 +181,7 @@ class RemoteHand:
     primitives = _part("_actions", ActionClient.primitives)
     partners = _part("_actions", ActionClient.partners)
     openings = _part("_actions", ActionClient.openings)
+    limits = _part("_actions", ActionClient.limits)
     trials = _part("_actions", ActionClient.trials)
     grasp_plan = _part("_actions", ActionClient.grasp_plan)
     reach = _part("_reaching", ReachClient.reach)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from rtee.loop.devices import device_forces
 from rtee.loop.forces import DeviceForces, unlimited
 from rtee.loop.grip import Grip
 from rtee.loop.supervisor import Supervisor
+from rtee.remote.hand_info import HandInfo
 from rtee.sample import FloatArray
 from rtee.values import Value
 
@@ -86,6 +87,46 @@ class OpeningRange(Value):
         weakness = 1.0 / np.maximum(most, _NO_FORCE)
         high = 1.0 / float(np.interp(-opening, widths, weakness))
         return (low, high) if high > max(low, 2.0 * _NO_FORCE) else (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class GripLimits(Value):
+    """What goals may ask for with openings, over all actions of the hand that have one.
+
+    Attributes:
+        width: Least and largest opening of the fingertips [m].
+        force: Weakest and strongest force between them [N]; ``None``: none can be asked for.
+        speed: Fastest change of the opening [m/s].
+    """
+
+    width: tuple[float, float]
+    force: tuple[float, float] | None
+    speed: float
+
+
+def limits_of(
+    ranges: Sequence[OpeningRange], actions: Iterable[Action], info: HandInfo
+) -> GripLimits:
+    """Return the limits over some ranges, at least one.
+
+    The opening of an action changes fastest where its table is steepest, while the first of its
+    actuators that gets there goes at its velocity limit.
+    """
+    postures = {(each.name, each.elements): each.waypoints[-1] for each in actions}
+    known = {actuator.name: actuator for actuator in info.actuators}
+    fastest = 0.0
+    for each in ranges:
+        posture = postures[each.action, each.elements]
+        ways = {name: abs(posture.position[name] - known[name].rest) for name in posture.involved}
+        rate = min((known[name].velocity / way for name, way in ways.items() if way), default=0.0)
+        slopes = np.abs(np.diff(each.opening) / np.diff(each.intensity))
+        fastest = max(fastest, rate * float(slopes.max()))
+    forces = [each for each in ranges if not each.unlimited]
+    return GripLimits(
+        (min(each.narrowest for each in ranges), max(each.widest for each in ranges)),
+        (min(f.least_force for f in forces), max(f.most_force for f in forces)) if forces else None,
+        fastest,
+    )
 
 
 def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dict[str, Any]:

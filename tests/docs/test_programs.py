@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import rtee
 from rtee.remote.directory import VARIABLE
 from rtee.testing.running import running_hand
 
@@ -68,6 +69,14 @@ def test_a_program_does_something_with_a_hand(
 )
 def test_a_program_needs_no_hand(name: str) -> None:
     runpy.run_path(str(ROOT / f"examples/{name}.py"), run_name="__main__")
+
+
+def test_the_limits_of_a_gripper_are_known_before_its_first_goal(place: Path) -> None:
+    with rtee.connect_blocking("robotiq_2f_85") as hand:
+        limits = hand.limits()
+    assert limits.width == pytest.approx((0.0, 0.086), abs=1e-3)
+    assert limits.force == pytest.approx((20.0, 235.0))
+    assert 0.1 < limits.speed < 0.2
 
 
 def test_programs_are_short() -> None:
