@@ -23,6 +23,7 @@ from rtee.actions.naming import label, normalise
 from rtee.actions.types import Action, Primitive, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
+from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
 from rtee.hand.yamlfile import parse_yaml, read_text
 from rtee.hand.yamlwrite import emit
@@ -42,6 +43,10 @@ _WHAT: Final = "the openings"
 
 MARGIN: Final = 0.01
 """Excess of the opening over the object's width before a hand closes, if it opens so far [m]."""
+
+_ASTRIDE: Final = 0.01
+"""Steps in which neighbouring fingertips farther apart than the object is wide are worse [m]: about
+half of a fingertip, by whose edge they may still hold it."""
 
 _SQUARE: Final = 0.1
 """Difference of the tips' angles to the object below which actions count as equally good [rad]."""
@@ -207,6 +212,27 @@ def crowded(action: Action, opening: Opening) -> bool:
     )
 
 
+def astride(hand: Hand, action: Action, opening: Opening, intensity: float) -> float:
+    """Return how far neighbouring fingertips of one side are apart at an intensity [m].
+
+    What is narrower lies between them, and they close past it.
+    """
+    tips = {finger.name: finger.tip for finger in hand.fingers}
+    target = action.waypoints[-1].position
+    way = np.array([target[name] for name in hand.actuator_names]) - hand.rest
+    apart = 0.0
+    for side in opening.sides:
+        points = [
+            tip_pose_and_jacobian(hand, tip, hand.rest + intensity * way)[0][:3, 3]
+            for tip in (tips.get(finger) for finger in side)
+            if tip is not None and len(side) > 1
+        ]
+        for k, point in enumerate(points):
+            others = [float(np.linalg.norm(point - p)) for j, p in enumerate(points) if j != k]
+            apart = max(apart, min(others, default=0.0))
+    return apart
+
+
 def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> float:
     """Return the opening at which the empty hand's fingertips meet one another [m].
 
@@ -233,9 +259,9 @@ def suitability(
     """Return a key that sorts actions by suitability for an object of a width, the best first.
 
     The criteria, in order: collision-free and in force closure; opens by the whole margin; fingers
-    of one side clear of one another; force in
-    the direction of pressing, in coarse classes; tips meet the object squarely; few actuators; a
-    pinch before the motion of one finger.
+    of one side clear of one another; those of one side not astride of the object; force in the
+    direction of pressing, in coarse classes; tips meet the object squarely; few actuators; a pinch
+    before the motion of one finger.
 
     Args:
         hand: The hand.
@@ -255,6 +281,7 @@ def suitability(
         doubtful(action),
         width + margin > opening.widest,
         crowded(action, opening),
+        max(round((astride(hand, action, opening, at) - width) / _ASTRIDE), 0),
         -round(strength),
         round(angle / _SQUARE),
         len(opening.actuators),

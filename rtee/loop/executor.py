@@ -9,6 +9,7 @@ from enum import Enum
 from typing import Final, TypedDict
 
 from rtee.drivers.plausibility import Plausibility
+from rtee.hand.config_schema import Following
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.closing import leg_speed
@@ -34,6 +35,9 @@ _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
 time [s]: it must not merely pass the target."""
 
+
+_BENDS: Final = (Following.TENDON, Following.LINKAGE)
+"""Couplings by which the links of a finger go on when others are stopped."""
 
 _DIGITS: Final = 9
 """Digits of a reported opening [m]: a nanometre, which no device resolves."""
@@ -119,6 +123,11 @@ class Executor:
         self._run: _Run | None = None
         self._turn = 0
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
+        self._bending = {
+            i
+            for i, actuator in enumerate(hand.actuators)
+            if (known := hand.dynamics.get(actuator.name)) and known.coupling in _BENDS
+        }
         self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
 
     @property
@@ -271,12 +280,19 @@ class Executor:
         """
         grip = run.plan.grip
         least = self._settings.grasp.touch
-        if grip is None or not grip.touches(
-            measured.position, measured.effort, limits, measured.touch, least
+        # Without sensors, a bending finger has bent before its effort is a half of its limit.
+        met = bool(self._reflexes.touched) and self._bends(run) and not measured.touch
+        if grip is None or not (
+            met or grip.touches(measured.position, measured.effort, limits, measured.touch, least)
         ):
             run.touched = ()
         elif not run.touched:
             run.touched = tuple(measured.position)
+
+    def _bends(self, run: _Run) -> bool:
+        """Return whether the fingers that grasp bend while their actuator goes on."""
+        grip = run.plan.grip
+        return grip is not None and not self._bending.isdisjoint(grip.indices)
 
     def _may_be_nothing(self, run: _Run, measured: Measured) -> bool:
         """Return whether what seems to be held, or touched, may be the hand itself."""
@@ -284,7 +300,9 @@ class Executor:
         seems = bool(self._reflexes.touched) or any(contact.grasping(i) for i in plan.involved)
         if plan.grip is None or not seems:
             return False
-        opening, doubt = plan.grip.opening(measured.position), plan.grip.doubt(measured.position)
+        # Fingers that bend as they press have an opening only where they met the object.
+        met = run.touched if run.touched and self._bends(run) else measured.position
+        opening, doubt = plan.grip.opening(met), plan.grip.doubt(met)
         return rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved))
 
     def _grip_values(

@@ -63,6 +63,9 @@ _FELT = 0.2
 """Below this share of the requested force, nothing is corrected: the object is lost, or the sensors
 measure only a part of the force."""
 
+_RISES = 2.0
+"""Time in which an effort rises to its limit, or stays below: the reference leads no deeper [s]."""
+
 _CONFIRMED = 2
 """Measurements in succession that must show a change of force: a single one may be noise."""
 
@@ -133,6 +136,7 @@ class Squeeze:
         self.pressing: frozenset[int] = frozenset()
         self._factor, self._corrected = 1.0, math.nan
         self._correct_until, self._there = -math.inf, math.inf
+        self._rising_until = -math.inf
         self._correcting = False
         self._floor, self._most = floor, most
         self._level = 1.0
@@ -159,7 +163,8 @@ class Squeeze:
         if not self.built:
             self._build(stamp, measured)
             return True
-        self._correcting = self.grip is not None and stamp < self._correct_until
+        until = self._correct_until if self._correct_until < math.inf else self._rising_until
+        self._correcting = self.grip is not None and stamp < until
         if self.grip is not None and self._correcting:
             corrected = self._correct(self.grip, stamp, measured)
             self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
@@ -248,6 +253,7 @@ class Squeeze:
                 self._apply()
             self._ease = stamp + self._grasp.grip_after
             self._correct_until, self._there = math.inf, stamp
+            self._rising_until = stamp + _RISES
             for i in self.held:
                 self._contact.unpin(i, stamp)
 

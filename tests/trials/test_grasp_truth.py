@@ -43,6 +43,12 @@ def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool
     assert truth.result.force == pytest.approx(truth.low, abs=truth.result.force_error)
 
 
+def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() -> None:
+    # Narrower than the two fingers of one side are apart: they come together.
+    truth = try_case(bench("robotiq_3f", RATE), Case(Thing.BOX, 0.03, 8.1, None, True, seed=7))
+    assert (truth.result.action, truth.said, truth.held) == ("MultiPinchTight_3", True, True)
+
+
 @pytest.mark.parametrize(
     ("hand", "width", "most"), [("onrobot_rg6", 0.135, 120.0), ("onrobot_3fg15", 0.094, 240.0)]
 )

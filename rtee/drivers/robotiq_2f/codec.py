@@ -7,6 +7,7 @@ half.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
@@ -46,6 +47,28 @@ FAULTS: dict[int, Fault] = {
 
 
 @dataclass(frozen=True, slots=True)
+class Bars:
+    """Parallel bars that carry a gripper's fingertips: the opening is no linear function of counts.
+
+    Attributes:
+        length: Their length [m].
+        angle: Their angle to the direction of closing's normal when open [rad].
+        offset: Distance of the tips when the bars are along that normal [m].
+        closed: How far they have turned when closed [rad].
+    """
+
+    length: float
+    angle: float
+    offset: float
+    closed: float
+
+    def closure(self, width: float) -> float:
+        """Return the share of the way at which the tips have a distance [m]; ``inf``: nowhere."""
+        sine = (width - self.offset) / (2.0 * self.length)
+        return (self.angle - math.asin(sine)) / self.closed if abs(sine) <= 1.0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """The differences between the models.
 
@@ -54,6 +77,7 @@ class Model:
         speed: Slowest and fastest closing, of one fingertip relative to the other [m/s].
         force: Weakest and strongest grip [N].
         gap: Silence that its coupling needs between frames [s]; ``None``: the line's default.
+        bars: The bars on which its fingertips move; ``None``: they move on rails.
     """
 
     name: str
@@ -61,6 +85,11 @@ class Model:
     speed: tuple[float, float]
     force: tuple[float, float]
     gap: float | None = None
+    bars: Bars | None = None
+
+    def closure(self, width: float) -> float:
+        """Return the share of the way between its ends at which the tips have a distance [m]."""
+        return 1.0 - width / self.stroke if self.bars is None else self.bars.closure(width)
 
     def scale(
         self, opened: float, closed: float, open_count: int = 3, closed_count: int = 230
@@ -79,15 +108,20 @@ class Model:
 
 
 MODELS: dict[str, Model] = {
-    "2f_85": Model("2F-85", 0.085, (0.020, 0.150), (20.0, 235.0)),
-    "2f_140": Model("2F-140", 0.140, (0.030, 0.250), (10.0, 125.0)),
+    "2f_85": Model(
+        "2F-85", 0.085, (0.020, 0.150), (20.0, 235.0), bars=Bars(0.05711, 0.7181, 0.01085, 0.82)
+    ),
+    "2f_140": Model(
+        "2F-140", 0.140, (0.030, 0.250), (10.0, 125.0), bars=Bars(0.09999, 0.7027, -0.00071, 0.7)
+    ),
     "hand_e": Model("Hand-E", 0.050, (0.020, 0.150), (20.0, 130.0)),
     "hand_e_c10": Model("Hand-E C10", 0.050, (0.020, 0.150), (20.0, 185.0), gap=0.010),
 }
 """The models by the name in the options.
 
-The manual gives the Hand-E's strongest grip, 130 N, but not its weakest: that of the 2F-85 is
-assumed. The forces of the C10 are those of newer texts of the vendor.
+The bars are those of the vendor's models, within 0.04 mm. The manual gives the Hand-E's strongest
+grip, 130 N, but not its weakest: that of the 2F-85 is assumed. The forces of the C10 are those of
+newer texts of the vendor.
 """
 
 

@@ -107,7 +107,7 @@ class Robotiq2FEmulator(RobotiqEmulator):
 
     def closure_at(self, width: float) -> float:
         """Return how far the fingers are closed at a width [m]."""
-        return 1.0 - width / self.model.stroke
+        return self.model.closure(width)
 
     # --- registers ---------------------------------------------------------------------------
 
