@@ -74,7 +74,8 @@ device-peers: .device-peers/.ready
 	@touch $@
 
 lerobot: .lerobot/.ready
-	RTEE_HEAVY=1 $(BIN)/python -m pytest -v tests/docs/test_lerobot_page.py
+	@# Training has no end of five minutes.
+	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -o faulthandler_timeout=0 tests/docs/test_lerobot_page.py
 
 ros2-peers: .ros2-peers/.ready
 	$(BIN)/python -m pytest -v tests/ros2/test_ros2_peers.py
