@@ -19,6 +19,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.servos import servo_of
 from rtee.drivers.registry import find_driver
 from rtee.running.prepare import PreparedHand, RunOptions, prepare
+from rtee.testing.session import simulated_time
 from rtee.types import JointKind
 
 ROOT = Path(__file__).parents[1]
@@ -81,7 +82,9 @@ async def _connected(one: PreparedHand) -> list[Connected]:
 
 def connected(one: PreparedHand) -> list[Connected]:
     """Connect to the emulators of a hand's devices."""
-    return anyio.run(_connected, one)
+    # In simulated time, in which a busy computer answers as soon as an idle one.
+    backend, options = simulated_time()
+    return anyio.run(_connected, one, backend=backend, backend_options=options)
 
 
 def kind_of(one: PreparedHand) -> str:

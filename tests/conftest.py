@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,6 +105,20 @@ def _mark_as_heavy(items: list[pytest.Item], *, one: bool) -> None:
     useless = [test for test, both in seen.items() if len(both) == 1]
     if useless and not one:
         raise pytest.UsageError(f"samples name all cases or none: {', '.join(useless)}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect without the garbage collector, which would look through all tests again and again.
+
+    They stay to the end, so that it leaves them out afterwards, too.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -7,7 +7,7 @@ recordings (`rtee.log.dataset`), and LeRobot's observations of a running hand.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
 
 from rtee.errors import ConfigError
@@ -70,7 +70,7 @@ def observed(
     touch: Iterable[TouchState],
     forces: Sequence[float],
     fingers: Sequence[str],
-    wanted: Sequence[Quantity],
+    wanted: Collection[Quantity],
 ) -> dict[str, float]:
     """Return the wanted numbers of a hand by name, those that are not known as ``NaN``.
 

@@ -2,9 +2,10 @@
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 from lerobot.cameras import CameraConfig
@@ -64,23 +65,32 @@ class RteeHand(Robot):
         self.cameras = make_cameras_from_configs(config.cameras)
         self._wanted = quantities(config.observe) or USUAL
         self._opened = contextlib.ExitStack()
-        self._link: BlockingHand | None = None
-        self._stream: BlockingStream | None = None
+        self._moving: tuple[BlockingHand, BlockingStream] | None = None
         self._last: dict[str, float] = {}
 
-    def _hand(self) -> BlockingHand:
-        """Return the connection to the hand, which moves nothing by itself."""
-        if self._link is None:
-            self._link = self._opened.enter_context(
-                rtee.connect_blocking(
-                    self.config.hand, endpoint=self.config.connect, client="lerobot"
-                )
-            )
-        return self._link
+    def _link(self) -> BlockingHand:
+        """Return a new connection to the hand, which moves nothing by itself."""
+        hand, endpoint = self.config.hand, self.config.connect
+        return rtee.connect_blocking(hand, endpoint=endpoint, client="lerobot")
 
     @cached_property
     def _info(self) -> HandInfo:
-        return self._hand().info()
+        with self._link() as hand:
+            return hand.info()
+
+    @cached_property
+    def _known(self) -> dict[Quantity, tuple[str, ...]]:
+        """Names of the numbers that the hand knows, by quantity."""
+        with self._link() as hand:
+            seen = {each: self._observe(hand, (each,)) for each in self._wanted}
+        known = {q: tuple(n for n, v in s.items() if math.isfinite(v)) for q, s in seen.items()}
+        for quantity, names in known.items():
+            if self.config.observe and not (names and len(names) == len(seen[quantity])):
+                raise ConfigError(
+                    f"{self._info.name} does not know its {quantity} now; observe something else, "
+                    "or, for an opening, let it do an action first (rtee open)"
+                )
+        return {quantity: names for quantity, names in known.items() if names}
 
     @cached_property
     def _limits(self) -> dict[str, tuple[float, float]]:
@@ -97,35 +107,20 @@ class RteeHand(Robot):
         names = self.config.actions or [each.name for each in self._info.actuators]
         return dict(zip(self._limits, names, strict=True))
 
-    @cached_property
-    def _observed(self) -> tuple[str, ...]:
-        seen = {quantity: self._observe((quantity,)) for quantity in self._wanted}
-        known = [n for each in seen.values() for n, v in each.items() if math.isfinite(v)]
-        for quantity, each in seen.items():
-            if self.config.observe and not (each and each.keys() <= set(known)):
-                raise ConfigError(
-                    f"{self._info.name} does not know its {quantity} now; observe something else, "
-                    "or, for an opening, let it do an action first (rtee open)"
-                )
-        return tuple(known)
-
-    def _observe(self, wanted: Sequence[Quantity]) -> dict[str, float]:
-        hand = self._hand()
+    def _observe(self, hand: BlockingHand, wanted: Collection[Quantity]) -> dict[str, float]:
         state = hand.state()
         forces = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
-        touch = hand.touch_state().values() if self._touches else ()
+        # Another request: only where there is something to feel.
+        feels = not {Quantity.TOUCH, Quantity.TAXEL}.isdisjoint(wanted)
+        touch = hand.touch_state().values() if feels else ()
         fingers = [finger.name for finger in self._info.fingers]
         return observed(state, touch, tip_forces(forces), fingers, wanted)
-
-    @cached_property
-    def _touches(self) -> bool:
-        return bool(self._hand().touch_state())
 
     @property
     def observation_features(self) -> dict[str, Any]:
         """The numbers known of the hand, and the shapes of images."""
         shapes = {name: (c.height, c.width, 3) for name, c in self.config.cameras.items()}
-        return dict.fromkeys(self._observed, float) | shapes
+        return dict.fromkeys(chain(*self._known.values()), float) | shapes
 
     @property
     def action_features(self) -> dict[str, Any]:
@@ -135,7 +130,7 @@ class RteeHand(Robot):
     @property
     def is_connected(self) -> bool:
         """Whether the hand can be moved."""
-        return self._stream is not None
+        return self._moving is not None
 
     @property
     def is_calibrated(self) -> bool:
@@ -153,25 +148,25 @@ class RteeHand(Robot):
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already")
         try:
-            hand = self._hand()
+            hand = self._opened.enter_context(self._link())
             hand.ready()
             for camera in self.cameras.values():
                 camera.connect()
                 self._opened.callback(camera.disconnect)
             config = self.config
-            stream = hand.stream(config.rate, config.deadline, config.effort)
-            self._stream = self._opened.enter_context(stream)
+            stream = hand.stream(config.rate, deadline=config.deadline, effort=config.effort)
+            self._moving = hand, self._opened.enter_context(stream)
         except BaseException:
             self.disconnect()
             raise
 
     def get_observation(self) -> dict[str, Any]:
         """Return what is known now; a number that is not for a moment stays as it was."""
-        self._check()
-        numbers = self._observe(self._wanted)
+        hand, _ = self._check()
+        numbers = self._observe(hand, self._known)
         self._last |= {name: value for name, value in numbers.items() if math.isfinite(value)}
         images = {name: camera.read_latest() for name, camera in self.cameras.items()}
-        return {name: self._last[name] for name in self._observed} | images
+        return {name: self._last[name] for name in chain(*self._known.values())} | images
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Send targets, to which the hand moves smoothly, and return them as they were sent.
@@ -183,7 +178,7 @@ class RteeHand(Robot):
             ConfigError: The action is another hand's, or has a number that is not finite.
             RemoteError: The hand refuses it, for example since something else moves it by now.
         """
-        stream = self._check()
+        _, stream = self._check()
         if action.keys() != self._limits.keys():
             raise ConfigError(
                 f"the action is not one of {self._info.name}: it has {', '.join(sorted(action))}; "
@@ -200,17 +195,18 @@ class RteeHand(Robot):
 
     def stop(self) -> None:
         """Stop the hand at once, and give back the right to move it."""
+        hand, _ = self._check()
         try:
-            self._hand().stop()
+            hand.stop()
         finally:
             self.disconnect()
 
     def disconnect(self) -> None:
         """Let the hand hold where it is, and give back the right to move it."""
-        self._stream = self._link = None
+        self._moving = None
         self._opened.close()
 
-    def _check(self) -> BlockingStream:
-        if self._stream is None:
+    def _check(self) -> tuple[BlockingHand, BlockingStream]:
+        if self._moving is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
-        return self._stream
+        return self._moving

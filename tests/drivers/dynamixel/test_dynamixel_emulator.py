@@ -296,8 +296,10 @@ def test_a_damaged_instruction_is_answered_with_the_crc_error() -> None:
     assert emulator.feed(damaged, 0.3) == []
 
 
-def test_the_makers_sdk_hears_the_same_errors() -> None:
+def test_the_makers_sdk_hears_the_same_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     sdk = pytest.importorskip("dynamixel_sdk")
+    # Half of the time [ms] that it waits for an answer, in real time.
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 10_000.0)
     with SimulatedLine([DynamixelEmulator()], line=Line(57_600)) as played:
         port, packets = sdk.PortHandler(played.address), sdk.PacketHandler(2.0)
         assert port.setBaudRate(57_600)
