@@ -21,7 +21,8 @@ _MCL_FUTURE = 2  # mlockall: pages that will be mapped
 _MCL_ONFAULT = 4  # mlockall: each of them once it is used (Linux 4.4)
 _M_TRIM_THRESHOLD = -1  # mallopt: more free memory than this is given back (malloc.h)
 _M_MMAP_THRESHOLD = -3  # mallopt: larger blocks are mapped each for itself
-_LARGE = 128 * 1024  # both of these [byte]: what glibc begins with
+_FREE = 128 * 1024  # of the first of these [byte]: what glibc begins with
+_LARGE = 32 * 1024  # of the second [byte]: half of what Zenoh receives at once, which a flood keeps
 _MADV_DONTNEED = 4  # madvise: the pages are not needed now (sys/mman.h)
 
 
@@ -72,8 +73,8 @@ def give_memory_back() -> None:
         library.malloc_trim(ctypes.c_size_t(0))
         # By default, glibc raises both thresholds when the first large block is freed, and then
         # keeps up to twice its size.
-        for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
-            library.mallopt(threshold, _LARGE)
+        library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
+        library.mallopt(_M_TRIM_THRESHOLD, _FREE)
     library.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
     for first, size in _unchanged_files():
         library.madvise(first, size, _MADV_DONTNEED)

@@ -223,7 +223,7 @@ class CommandHandlers:
         stream = request.fields["stream"]
         self._loop.streams.end(stream)
         # The answer says that the hand is free: the next command comes after the end in the loop.
-        self._lease.ended(stream)
+        self._lease.stream_ended(stream)
         return ""
 
     def _gains(self, request: IncomingRequest) -> None:

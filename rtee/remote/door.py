@@ -24,14 +24,21 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import zenoh
+
 from rtee import child, monotonic
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, NoHand
+from rtee.messages import network_key
+from rtee.messages.requests import REQUESTS, STOP
+from rtee.remote.call_queue import CallQueue
 from rtee.remote.connections import raise_file_limit
 from rtee.remote.rates import CONNECTIONS_OF_CERTIFICATE
-from rtee.remote.session import host_of, local_endpoint, open_listening
+from rtee.remote.session import direct, host_of, local_endpoint, open_listening
+from rtee.remote.stopping import stop_at, stop_path
 
 log = logging.getLogger(__name__)
 
@@ -73,6 +80,7 @@ class Door:
     """The door's process, which ends with this object or with this process.
 
     Args:
+        name: Name of the hand.
         hand: Endpoint of the hand's Unix socket.
         zid: Identifier of the hand's session of Zenoh.
         listen: The door's endpoints, for TLS.
@@ -86,6 +94,7 @@ class Door:
 
     def __init__(
         self,
+        name: str,
         hand: str,
         zid: str,
         listen: Collection[str],
@@ -94,6 +103,7 @@ class Door:
         people: Collection[str],
     ) -> None:
         self._first = {
+            "name": name,
             "hand": hand,
             "zid": zid,
             "listen": list(listen),
@@ -188,10 +198,15 @@ class _Gate:
         zid: Identifier of the hand's session of Zenoh.
         name: Common name of the certificate.
         rules: Zenoh's ``access_control`` for it.
+        hand_name: Name of the hand.
     """
 
-    def __init__(self, folder: Path, hand: str, zid: str, name: str, rules: Any) -> None:
+    def __init__(
+        self, folder: Path, hand: str, zid: str, name: str, rules: Any, hand_name: str
+    ) -> None:
         self.path = folder / f"{name}.sock"
+        self._name, self._hand, self._stop_at = name, hand_name, stop_path(hand)
+        self._stops = CallQueue(f"stop {name}")
         # A gateway passes messages between its two sides only: the hand, and all others.
         others = {"negated": True, "zids": [zid]}
         settings = {"access_control": rules, "gateway": {"south": [{"filters": [others]}]}}
@@ -202,10 +217,32 @@ class _Gate:
                 self.close()
                 raise ConfigError("the hand does not answer its door")
             monotonic.sleep(_POLL)
+        # Stops go on from here through the hand's own socket for them: in the hand's session they
+        # would wait behind what others have sent, since it has a single thread that receives.
+        self._session.declare_queryable(
+            network_key(hand_name, f"{STOP}/*"),
+            direct(self._on_stop),
+            complete=True,  # the hand's own is not asked besides
+        )
+
+    def _on_stop(self, query: zenoh.Query) -> None:
+        self._stops.put(partial(self._stop, query))
+
+    def _stop(self, query: zenoh.Query) -> None:
+        with contextlib.suppress(NoHand, zenoh.ZError), query:
+            assert self._stop_at is not None  # noqa: S101
+            confirmed = stop_at(self._stop_at, self._hand, f"certificate_{self._name}")
+            fields = {"device": list(confirmed), "confirmed": list(confirmed.values())}
+            query.reply(
+                REQUESTS["stop"].key(self._hand),
+                REQUESTS["stop"].answer.encode(fields),
+                express=True,
+            )
 
     def close(self) -> None:
         """Close all that goes through it; blocks for a moment."""
         self._session.close()  # type: ignore[no-untyped-call]
+        self._stops.close()
 
 
 class _Doorkeeper:
@@ -302,7 +339,9 @@ class _Doorkeeper:
             rules = first["rules"].get(name)
             if rules is None:
                 raise ConfigError(f"{name} is admitted from the next start on")
-            work = asyncio.to_thread(_Gate, self._folder, first["hand"], first["zid"], name, rules)
+            work = asyncio.to_thread(
+                _Gate, self._folder, first["hand"], first["zid"], name, rules, first["name"]
+            )
             gate = self._gates[name] = asyncio.ensure_future(work)
         try:
             return await asyncio.shield(gate)

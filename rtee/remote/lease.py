@@ -92,6 +92,11 @@ class Lease:
         # One atomic step: the loop's thread calls this while Zenoh's threads look up leases.
         self._goals.pop(goal_id, None)
 
+    def stream_ended(self, stream: str) -> None:
+        """Record that a stream has ended; a goal of the same name goes on."""
+        if stream in self._deadlines:
+            self.ended(stream)
+
     def jogged(self, client: str) -> None:
         """Record that a client has jogged the hand."""
         self._jogger, self._jogged_until = client, self._now() + JOGGING

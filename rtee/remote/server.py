@@ -19,7 +19,7 @@ import anyio
 import anyio.to_thread
 import zenoh
 
-from rtee.errors import RequestRejected
+from rtee.errors import RequestRejected, TooManyRequests
 from rtee.loop.handloop import HandLoop
 from rtee.loop.report import Tally
 from rtee.messages import network_key
@@ -74,6 +74,9 @@ for each answer before its next request, and a person hardly notices it."""
 _MOST_REFUSED = 128
 """Most refused queries that wait; each may keep the 64 KiB that were received with it."""
 
+_MOST_QUESTIONS = 128
+"""Most requests for information that wait, of all clients: each may keep 64 KiB, too."""
+
 _LARGEST_REFUSED = 4096
 """Longest question of a refused query that waits [bytes]: frequent ones have some hundred."""
 
@@ -114,7 +117,7 @@ class Server:
         self.endpoint = endpoint
         self.outbox = CallQueue(f"publish {hand}")
         self.stops = CallQueue(f"stop {hand}")
-        self.questions = CallQueue(f"answer {hand}")
+        self.questions = CallQueue(f"answer {hand}", _MOST_QUESTIONS)
         self.refused = DelayQueue(f"refuse {hand}", _REFUSED_AFTER, _MOST_REFUSED)
         self.inboxes = Inboxes(session, hand, self._on_put, self.outbox)
         self._hand, self._session = hand, session
@@ -195,6 +198,7 @@ class Server:
                 zid = str(session.info.zid())
                 door = await in_thread(
                     Door,
+                    hand.name,
                     endpoint,
                     zid,
                     outside,
@@ -340,7 +344,7 @@ class Server:
             at_once, request.send = request.send, send
             if not self.questions.put(partial(answer_to, request, self._queries.handle)):
                 request.send = at_once
-                raise RequestRejected("too many requests are waiting")
+                raise TooManyRequests("too many requests are waiting")
 
         replier, check = self._replier(query, self.outbox), self._identities.check
         later, junk = self._later(query, replier), self._identities.answers_junk

@@ -64,6 +64,7 @@ def test_a_goal_holds_the_hand_until_it_ends(lease: Lease) -> None:
     lease.started("a", "1")
     lease.started("a", "2")
     lease.ended("1")
+    lease.stream_ended("2")  # it is no stream
     assert lease.runs("2")
     with pytest.raises(LeaseHeld, match="'a'"):
         lease.check("b")
