@@ -245,7 +245,8 @@ def lerobot(
         list[Path],
         typer.Argument(
             metavar="RECORDING…",
-            help="Recordings of one hand, or folders with them; files with its cameras' images.",
+            help="Recordings of one hand (of a folder the newest), and files with images of its "
+            "cameras.",
         ),
     ],
     output: Annotated[Path, typer.Option("--out", metavar="DATASET", help="A new folder.")],

@@ -1,5 +1,6 @@
 """A running hand as a robot of LeRobot: a client of its network, which moves it by a stream."""
 
+import atexit
 import contextlib
 import math
 from collections.abc import Collection
@@ -156,6 +157,8 @@ class RteeHand(Robot):
             config = self.config
             stream = hand.stream(config.rate, deadline=config.deadline, effort=config.effort)
             self._moving = hand, self._opened.enter_context(stream)
+            # A program that ends all the same must not leave the hand without a word.
+            atexit.register(self.disconnect)
         except BaseException:
             self.disconnect()
             raise
@@ -204,6 +207,7 @@ class RteeHand(Robot):
     def disconnect(self) -> None:
         """Let the hand hold where it is, and give back the right to move it."""
         self._moving = None
+        atexit.unregister(self.disconnect)
         self._opened.close()
 
     def _check(self) -> tuple[BlockingHand, BlockingStream]:

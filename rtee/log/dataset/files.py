@@ -180,7 +180,12 @@ class DatasetFiles:
         for name, table in tables.items():
             path = self._folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            parquet.write_table(table, path)
+            with parquet.ParquetWriter(path, table.schema) as writer:
+                # Of the frames, an episode is a group of rows: training reads them at random.
+                lengths = [len(part) for part in self._frames["index"]]
+                for rows in lengths if name.startswith("data/") else [table.num_rows]:
+                    writer.write_table(table.slice(length=rows), rows)
+                    table = table.slice(rows)
         stats = {key: _of_rows(values) for key, values in columns.items()}
         stats |= {key: _of_pixels(each, self._images) for key, each in self._pixels.items()}
         listed = {k: {n: v.tolist() for n, v in each.items()} for k, each in stats.items()}
