@@ -162,7 +162,7 @@ def check(recording: Recording | Iterable[Recording]) -> Check:
         checker.take(piece)
         for piece in pieces:
             checker.take(piece)
-    except (ValueError, ArithmeticError, LookupError, TypeError) as error:
+    except (ValueError, ArithmeticError, AttributeError, LookupError, TypeError) as error:
         if isinstance(error, RteeError):
             raise
         raise LogError(f"cannot be recomputed: {error}", path=checker.path) from error

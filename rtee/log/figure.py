@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,6 @@ DRAWN = frozenset(
 _JOINTS = ("position", "effort")
 _TOPICS = (
     topics.ACTUATOR_STATES,
-    topics.JOINT_STATES,
     topics.REFERENCE,
     topics.TOUCH,
     topics.TOUCH_SENSORS,
@@ -198,7 +197,12 @@ class _Lines:
 
 def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> Iterator[Recording]:
     """Read what `figure` needs of a recording, piece by piece."""
-    return windows(paths, only=_TOPICS, start=start, end=end)
+    pieces = windows(paths, only=_TOPICS, start=start, end=end)
+    first = next(pieces)
+    if first.actuator_states.names:
+        return chain((first,), pieces)
+    # Of other programs: states of joints, which rtee's own repeat.
+    return windows(paths, only=(*_TOPICS, topics.JOINT_STATES), start=start, end=end)
 
 
 def figure(

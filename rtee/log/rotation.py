@@ -157,7 +157,7 @@ class Retention:
 
     The limits of the settings are that of the hand's own recordings, that of all hands', and what
     stays free of the disk. Removes only files that are recordings by name and by content, and none
-    that is being written; parts of the running recording go last.
+    that is being written; parts of running recordings go last.
     """
 
     def __init__(self, settings: RecorderSettings, hand: str) -> None:
@@ -191,7 +191,9 @@ class Retention:
             return removed
         self.look(*current)
         files = self._files(current)
-        files.sort(key=lambda file: (file.hand, file.session) == (self._hand, session))
+        running = {(each.hand, each.session) for each in files if being_written(each.path)}
+        running.add((self._hand, session))
+        files.sort(key=lambda file: (file.hand, file.session) in running)
         for file in files:
             if not self._over(size):
                 break
