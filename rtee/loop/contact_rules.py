@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-VERSION: Final = 5
+VERSION: Final = 6
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made by others."""
 

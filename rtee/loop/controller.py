@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import assert_never
 
+import numpy as np
+
 from rtee.commands import (
     Abort,
     BeginStream,
@@ -32,7 +34,7 @@ from rtee.loop.evidence import Evidence
 from rtee.loop.executor import Executor
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.limiter import Limiter
-from rtee.loop.measured import Measured
+from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import make_profile
@@ -43,6 +45,7 @@ from rtee.loop.streams.hold import StreamHold
 from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.thermal import Level, Thermal
 from rtee.loop.thermal_model import CurrentHeat
+from rtee.sample import FloatArray
 from rtee.types import Around, Event, Feedback, Result
 
 _THERMAL_EVERY = 0.1
@@ -148,6 +151,14 @@ class Controller:
         self._profile.restored()
 
     # --- goals and commands ------------------------------------------------------------------
+
+    @property
+    def channels(self) -> Mapping[str, FloatArray]:
+        """What it has computed besides the reference, by channel; empty: nothing."""
+        found = {} if self.stream is None else dict(self.stream.channels)
+        if self._reflexes.felt[0] == self._reflexes.felt[0]:
+            found[GRIP_FORCE] = np.array(self._reflexes.felt)
+        return found
 
     @property
     def learned_motion(self) -> dict[str, LearnedMotion]:

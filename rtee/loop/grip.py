@@ -17,7 +17,7 @@ from rtee.drivers.capabilities import GripForce
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.measured import TIP_FORCE, tip_forces
+from rtee.loop.measured import GRIP_FORCE, TIP_FORCE, tip_forces
 from rtee.sample import TickRecord
 
 TIPS: Final = "tip forces"
@@ -451,7 +451,9 @@ def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float,
         ahead[i] * (target - rest) > _AHEAD * (target - rest) ** 2 and record.grasped[i] == 1
         for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
     )
-    return (
-        grip.opening(position),
-        *grip.force(position, effort, limits, tip_forces(felt), pressing),
-    )
+    force, error, source = grip.force(position, effort, limits, tip_forces(felt), pressing)
+    known = record.channels.get(GRIP_FORCE)
+    if known is not None and source:
+        # By finger, and without what weight and friction take, as in the result.
+        force, error = known.tolist()
+    return grip.opening(position), force, error, source

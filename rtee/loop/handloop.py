@@ -196,7 +196,7 @@ class HandLoop:
             reference_position=np.array(controller.reference_position),
             reference_velocity=np.array(controller.reference_velocity),
             reference_effort=np.array(controller.reference_effort),
-            channels=state.channels_with(controller.stream),
+            channels=state.channels_with(controller.channels),
             touch=state.touch,
         )
         # Move: send the reference. A device that answers at once is also read again here.

@@ -13,6 +13,10 @@ TIP_FORCE = "contact_force"
 """The channel of a device's state with the contact force on every finger of the hand [N], summed
 over all links of the finger."""
 
+GRIP_FORCE = "loop/grip_force"
+"""The channel with the force between fingertips that keep their posture, and its error [N]:
+known only to the controller, which has seen what the fingers took before they touched."""
+
 
 @dataclass(slots=True)
 class Measured:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
-from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.touch import TouchGatherer
 from rtee.sample import (
@@ -73,9 +72,9 @@ class StateAggregator:
         """The newest states of the touch sensors, by device."""
         return self._touch.states
 
-    def channels_with(self, stream: StreamPlayer | None) -> Mapping[str, FloatArray]:
-        """Return the further channels, and those of a stream if there is one."""
-        return self.channels if stream is None else {**self.channels, **stream.channels}
+    def channels_with(self, computed: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+        """Return the further channels, and what the controller has computed."""
+        return {**self.channels, **computed} if computed else self.channels
 
     def collect(self, stamp: float = -math.inf) -> None:
         """Merge the states that arrived since the last call.

@@ -140,6 +140,41 @@ def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
     return ObjectShape("mesh", path=path)
 
 
+_LOOKED_AT: Final = 1000
+"""Faces and corners of a mesh of which some show that it has hollows."""
+
+_HOLLOW: Final = 0.05
+"""A face that has corners of the mesh on both sides, both farther than this share of its size,
+belongs to a hollow: a scan's roughness is less."""
+
+
+def hollow_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> str:
+    """Return a sentence about a mesh with hollows, handles or holes; empty if it is convex.
+
+    Args:
+        corners: Its corners ``(v, 3)`` [m].
+        faces: Its triangles, as indices of corners ``(f, 3)``.
+    """
+    # Some of the faces and corners show it, and a scan has a hundred thousand.
+    some = faces[:: max(len(faces) // _LOOKED_AT, 1)]
+    points = np.asarray(corners[:: max(len(corners) // _LOOKED_AT, 1)], dtype=np.float64)
+    first, second, third = (np.asarray(corners[some[:, k]], dtype=np.float64) for k in range(3))
+    normals = np.cross(second - first, third - first)
+    sizes = np.linalg.norm(normals, axis=1)
+    solid = sizes > 0.0
+    normals, first = normals[solid] / sizes[solid, None], first[solid]
+    beyond = points @ normals.T - np.sum(normals * first, axis=1)
+    size = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    # A face of a convex body has all corners on one side.
+    depth = np.minimum(beyond.max(axis=0, initial=0.0), -beyond.min(axis=0, initial=0.0))
+    if not float(depth.max(initial=0.0)) > _HOLLOW * size:
+        return ""
+    return (
+        "the mesh counts as its convex hull: hollows, handles and holes are filled, and fingers do "
+        "not reach into them"
+    )
+
+
 def open_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> str:
     """Return a sentence about a mesh that does not enclose its inside; empty if it does.
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rtee.actions.library import ActionLibrary
@@ -17,9 +18,10 @@ from rtee.log.dataclass_json import from_json, to_json
 from rtee.loop.configure import loop_settings
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
-from rtee.loop.grip import Grip
-from rtee.loop.measured import Measured
+from rtee.loop.grip import Grip, grip_at
+from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.planning import make_plan
+from rtee.sample import TickRecord
 from rtee.types import (
     Around,
     Event,
@@ -319,6 +321,21 @@ def test_the_force_between_the_tips_needs_both_sides() -> None:
     assert grip.tip_force([5.0, 4.0]) == 4.0
     for missing in ([math.nan, 5.0], [5.0, math.nan], [5.0]):
         assert math.isnan(grip.tip_force(missing))
+
+
+def test_a_state_tells_the_force_that_the_result_tells() -> None:
+    grip = Grip(
+        (0,), (0.0,), (1.0,), (0.0, 1.0), (0.1, 0.0), ((0.1,), (0.1,)), (0.0,), (1.0,), (0,), (1,)
+    )
+    one = np.ones(1)
+    record = TickRecord(
+        0.5 * one, one, one, one, one, tick=1, stamp=0.0, wall_ns=0,
+        grasped=np.zeros(1, np.int8), fresh=one > 0.0, reference_position=0.5 * one,
+        reference_velocity=one, reference_effort=one, channels={},
+    )  # fmt: skip
+    assert grip_at(grip, record)[1] == pytest.approx(10.0), "with weight and friction"
+    known = replace(record, channels={GRIP_FORCE: np.array((4.0, 2.0))})
+    assert grip_at(grip, known)[1:3] == (4.0, 2.0)
 
 
 class Stepping(Gripper):

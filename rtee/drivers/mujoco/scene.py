@@ -22,7 +22,7 @@ from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.objects.shape import ObjectShape, open_mesh, parse_object
+from rtee.objects.shape import ObjectShape, hollow_mesh, open_mesh, parse_object
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -297,8 +297,9 @@ def _notes_on(model: mujoco.MjModel, shape: ObjectShape | None) -> list[str]:
     begin, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
     corners = model.mesh_vert[begin : begin + count]
     begin, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
-    note = open_mesh(corners, model.mesh_face[begin : begin + count])
-    return [f"{shape.path.name}: {note}"] if note else []
+    faces = model.mesh_face[begin : begin + count]
+    notes = open_mesh(corners, faces), hollow_mesh(corners, faces)
+    return [f"{shape.path.name}: {note}" for note in notes if note]
 
 
 def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:

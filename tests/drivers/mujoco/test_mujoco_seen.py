@@ -81,11 +81,14 @@ def test_an_open_mesh_is_noted(tmp_path: Path) -> None:
     mesh = trimesh.creation.box((0.03, 0.03, 0.03))
     mesh.export(tmp_path / "closed.stl")
     trimesh.Trimesh(mesh.vertices, mesh.faces[1:]).export(tmp_path / "open.stl")
+    beside = mesh.copy().apply_translation((0.03, 0.03, 0.0))
+    trimesh.util.concatenate([mesh, beside]).export(tmp_path / "corner.stl")
     notes = {
         name: [note for note in simulated(object=str(tmp_path / name)).notes if name in note]
-        for name in ("closed.stl", "open.stl")
+        for name in ("closed.stl", "open.stl", "corner.stl")
     }
     assert notes["closed.stl"] == []
+    assert "its convex hull: hollows, handles and holes are filled" in notes["corner.stl"][-1]
     (note,) = notes["open.stl"]
     assert note.startswith("open.stl: the mesh is open, 3 of its edges have only one face; ")
 
