@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -37,7 +38,10 @@ def gui(
     ] = None,
     beside: BesideOption = None,
 ) -> None:
-    """Open the hand in the browser; prints the address, with the token that opens it."""
+    """Open the hand in the browser; prints the address, with the token that opens it.
+
+    Without a name, where several hands run, each has a card there.
+    """
     import anyio
 
     from rtee.errors import ConfigError, needing_extra
@@ -53,19 +57,40 @@ def gui(
     lower_priority()  # before numpy and the network start threads, which inherit it
     from rtee.remote.find import hands_running
 
-    if hand is not None or endpoint is not None:
+    several = hand is None and len(_names(endpoint)) > 1
+    if hand is not None or (endpoint is not None and not several):
         anyio.run(_check_running, hand, endpoint)
-    elif not hands_running():
+    elif not several and not hands_running():
         print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
     with needing_extra("the GUI", "gui"):
         from rtee.gui.app import serve
+        from rtee.gui.start import serve_chosen
     from rtee.cli.landmarks import follow_headset
     from rtee.loop.shutdown_signals import work_beside
 
     follow = partial(follow_headset, hand=hand, endpoint=endpoint)
+    chosen = serve_chosen if several else partial(serve, hand)
     # Ends with the run that started this command, if one did, even if that is killed.
-    page = partial(serve, hand, access=access, port=port, endpoint=endpoint, follow=follow)
+    page = partial(chosen, access=access, port=port, endpoint=endpoint, follow=follow)
     anyio.run(work_beside, beside, page)
+
+
+def _names(endpoint: str | None) -> Collection[str]:
+    """Return the hands that run here, or at an endpoint."""
+    from rtee.errors import NoHand
+    from rtee.remote.find import alive, hands_running
+    from rtee.remote.session import open_client
+
+    if endpoint is None:
+        return hands_running()
+    try:
+        session = open_client([endpoint])
+    except NoHand:
+        return ()  # told afterwards, with what to type
+    try:
+        return alive(session)
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
 
 
 async def _check_running(hand: str | None, endpoint: str | None) -> None:

@@ -90,8 +90,8 @@ async def _tries(remote: RemoteHand, role: Role) -> None:
     moves = [
         lambda: remote.do("Trig", "index", intensity=0.1),
         remote.hold,
-        remote.acquire,
-        remote.release,
+        remote.acquire_lease,
+        remote.release_lease,
     ]
     changes = [
         lambda: remote.add_generic(f"x_{role.value}", {"near": 0.5}),

@@ -1,0 +1,130 @@
+"""The page before a hand is chosen: a card for each that runs, a click away.
+
+It has a server of its own, at the port of the page that follows: the browser's window connects to
+that by itself, with the cookie that it has.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from html import escape
+from typing import Final
+
+import anyio
+import viser
+
+from rtee.errors import ConfigError
+from rtee.gui.access import Access
+from rtee.gui.app import serve
+from rtee.gui.bridge import Bridge
+from rtee.gui.colours import BAD, GOOD, WARN
+from rtee.gui.headset import Follow
+from rtee.gui.visitors import Visitors
+from rtee.gui.wording import coloured, small
+from rtee.remote.fleet import Fleet, Look, Place, following
+
+_DRAWN_EVERY: Final = 1.0
+"""Time between two looks at all hands [s]: often enough to see which one moves."""
+
+_COLOURS: Final = {"ready": GOOD, "moving": GOOD, "leased": WARN, "inactive": WARN}
+"""Colours of conditions; all others are bad."""
+
+
+class Cards:
+    """Cards of the hands that were found, in a page.
+
+    Attributes:
+        words: What each card says, as HTML.
+        chosen: The hand whose card was clicked.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        """Add nothing yet; must be called in the event loop."""
+        self._gui, self._bridge = server.gui, Bridge(server)
+        self._gui.set_panel_label("rtee")
+        self.words: dict[Place, viser.GuiHtmlHandle] = {}
+        self._folders: dict[Place, viser.GuiFolderHandle] = {}
+        self._clicked = anyio.Event()
+        self.chosen: Place | None = None
+
+    def draw(self, looks: list[Look]) -> None:
+        """Show what hands answered; hands that were not found any more lose their card."""
+        places = [look.place for look in looks]
+        for place in [known for known in self._folders if known not in places]:
+            self._folders.pop(place).remove()
+            del self.words[place]
+        for number, look in enumerate(looks):
+            if look.place not in self._folders:
+                self._add(look.place, number)
+            self.words[look.place].content = _html(look)
+
+    def _add(self, place: Place, order: int) -> None:
+        name = place.hand or place.endpoint
+        self._folders[place] = folder = self._gui.add_folder(name, order=order)
+
+        async def choose() -> None:
+            self.choose(place)
+
+        with folder:
+            self.words[place] = self._gui.add_html("")
+            if place.hand:
+                self._gui.add_button(f"Show {name}").on_click(self._bridge.clicked(choose))
+
+    def choose(self, place: Place) -> None:
+        """Choose a hand, as a click on its card does."""
+        self.chosen = place
+        self._clicked.set()
+
+    async def run(self, fleet: Fleet) -> Place:
+        """Draw until a hand is chosen, and return it."""
+        while self.chosen is None:
+            self.draw(await fleet.look())
+            with anyio.move_on_after(_DRAWN_EVERY):
+                await self._clicked.wait()
+        await self._bridge.close()
+        return self.chosen
+
+
+def _html(look: Look) -> str:
+    condition = coloured(look.condition, _COLOURS.get(look.condition, BAD))
+    if look.status is None:
+        return condition + small(escape(look.trouble))
+    status = look.status
+    clock, counts = status.statistics, status.counts
+    lines = [
+        status.action and f"does {status.action}",
+        status.holder and f"held by {status.holder}",
+        counts.result and f"last goal: {counts.result.replace('_', ' ')}",
+        *(f"{d.name}: {d.fault_name or d.message or d.lifecycle}" for d in look.idle),
+        "" if math.isnan(look.temperature) else f"{look.temperature:.0f} °C",
+        clock.missed and f"{clock.missed} ticks missed",
+        status.recording_trouble,
+    ]
+    return condition + "".join(small(escape(str(line))) for line in lines if line)
+
+
+async def serve_chosen(
+    *, access: Access, port: int, endpoint: str | None, follow: Follow | None = None
+) -> None:
+    """Serve the cards until one is clicked, then the GUI of that hand; see `rtee.gui.app.serve`.
+
+    Raises:
+        ConfigError: if the port is in use and a proxy forwards to it.
+    """
+    visitors = Visitors(access)
+    server = visitors.open_server(port)
+    try:
+        taken = server.get_port()
+        if access.behind_proxy and taken != port:
+            raise ConfigError(f"port {port} is not free, and the proxy leads there")
+        for link in access.links(taken).values():
+            print(f"rtee: GUI at {link}", flush=True)  # noqa: T201
+        async with following([endpoint] if endpoint else [], here=endpoint is None) as fleet:
+            await fleet.known()
+            place = await Cards(server).run(fleet)
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+    await serve(place.hand, access=access, port=taken, endpoint=endpoint, follow=follow)
