@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import rtee
+from rtee.errors import ActionError
 from rtee.hand.load import load_model
 
 GRIPPER = "robotiq_2f_85"
@@ -40,6 +41,21 @@ def test_a_hand_knows_its_folder_and_its_keys() -> None:
         rtee.load_actions(bare)
     assert hand.action_features == {"finger_joint": float}
     assert list(hand.observation_features)[:2] == ["position.finger_joint", "velocity.finger_joint"]
+
+
+def test_an_action_is_written_one_way() -> None:
+    of = rtee.ActionReference.of
+    ring = rtee.ActionReference("trig", ("ring",), 0.8)
+    assert of("trig:ring*0.8") == of(ring) == ring
+    assert str(ring) == "trig:ring*0.8"
+    assert of("pinch tight: index, thumb").elements == ("index", "thumb")
+    assert of("pinch tight", ("index",)).action == "pinch tight"
+    for wrong in ("", "trig:", "trig:a,,b", "trig*much", None):
+        with pytest.raises(ActionError):
+            of(wrong)  # type: ignore[arg-type]
+    library = rtee.load_actions("schunk_svh")
+    with pytest.raises(ActionError, match="elements are a list of names"):
+        library.find("Trig", "index")
 
 
 def test_a_mistyped_trial_is_refused_before_any_begins() -> None:

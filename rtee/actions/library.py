@@ -149,7 +149,7 @@ class ActionLibrary:
             UnknownAction: if there is no action of that name (and kind).
             ActionError: if it does not exist with these elements; names the possible ones.
         """
-        return self._index.find(name, tuple(elements), kind)
+        return self._index.find(name, listed(elements), kind)
 
     def all(
         self,
@@ -164,7 +164,7 @@ class ActionLibrary:
             name: Only actions of this name.
             elements: Only primitives with all of these elements.
         """
-        return self._index.select(kind, name, tuple(elements))
+        return self._index.select(kind, name, listed(elements))
 
     def primitives(self) -> list[PrimitiveGroup]:
         """Return the primitives in groups of the same name, for user interfaces."""
@@ -337,6 +337,13 @@ class ActionLibrary:
         ]
         self._read(volatile)
         return True
+
+
+def listed(elements: Sequence[str]) -> tuple[str, ...]:
+    """Return elements as a tuple; raise `ActionError` for a text, which is a list of letters."""
+    if isinstance(elements, str):
+        raise ActionError(f"elements are a list of names, such as ['{elements:.100}']")
+    return tuple(elements)
 
 
 def load_actions(hand: Hand | str | Path) -> ActionLibrary:

@@ -164,7 +164,7 @@ class ActionReference(Value):
     """A use of an action: alone, in a stream, or inside another one.
 
     Its text, which `of` reads, is ``ACTION[:ELEMENT[,ELEMENT…]][*SCALE]``, such as
-    ``trig:ring*0.8``; spaces may stand for the colon and commas.
+    ``trig:ring*0.8``.
 
     Attributes:
         action: Name of the action.
@@ -189,15 +189,14 @@ class ActionReference(Value):
         """
         if isinstance(what, str):
             body, star, factor = what.partition("*")
-            words = body.replace(",", " ").replace(":", " ").split()
-            whole = all(part.strip() for part in _SEPARATOR.split(body))
+            words = [word.strip() for word in _SEPARATOR.split(body)]
             try:
                 scale = float(factor) if star else 1.0
             except ValueError:
                 raise ActionError(
                     f"the scale in '{what}' must be a number, not '{factor}'"
                 ) from None
-            if not words or not whole:
+            if not all(words):
                 raise ActionError(
                     f"'{what}' is not an action; write ACTION, ACTION:ELEMENT or "
                     "ACTION:ELEMENT,ELEMENT*SCALE"
@@ -205,6 +204,8 @@ class ActionReference(Value):
             what = cls(words[0], tuple(words[1:]), scale)
         elif not isinstance(what, cls):
             raise ActionError(f"an action is a text such as 'trig:ring*0.8', not {what!r:.100}")
+        if isinstance(elements, str):
+            raise ActionError(f"elements are a list of names, such as ['{elements:.100}']")
         if not elements:
             return what
         if what.elements:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 from rtee.actions.build import StepPlan
+from rtee.actions.library import listed
 from rtee.actions.types import (
     Action,
     ActionReference,
@@ -48,7 +49,7 @@ class ActionClient:
         self, kind: str = "", name: str = "", elements: Sequence[str] = ()
     ) -> list[Action]:
         """Return the actions that match a filter; see `ActionLibrary.all`."""
-        fields = {"kind": kind, "name": name, "elements": tuple(elements)}
+        fields = {"kind": kind, "name": name, "elements": listed(elements)}
         reply = await self._link.ask("actions", fields)
         return [action_of(entry) for entry in reply["actions"]]
 

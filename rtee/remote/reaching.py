@@ -12,6 +12,7 @@ import anyio
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtee.actions.library import listed
 from rtee.actions.types import Generic, Posture
 from rtee.errors import ConfigError
 from rtee.planning.apart import ReachQuestion
@@ -20,6 +21,7 @@ from rtee.remote.action_client import ActionClient
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
 from rtee.types import Result, Stage
+from rtee.units import LENGTH, quantity
 
 _REACHED_WITHIN: Final = 90.0
 """Time to wait for an answer [s]: up to four other plans may be waiting before it."""
@@ -39,12 +41,12 @@ class ReachClient:
         self,
         contacts: Sequence[WantedContact] | ArrayLike | None = None,
         *,
-        width: float | None = None,
+        width: float | str | None = None,
         pose: ArrayLike | None = None,
         fingers: Sequence[str] = (),
         approach: Sequence[float] | None = None,
-        retreat: float = 0.1,
-        tolerance: float = 0.003,
+        retreat: float | str = 0.1,
+        tolerance: float | str = 0.003,
         object: str = "",  # noqa: A002 - as on the command line
         object_pose: ArrayLike | None = None,
     ) -> ReachedGrasp:
@@ -55,7 +57,8 @@ class ReachClient:
 
         Args:
             contacts: Contacts, or their points ``(k, 3)`` [m], for the fingertips.
-            width: Width of the object for a gripper's pose [m], instead of contacts.
+            width: Width of the object for a gripper's pose [m], or such as ``30mm``, instead of
+                contacts.
             pose: Pose ``(4, 4)`` in the planner's frame. With contacts: of the palm (without it,
                 contacts are in the palm's frame). With a width: of the gripper, with x along the
                 approach, y along the closing and the origin between the ends of its fingers.
@@ -85,7 +88,7 @@ class ReachClient:
         self,
         reached: ReachedGrasp | Sequence[WantedContact] | ArrayLike | None = None,
         *,
-        width: float | None = None,
+        width: float | str | None = None,
         pose: ArrayLike | None = None,
         fingers: Sequence[str] = (),
         approach: Sequence[float] | None = None,
@@ -170,12 +173,12 @@ class ReachClient:
 
 def _question(
     contacts: Sequence[WantedContact] | ArrayLike | None,
-    width: float | None,
+    width: float | str | None,
     pose: ArrayLike | None,
     fingers: Sequence[str],
     approach: Sequence[float] | None,
-    retreat: float,
-    tolerance: float,
+    retreat: float | str,
+    tolerance: float | str,
 ) -> ReachQuestion:
     """Return the question; raises `ConfigError` if a value is malformed."""
     flat = tuple(_numbers(pose, (4, 4), "a pose is 4 by 4 numbers")) if pose is not None else ()
@@ -184,7 +187,14 @@ def _question(
         if width is None or pose is None:
             raise ConfigError("give contacts, or a gripper's pose and a width")
         return ReachQuestion(
-            (), (), tuple(fingers), float(width), flat, direction, retreat, tolerance
+            points=(),
+            normals=(),
+            fingers=listed(fingers),
+            width=quantity(width, LENGTH, "width"),
+            pose=flat,
+            approach=direction,
+            retreat=quantity(retreat, LENGTH, "retreat"),
+            tolerance=quantity(tolerance, LENGTH, "tolerance"),
         )
     if width is not None or len(fingers):
         raise ConfigError("contacts name their fingers themselves and have no width")
@@ -199,8 +209,8 @@ def _question(
         fingers=tuple(named) if any(named) else (),
         pose=flat,
         approach=direction,
-        retreat=retreat,
-        tolerance=tolerance,
+        retreat=quantity(retreat, LENGTH, "retreat"),
+        tolerance=quantity(tolerance, LENGTH, "tolerance"),
     )
 
 

@@ -144,7 +144,9 @@ class Targets:
     def _blend(self, name: str, library: ActionLibrary) -> _Blend:
         hand = self._hand
         try:
-            use = ActionReference.of(name)
+            action, *elements = name.split() or [""]
+            plain = elements and not {":", "*"} & {*name}  # as in "PinchTight index thumb"
+            use = ActionReference.of(action, elements) if plain else ActionReference.of(name)
             found = library.find(use.action, use.elements)
         except UnknownAction:
             known = [*hand.actuator_names, *hand.joint_names, *library.names]
