@@ -60,6 +60,7 @@ AGAIN = {
     "tests/buses/": "real ports, whose threads wait for a processor",
     "tests/cli/test_calibrate_opening.py": "a process on a real port",
     "tests/deploy/test_unprivileged.py": "a process that asks for real-time priority",
+    "tests/docs/test_programs.py": "hands in processes of their own, one on a real port",
     "tests/docs/test_six_motors.py": "a hand on a real port",
     "tests/drivers/dynamixel/test_dynamixel_identity.py": "a process on a real port",
     "tests/gui/": "a page drawn by the processor loses a click",
