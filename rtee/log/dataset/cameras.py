@@ -174,13 +174,12 @@ def _reading(path: Path) -> Iterator[Any]:
     try:
         with path.open("rb") as stream:
             yield make_reader(stream)
-    except (McapError, OSError) as error:
-        why = reason(error) if isinstance(error, OSError) else str(error)
+    except McapError as error:
         raise LogError(
-            f"cannot be read for its images: {why or type(error).__name__}; if it was never "
-            "closed, rtee log recover makes a whole file of it",
-            path=path,
+            "is damaged, or was never closed: take what rtee log recover makes of it", path=path
         ) from error
+    except OSError as error:
+        raise LogError(f"cannot be read: {reason(error)}", path=path) from error
 
 
 def _image(schema: Schema, content: bytes) -> tuple[str, bytes]:
