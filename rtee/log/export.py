@@ -7,7 +7,6 @@ import csv
 import dataclasses
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -142,6 +141,9 @@ def _write_parquet(path: Path, spool: Spool) -> None:
 
 
 def _write_npz(path: Path, spools: Mapping[str, Spool]) -> None:
+    # Only here, since a running hand imports this module, too.
+    import zipfile
+
     with (
         replacing(path) as temporary,
         zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
