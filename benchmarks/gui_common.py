@@ -129,7 +129,7 @@ def shown(page: Page, visit: Visit) -> Iterator[None]:
     """Show the GUI in a browser's window while the context lasts, once it is there."""
     page.context.add_cookies(visit.cookies())  # type: ignore[arg-type]
     page.goto(visit.origin)
-    page.get_by_role("button", name="Do", exact=True).first.wait_for()
+    page.get_by_role("button", name="Run", exact=True).first.wait_for()
     try:
         yield
     finally:

@@ -144,7 +144,7 @@ def clicked(page: Page) -> float:
         "void (window.released = new Promise(done => addEventListener('pointerup', event =>"
         "done(performance.timeOrigin + event.timeStamp), {once: true, capture: true})))"
     )
-    page.get_by_role("button", name="Do", exact=True).first.click()
+    page.get_by_role("button", name="Run", exact=True).first.click()
     at = page.evaluate("window.released")
     # The browser's time is that of the wall; stamps of ticks are CLOCK_MONOTONIC.
     return float(at) * 1e-3 - (time.time() - time.monotonic())
@@ -159,14 +159,14 @@ def elsewhere(visit: Visit) -> Iterator[Callable[[], float]]:
         do = next(
             c
             for c in found
-            if "Do" in c["props"].get("options", ()) and c["container_uuid"] == card["uuid"]
+            if "Run" in c["props"].get("options", ()) and c["container_uuid"] == card["uuid"]
         )
         # What the server sends has to be received, or it would stop sending.
         threading.Thread(target=lambda: sum(1 for _ in connection), daemon=True).start()
 
         def click() -> float:
             at = time.monotonic()
-            use(connection, do, "Do")
+            use(connection, do, "Run")
             return at
 
         yield click

@@ -98,15 +98,26 @@ def messages(frame: bytes) -> list[dict[str, Any]]:
     return found
 
 
-def controls(connection: Connection) -> list[dict[str, Any]]:
-    """Return the messages that create the page's controls; must be called first."""
+def controls(connection: Connection, last: str = "Preview") -> list[dict[str, Any]]:
+    """Return the messages that create the page's controls, until one with a label or an option."""
     found: list[dict[str, Any]] = []
     for frame in connection:
         news = messages(frame) if isinstance(frame, bytes) else []
         found += [message for message in news if "label" in message.get("props", ())]
-        if any(message["type"] == "ReplayDoneMessage" for message in news):
+        props = [message["props"] for message in found]
+        if any(last == each["label"] or last in each.get("options", ()) for each in props):
             break
     return found
+
+
+def stop(visit: Visit) -> None:
+    """Press STOP in the bar above the page."""
+    place = f"{visit.origin.replace('http', 'ws', 1)}/bar"
+    with connect(
+        place, origin=Origin(visit.origin), additional_headers={"Cookie": visit.cookie}, proxy=None
+    ) as bar:
+        bar.send("stop")
+        bar.recv()
 
 
 def use(connection: Connection, control: dict[str, Any], value: object = True) -> None:

@@ -72,10 +72,10 @@ def act(page: Page, action: str) -> None:
     )
     search.locator("input").fill(action)
     page.wait_for_timeout(1500)
-    if not page.get_by_role("button", name="Do", exact=True).first.is_visible():
+    if not page.get_by_role("button", name="Run", exact=True).first.is_visible():
         page.get_by_text(action, exact=True).first.click()
-    page.get_by_role("button", name="Do", exact=True).first.click()
-    page.get_by_text(re.compile("^(reached|grasped.*)$")).first.wait_for()
+    page.get_by_role("button", name="Run", exact=True).first.click()
+    page.get_by_text(re.compile("^(reached|held).*$")).first.wait_for()
     page.mouse.move(640, 20)
     page.wait_for_timeout(3000)
 
@@ -138,12 +138,12 @@ def picture_of_a_plan(folder: Path) -> None:
         page.get_by_text("Primitives", exact=True).wait_for()
         page.wait_for_timeout(3000)
         page.locator(".mantine-Notification-closeButton").first.click()
-        page.get_by_role("tab", name="Try").click()
+        page.get_by_role("tab", name="Simulate").click()
         choose(page, "Object", thing)
-        page.get_by_role("button", name="Plan", exact=True).click()
+        page.get_by_role("button", name="Suggest grasps", exact=True).click()
         page.get_by_text(re.compile("^best: ")).first.wait_for()
         page.get_by_role("button", name="Grasp", exact=True).first.click()
-        page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for()
+        page.get_by_text(re.compile("^(reached|held|stalled).*$")).first.wait_for()
         page.mouse.move(640, 400)
         page.mouse.wheel(0, 300)  # the whole box
         page.mouse.move(640, 20)

@@ -333,4 +333,4 @@ def page_of(text: str) -> Response:
 
 def only_operators() -> Response:
     """Return the refusal of what moves the hand to who only watches."""
-    return _refusal(http.HTTPStatus.FORBIDDEN, "You watch: only STOP works here.")
+    return _refusal(http.HTTPStatus.FORBIDDEN, "View only. STOP works.")

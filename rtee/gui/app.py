@@ -1,60 +1,144 @@
-"""The GUI's main loop: find a running hand, show it until it ends, and look for the next one."""
+"""The GUI: one page for each window, which shows a running hand and finds it again."""
 
 from __future__ import annotations
 
 import contextlib
 import gc
 import io
-from collections.abc import Iterator
-from html import escape
+import os
+import warnings
 from typing import Final
 
 import anyio
 import viser
+from anyio.abc import TaskGroup
 
-from rtee.errors import ConfigError, NoHand, RteeError
+from rtee import monotonic
+from rtee.errors import ConfigError, RteeError
 from rtee.gui.access import Access, Role
-from rtee.gui.bridge import Bridge
-from rtee.gui.colours import BAD, GOOD, WARN
+from rtee.gui.bridge import Bridge, Stage
 from rtee.gui.headset import Follow
 from rtee.gui.panels.approval import Approval
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
-from rtee.gui.wording import WRAPS
+from rtee.gui.watch import AGAIN, Watch, told
 from rtee.loop.memory import give_memory_back
-from rtee.remote.client import connect
+from rtee.remote.client import connect, stop_hand
 from rtee.remote.find import hands_running
-from rtee.remote.model import model_of
+from rtee.remote.truth import Tone, Truth, Words, clock
 
-_POLL_PERIOD = 0.5
-"""Time between two searches for running hands [s]: short enough to look immediate."""
-
-# Keeps the group that contains the banner in sight when the panel is scrolled, and the right edges
-# of panels beside their scrollbars, which otherwise lie 3 px over them.
-_STYLE: Final = """<style>
-.mantine-ScrollArea-content > div[style*="width: 100%"] { padding-right: 4px; }
-.mantine-ScrollArea-content .mantine-ScrollArea-content > div { padding-right: 0 !important; }
-.mantine-ScrollArea-content div[style*="overflow: hidden"]:has(.rtee-top) {
-  overflow: clip !important; }
-.mantine-ScrollArea-content div[style*="padding-top"] > :has(.rtee-top) {
-  position: sticky; top: 0.5em; z-index: 10; background: var(--mantine-color-body);
-  box-shadow: 0 -0.75em 0 var(--mantine-color-body); }
-</style>"""
+_DRAW_PERIOD: Final = 1 / 30
+"""Time between two updates of a window [s]: 30 pictures per second look fluent."""
 
 
-def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
-    """Return the message of the first of several errors."""
-    error: BaseException | None = errors
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    return str(error)
+class Page:
+    """What one window shows: a hand, and once it has gone its last picture until it returns.
+
+    Attributes:
+        session: The panels of the hand, or of the one that has gone.
+        watch: What is known of the hand.
+        narrow: Whether the window has no room for plots beside the hand.
+    """
+
+    def __init__(self, app: App, stage: Stage) -> None:
+        """Build the top of the page; must be called in the event loop."""
+        self.session: Session | None = None
+        self.watch = app.watch()
+        self._app = app
+        self.bridge = Bridge(stage)
+        self._open = True
+        self.narrow = False
+        self._scope = anyio.CancelScope()
+        gui = stage.gui
+        number = stage.client_id if isinstance(stage, viser.ClientHandle) else 0
+        self._top = gui.add_folder("Hand", order=-1)
+        with self._top:
+            gui.add_html(f'<i data-rtee-window="{number}"></i>')
+            self._hands = gui.add_dropdown(
+                "Hand",
+                (self.watch.truth.hand or "–",),
+                hint="The hand shown, of those that run here",
+            )
+        self._hands.on_update(self.bridge.clicked(self._chosen))
+
+    async def _chosen(self) -> None:
+        self.choose(str(self._hands.value))
+
+    def choose(self, name: str) -> None:
+        """Show another hand; must be called in the event loop."""
+        if name not in ("–", self.watch.truth.hand):
+            self.watch = self._app.watch(name)
+            self._scope.cancel()
+
+    def offer(self, names: tuple[str, ...]) -> None:
+        """Offer the hands that run, and the one that is shown."""
+        shown = self.watch.truth.hand
+        # It stays in the list while it is away, since it is shown again when it returns.
+        names = tuple(sorted({*names, *([shown] if shown else [])}))
+        if names and tuple(self._hands.options) != names:
+            self._hands.options = names
+            self._hands.value = shown or names[0]
+
+    async def run(self) -> None:
+        """Show hands until the window has gone."""
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._draw)
+            while self._open:
+                with anyio.CancelScope() as self._scope:
+                    try:
+                        await self._show(self.watch)
+                    except RteeError:  # the bar says why
+                        pass
+                    except BaseExceptionGroup as errors:  # from the tasks of the session
+                        told(errors)
+                if not self._scope.cancel_called:
+                    await anyio.sleep(AGAIN)
+            group.cancel_scope.cancel()
+
+    async def _draw(self) -> None:
+        while True:
+            await anyio.sleep(_DRAW_PERIOD)
+            if self.session is not None and self._open:
+                self.session.draw(monotonic.now())
+
+    async def _show(self, watch: Watch) -> None:
+        await watch.model()
+        endpoint = self._app.endpoint
+        async with connect(watch.truth.hand, endpoint=endpoint, client="gui") as remote:
+            self.bridge.role = remote.role
+            if self.session is not None:
+                self.session.remove()
+            with self.bridge.stage.atomic():
+                self.session = session = Session(
+                    self.bridge, remote, watch, self._top, narrow=self.narrow
+                )
+            watch.watched += 1
+            try:
+                await session.run()
+            finally:
+                watch.watched -= 1
+                # Leave properly: the hand treats a client that just vanishes as lost.
+                with anyio.CancelScope(shield=True):
+                    await self.bridge.close()
+                    await session.leave()
+                    await remote.leave()
+
+    async def close(self) -> None:
+        """Let go of the hand, and end once what was begun here has come to its end."""
+        self._open = False
+        if self.session is not None:
+            await self.session.leave()
+        await self.bridge.done()
+        self._scope.cancel()
 
 
 class App:
-    """One page of the GUI, open in any number of browser windows; its banner has a `message`.
+    """The pages of all windows, the hands that they show, and what is true of these.
 
     Attributes:
+        endpoint: Where the hand runs, if on another computer.
         approval: What answers the questions of agents.
+        pages: The pages by the number of their window.
     """
 
     def __init__(
@@ -64,18 +148,18 @@ class App:
         endpoint: str | None,
         visitors: Visitors | None = None,
     ) -> None:
-        """Prepare the page of a hand, or of the one chosen in it; must be called in the event loop.
+        """Prepare to show a hand, or the first one that runs; must be called in the event loop.
 
-        The ``endpoint`` is needed for a hand on another computer, the visitors if there may be
-        observers.
+        The ``endpoint`` is needed for a hand on another computer. Windows come from the visitors.
         """
-        self.server = server
-        self.session: Session | None = None
-        self.message = ""
-        self._endpoint = endpoint
+        self.server, self.endpoint = server, endpoint
+        self.pages: dict[int, Page] = {}
         self._wanted = hand
-        self._bridge = Bridge(server, visitors)
-        self.approval = Approval(self._bridge)
+        self._watches: dict[str, Watch] = {}
+        self._group: TaskGroup | None = None
+        self._bridge = Bridge(server)
+        self._run = os.urandom(4).hex()
+        self.approval = Approval(self._bridge, self._attended)
         server.gui.configure_theme(
             control_width="medium",
             show_logo=False,
@@ -84,105 +168,131 @@ class App:
         )
         server.gui.main_panel.dock_right()
         server.gui.set_panel_label("rtee")
-        self._top = server.gui.add_folder("Hand", order=-1)
-        with self._top:
-            self._banner = server.gui.add_html("")
-            self._hands = server.gui.add_dropdown(
-                "Shown", (hand or "–",), hint="The hand shown, of those that run on this computer"
-            )
-        self._say("Looking for a hand …", WARN)
-        self._hands.on_update(lambda _: self._bridge.call(self._chosen))
-        self._leave: anyio.CancelScope | None = None
-
-    async def _chosen(self) -> None:
-        self.choose(str(self._hands.value))
-
-    def choose(self, name: str) -> None:
-        """Show another hand; must be called in the event loop."""
-        if self._endpoint is None and name not in ("–", self._wanted):
-            self._wanted = name
-            if self._leave is not None:
-                self._leave.cancel()
-
-    def _say(self, text: str, colour: str) -> None:
-        self.message = text
-        self._banner.content = (
-            f'{_STYLE}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
-            f'font-weight:600;{WRAPS};color:{colour}">{escape(text)}</div>'
-        )
+        self._visitors = visitors
+        if visitors is not None:
+            visitors.desk = self
 
     async def run(self) -> None:
         """Show hands until cancelled."""
-        async with anyio.create_task_group() as group:
-            group.start_soon(self._keep_offering)
-            group.start_soon(self.approval.run)
-            await self._keep_showing()
+        async with anyio.create_task_group() as self._group:
+            self._group.start_soon(self.approval.run)
+            if self._visitors is not None:
+                self._visitors.tell(self._come, self._go)
+            while True:
+                self._offer()
+                await anyio.sleep(AGAIN)
 
-    async def _keep_offering(self) -> None:
-        while True:
-            self._offer()
-            await anyio.sleep(_POLL_PERIOD)
+    def _attended(self) -> bool:
+        """Whether somebody is there who may answer."""
+        if self._visitors is None:
+            return bool(self.server.get_clients())
+        return self._visitors.attended
 
-    async def _keep_showing(self) -> None:
-        while True:
-            self._offer()
-            with self._scope() as leave:
-                try:
-                    await self._show()
-                except NoHand as error:
-                    self._say(f"Not connected: {error}", BAD)
-                except BaseExceptionGroup as errors:  # from the task group of the session
-                    known, others = errors.split(RteeError)
-                    if others is not None:
-                        raise
-                    self._say(f"Not connected: {_first(known)}", BAD)
-                except RteeError as error:
-                    self._say(f"Cannot show the hand: {error}", BAD)
-            if not leave.cancelled_caught:  # another hand was chosen: show it now
-                await anyio.sleep(_POLL_PERIOD)
+    # --- windows
 
-    @contextlib.contextmanager
-    def _scope(self) -> Iterator[anyio.CancelScope]:
-        with anyio.CancelScope() as scope:
-            self._leave = scope
-            try:
-                yield scope
-            finally:
-                self._leave = None
+    def open(self, stage: Stage) -> Page:
+        """Open a page in a window, or in all at once; must be called in the event loop."""
+        assert self._group is not None  # noqa: S101 - `run` comes first
+        number = stage.client_id if isinstance(stage, viser.ClientHandle) else 0
+        page = self.pages[number] = Page(self, stage)
+        self._group.start_soon(page.run)
+        return page
+
+    def _come(self, client: viser.ClientHandle) -> None:
+        async def opened() -> None:
+            self.open(client)
+
+        self._bridge.call(opened)
+
+    def _go(self, number: int) -> None:
+        async def closed() -> None:
+            page = self.pages.pop(number, None)
+            if page is not None:
+                await page.close()
+
+        self._bridge.call(closed)
+
+    # --- hands
+
+    def watch(self, name: str | None = None) -> Watch:
+        """Return what watches a hand; by default, the one that was asked for or runs."""
+        name = name or self._wanted or ""
+        if name not in self._watches:
+            assert self._group is not None  # noqa: S101
+            found = self._watches[name] = Watch(name or None, self.endpoint)
+            self._group.start_soon(found.run)
+        return self._watches[name]
 
     def _offer(self) -> None:
-        if self._endpoint is not None:
-            return
-        # The chosen hand stays in the list while it is away, since it is shown when it returns.
-        names = tuple(sorted({*hands_running(), *([self._wanted] if self._wanted else [])}))
-        if self._wanted is None and names:
-            self._wanted = names[0]
-        if names and tuple(self._hands.options) != names:
-            self._hands.options = names
-            self._hands.value = self._wanted or names[0]
+        if self.endpoint is None:
+            names = tuple(hands_running())
+            if self._wanted is None and names:
+                self._wanted = names[0]
+                for page in self.pages.values():
+                    page.choose(names[0])
+            for page in self.pages.values():
+                page.offer(names)
 
-    async def _show(self) -> None:
-        if self._wanted is None and self._endpoint is None:
-            raise NoHand("no hand is running here; start one with `rtee run HAND`")
-        async with connect(self._wanted, endpoint=self._endpoint, client="gui") as remote:
-            hand = await model_of(remote)
-            self._bridge.role = remote.role
-            if self._endpoint is not None:
-                self._hands.options = (remote.name,)
-            session = Session(self._bridge, remote, hand, self._top)
-            self._say(f"{remote.name}: connected", GOOD)
-            self.session = session
-            try:
-                await session.run()
-            finally:
-                self.session = None
-                # Leave properly: the hand treats a client that just vanishes as lost.
-                with anyio.CancelScope(shield=True):
-                    # First, since the work of clicks would go on with controls that are removed.
-                    await self._bridge.close()
-                    await session.leave()
-                    await remote.leave()
-                session.remove()
+    # --- what the bar says and does
+
+    def _truth(self, window: int | None) -> Truth:
+        page = self.pages.get(-1 if window is None else window)
+        return Truth() if page is None else page.watch.truth
+
+    def words(self, window: int | None) -> dict[str, object]:
+        """Return what a window's bar says."""
+        truth = self._truth(window)
+        names = {n: "" if p.session is None else p.session.client for n, p in self.pages.items()}
+        own = names.pop(-1 if window is None else window, "")
+        page = self.pages.get(-1 if window is None else window)
+        past = "" if page is None or page.session is None else page.session.recorded
+        held = truth.held()
+        return {
+            "run": self._run,
+            "title": f"{truth.hand or 'rtee'}: {held.text}",
+            "held": Words(f"hand now: {held.text}", held.tone) if past else held,
+            "link": truth.link(),
+            "mode": Words(f"RECORDING {past}: not the hand", Tone.WARN)
+            if past
+            else truth.control(own, list(names.values())),
+            "doing": truth.doing(),
+            "old": truth.stale and not past,
+            "recorded": bool(past),
+        }
+
+    def press(self, button: str, window: int | None) -> None:
+        """Do what a button of a window's bar says; from any thread."""
+        page = self.pages.get(-1 if window is None else window)
+        if button == "stop":
+            self._bridge.call(lambda: self._stop(page))
+        elif page is not None and button == "narrow":
+            page.narrow = True
+            if page.session is not None:
+                page.session.fold()
+        elif page is not None and page.session is not None:
+            page.bridge.call(page.session.live, always=True)
+
+    async def _stop(self, page: Page | None) -> None:
+        truth = Truth(self._wanted or "") if page is None else page.watch.truth
+        truth.stopped = Words(f"{clock()} stopping …", Tone.WARN)
+        confirmed: dict[str, bool] = {}
+        try:
+            if page is None or page.session is None or truth.stale:
+                hand = truth.hand or None
+                confirmed = (await stop_hand(hand, endpoint=self.endpoint, client="gui"))[1]
+            else:
+                confirmed = await page.session.stop()
+            why = "no answer"
+        except RteeError as error:
+            why = str(error)
+        silent = ", ".join(name for name, done in confirmed.items() if not done)
+        if not confirmed:
+            words = Words(f"{clock()} STOP has NOT reached the hand: {why}", Tone.BAD)
+        elif silent:
+            words = Words(f"{clock()} STOP NOT confirmed by {silent}", Tone.BAD)
+        else:
+            words = Words(f"{clock()} stopped, confirmed by {', '.join(confirmed)}", Tone.WARN)
+        truth.stopped = words
 
 
 _LINKS: Final = {Role.OPERATOR: "GUI at", Role.OBSERVER: "to watch and stop only:"}
@@ -223,6 +333,8 @@ async def serve(
     # imports, it does so every few minutes instead of hours, and has fewer to examine.
     gc.collect()
     gc.freeze()
+    # What was begun in a window goes on when it has gone, and what that tells goes nowhere.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     give_memory_back()
     for role, link in access.links(server.get_port()).items():
         print(f"rtee: {_LINKS[role]} {link}", flush=True)  # noqa: T201

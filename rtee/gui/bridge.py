@@ -5,36 +5,47 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import viser
 
-from rtee.errors import RteeError
-from rtee.gui.visitors import Visitors
+from rtee.errors import RequestRejected, RteeError
 from rtee.messages.requests import Role
 
 log = logging.getLogger(__name__)
 
 Work = Callable[[], Awaitable[object]]
 
+Stage: TypeAlias = viser.ViserServer | viser.ClientHandle
+"""Where panels are built: one window, or all that are open."""
+
 _SECONDS: Final = 6.0
 """Time for which a notification is shown [s]: enough to read two lines."""
 
 
 class Bridge:
-    """Runs the work of clicks in the event loop, and shows errors as notifications."""
+    """Runs the work of a window's clicks in the event loop, and shows errors as notifications.
 
-    def __init__(self, server: viser.ViserServer, visitors: Visitors | None = None) -> None:
+    Attributes:
+        stage: The window.
+        role: What the hand lets this window's client do.
+        refused: Why nothing is done for this window now, or an empty string.
+    """
+
+    def __init__(self, stage: Stage) -> None:
         """Use the running event loop; must be called in it."""
-        self.server = server
+        self.stage = stage
         self.role = Role.MAINTAINER
-        self._visitors = visitors
+        self.refused = ""
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
 
-    def call(self, work: Work) -> None:
-        """Run a function in the event loop; may be called from any thread."""
-        self._loop.call_soon_threadsafe(self._start, work)
+    def call(self, work: Work, *, always: bool = False) -> None:
+        """Run a function in the event loop; may be called from any thread.
+
+        Only what is ``always`` allowed is done while this window is refused.
+        """
+        self._loop.call_soon_threadsafe(self._start, work, always)
 
     def clicked(self, work: Work) -> Callable[[object], Coroutine[None, None, None]]:
         """Return a callback for a control that runs a function in the event loop.
@@ -48,13 +59,15 @@ class Bridge:
 
         return follow
 
-    def _start(self, work: Work) -> None:
-        task = asyncio.ensure_future(self._guarded(work))
+    def _start(self, work: Work, always: bool) -> None:
+        task = asyncio.ensure_future(self._guarded(work, always))
         self._working.add(task)  # the event loop itself keeps only a weak reference
         task.add_done_callback(self._working.discard)
 
-    async def _guarded(self, work: Work) -> None:
+    async def _guarded(self, work: Work, always: bool) -> None:
         try:
+            if self.refused and not always:
+                raise RequestRejected(self.refused)
             await work()
         except RteeError as error:
             self.notify("Refused", str(error), "orange")
@@ -63,11 +76,6 @@ class Bridge:
         except Exception as error:
             log.exception("a click failed")
             self.notify("Failed", f"{type(error).__name__}: {error}", "red")
-
-    def leave_to_everybody(self, *controls: object) -> None:
-        """Let observers use these controls and no others."""
-        if self._visitors is not None:
-            self._visitors.leave_to_everybody(*controls)
 
     def may(self, role: Role) -> bool:
         """Return whether the hand grants this GUI at least a role."""
@@ -81,20 +89,17 @@ class Bridge:
             else:
                 control.disabled = True
 
-    @property
-    def watched(self) -> bool:
-        """Whether the page is open in any window."""
-        return bool(self.server.get_clients())
-
-    @property
-    def attended(self) -> bool:
-        """Whether the page is open in a window that may move the hand."""
-        return self.watched if self._visitors is None else self._visitors.attended
-
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
-        """Show a notification in every window."""
-        for client in self.server.get_clients().values():
-            client.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
+        """Show a notification."""
+        stage = self.stage
+        windows = [stage] if isinstance(stage, viser.ClientHandle) else stage.get_clients().values()
+        for window in windows:
+            window.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
+
+    async def done(self) -> None:
+        """Wait until the work of all clicks is done."""
+        while self._working:
+            await asyncio.wait(self._working)
 
     async def close(self) -> None:
         """Cancel the work of clicks; requests of earlier clicks still reach the hand."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from typing import Final
 
 from rtee.hand import colours
@@ -56,6 +58,21 @@ def line_colour(index: int) -> str:
 def line_dash(index: int) -> tuple[int, ...]:
     """Return the dashes that distinguish lines of the same colour; none for the first seven."""
     return ((), (8, 3), (2, 3), (8, 3, 2, 3))[index // len(colours.PALETTE) % 4]
+
+
+def line_numbers(hand: Hand, owners: Iterable[str]) -> list[int]:
+    """Return the index of each line, so that it has the colour of its finger in the scene.
+
+    The fingers that own the lines are given by name; a finger's second line is dashed.
+    """
+    count: Counter[int] = Counter()
+    numbers = []
+    for owner in owners:
+        # What belongs to no finger comes after the last one.
+        finger = (*hand.finger_names, owner).index(owner) % len(colours.PALETTE)
+        numbers.append(finger + len(colours.PALETTE) * count[finger])
+        count[finger] += 1
+    return numbers
 
 
 def link_colours(hand: Hand) -> dict[str, Colour]:

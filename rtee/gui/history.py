@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
 import numpy as np
 
 from rtee.messages.state import State
 from rtee.sample import MEASURED, FloatArray
+from rtee.touch import TouchSensor, TouchState
 
 QUANTITIES: Final = tuple(MEASURED)
 """Quantities measured per actuator; ``reference`` positions come in addition."""
@@ -20,8 +22,8 @@ JOINT_QUANTITIES: Final = ("joint_position", "joint_velocity")
 LONGEST: Final = 60.0
 """Longest time that the plots can show [s]."""
 
-POINTS: Final = 400
-"""Most points of a line: a plot is about as many pixels wide."""
+POINTS: Final = 200
+"""Most points of a line: as many as a plot is wide in every second pixel."""
 
 
 class Source(Protocol):
@@ -77,6 +79,45 @@ class History:
         rows = numbers[numbers % stride(len(numbers)) == 0] % self._capacity
         values = self._values[name][rows].astype(np.float64)
         return (self._time[rows] - now, *(values[:, column] for column in columns))
+
+
+Windows = Mapping[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]
+"""By device: its sensors, times relative to now ``(k,)`` [s], and the sums ``(k, sensors)``."""
+
+_KEPT: Final = int(100 * LONGEST)
+"""Number of readings of touch kept per device: as long as the other plots, at 100 Hz."""
+
+
+class TouchHistory:
+    """The newest readings of the touch sensors."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, deque[TouchState]] = {}
+
+    def add(self, state: TouchState) -> None:
+        """Add a reading."""
+        kept = self._kept.setdefault(state.device, deque(maxlen=_KEPT))
+        # Readings of other sensors have another length and cannot be plotted together.
+        if kept and kept[-1].sensors is not state.sensors:
+            kept.clear()
+        kept.append(state)
+
+    def newest(self) -> list[TouchState]:
+        """Return the last reading of each device."""
+        return [kept[-1] for kept in self._kept.values()]
+
+    def windows(self, length: float) -> Windows:
+        """Return the readings of the last seconds, thinned for display."""
+        now = max((state.stamp for state in self.newest()), default=0.0)
+        windows = {}
+        for device, kept in self._kept.items():
+            stamps = np.array([state.stamp for state in kept]) - now
+            rows = np.flatnonzero(stamps >= -length)
+            # From the end, so that the newest reading is always among those kept.
+            rows = rows[::-1][:: stride(len(rows))][::-1]
+            sums = np.array([kept[row].totals for row in rows])
+            windows[device] = (kept[-1].sensors, stamps[rows], sums)
+        return windows
 
 
 def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]:

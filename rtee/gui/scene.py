@@ -9,6 +9,7 @@ import numpy as np
 import viser
 
 from rtee.gui.body import HandBody
+from rtee.gui.bridge import Stage
 from rtee.gui.colours import (
     CONTACT,
     PALM,
@@ -36,11 +37,11 @@ _GHOST = 0.35
 class HandScene:
     """The hand in the 3D view, with the object, the contact forces and the hand's taxels."""
 
-    def __init__(self, server: viser.ViserServer, hand: Hand) -> None:
+    def __init__(self, stage: Stage, hand: Hand) -> None:
         """Add a hand to the scene and aim the camera at it."""
         self.hand = hand
-        self._server = server
-        scene = server.scene
+        self._stage = stage
+        scene = stage.scene
         self._triangles = link_triangles(hand)
         self._colours = link_colours(hand)
         ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
@@ -76,12 +77,13 @@ class HandScene:
         low, high = cloud.min(axis=0), cloud.max(axis=0)
         size = max(float(np.linalg.norm(high - low)), 0.05)  # a model may have no shapes
         middle = 0.5 * (low + high)
-        camera = self._server.initial_camera
-        camera.look_at = tuple(middle)
+        stage = self._stage
+        camera = stage.camera if isinstance(stage, viser.ClientHandle) else stage.initial_camera
         camera.position = tuple(middle + size * np.array([0.68, 0.59, 0.4]))
+        camera.look_at = tuple(middle)
         # In proportion to the hand, so that a close look at a small one is not clipped.
         camera.near = 0.01 * size
-        self._server.scene.add_grid(
+        self._stage.scene.add_grid(
             "/floor",
             width=4.0 * size,
             height=4.0 * size,
@@ -97,7 +99,7 @@ class HandScene:
     def show(self, position: FloatArray) -> None:
         """Show measured joint positions ``(m,)`` [rad | m]."""
         if self._body.moved(position):
-            with self._server.atomic():
+            with self._stage.atomic():
                 self._body.set_joints(position)
 
     def show_reference(self, actuators: FloatArray | None) -> None:
@@ -140,12 +142,12 @@ class HandScene:
             where = np.array(point)
             reach = np.array(normal) * 0.12 * self._size
             self._contacts.append(
-                self._server.scene.add_icosphere(
+                self._stage.scene.add_icosphere(
                     f"/contacts/{index}/point", radius, CONTACT, position=tuple(where)
                 )
             )
             self._contacts.append(
-                self._server.scene.add_arrows(
+                self._stage.scene.add_arrows(
                     f"/contacts/{index}/normal",
                     np.array([[where - reach, where], [where + reach, where]], dtype=np.float32),
                     CONTACT,
@@ -163,7 +165,7 @@ class HandScene:
                 continue
             strength = min(max(share.get(finger.name, 0.0), 0.0), 1.0)
             if handle is None:
-                handle = self._server.scene.add_icosphere(
+                handle = self._stage.scene.add_icosphere(
                     f"/pressure/{finger.name}", 0.04 * self._size, ramp(strength), opacity=0.6
                 )
                 self._pressures[finger.name] = handle

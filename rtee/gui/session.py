@@ -5,22 +5,20 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import replace
 from functools import partial
 from html import escape
+from typing import Final
 
 import anyio
 import anyio.to_thread
 import numpy as np
 import viser
 
-from rtee import monotonic
 from rtee.actions.abduction import abduction_sentence
 from rtee.actions.describe import deeper_text
 from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive
-from rtee.errors import ConfigError, RequestRejected, RteeError
+from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
-from rtee.gui.history import LONGEST
 from rtee.gui.panels.action_editor import MakingPanel
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
@@ -33,43 +31,24 @@ from rtee.gui.panels.trying import TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.gui.trial_results import key_of, tried_in
-from rtee.gui.wording import small
+from rtee.gui.watch import Watch
+from rtee.gui.wording import put, small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
-from rtee.objects.description import OBJECT_POSE, ObjectDescription
 from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
 from rtee.sample import FloatArray
 from rtee.touch import TouchState
 from rtee.types import Event, from_rest
 
-_STATE_RATE = 100.0
-"""States received per second [Hz]: enough for smooth lines in the plots."""
-
-_SCENE_PERIOD = 1 / 30
-"""Time between two updates of the 3D view [s]: 30 pictures per second look fluent."""
-
-_UNWATCHED_PERIOD = 0.25
-"""Time between two updates while no window is open [s]: they only fill the plots' history."""
-
-_UNWATCHED_STEP = 5
-"""While no window is open, every fifth state goes into the history."""
-
 _PLOT_PERIOD = 1 / 8
 """Time between two updates of the plots [s]: each costs the browser some milliseconds."""
 
+_QUIET_PERIOD = 1.0
+"""The same while nothing moves the hand [s]: plots are most of what is sent."""
+
 _TABLE_PERIOD = 1 / 4
 """Time between two updates of the tables [s]: numbers that change faster cannot be read."""
-
-_STATUS_PERIOD = 0.5
-"""Time between two requests for the status [s]."""
-
-UNATTENDED = 3.0
-"""Time without an operator's window after which the hand is given back [s]: a window that is
-reloaded is there again sooner."""
-
-_WINDOWS_PERIOD = 0.25
-"""Time between two looks for windows [s]: short beside `UNATTENDED`."""
 
 _PANEL_WIDTH = 330
 """Width of the panel with plots and tables [pixels]: a third of a small laptop's screen."""
@@ -79,7 +58,7 @@ _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
 
 _VIEWS = {
     "Reference": (False, "Show the set-points sent as a grey ghost"),
-    "Effort": (True, "Darken fingers by the effort they exert, as a share of limits"),
+    "Effort": (True, "Darken fingers by the effort they exert, in percent of their limits"),
     "Contacts": (True, "Mark where the tips of the current action touch"),
     "Pressure": (True, "Show the pressure at the tips, where the hand measures it"),
     "Touch": (True, "Colour the taxels on the hand by what they measure"),
@@ -89,36 +68,45 @@ _VIEWS = {
 """Check boxes of the 3D view: by label, whether ticked at first, and the hint."""
 
 
+_PAST: Final = "this window shows a recording; go back to live first"
+
+
 class Session:
-    """A running hand in the GUI, until it ends or another hand is chosen."""
+    """A running hand in a window, until the hand or the window goes, or another hand is chosen."""
 
     def __init__(
-        self, bridge: Bridge, remote: RemoteHand, hand: Hand, top: viser.GuiFolderHandle
+        self,
+        bridge: Bridge,
+        remote: RemoteHand,
+        watch: Watch,
+        top: viser.GuiFolderHandle,
+        *,
+        narrow: bool = False,
     ) -> None:
-        """Build the panels; the folder ``top`` stays visible when the panel is scrolled."""
-        self._bridge = bridge
-        self._remote = remote
-        self._hand = hand
-        server = bridge.server
-        gui = server.gui
-        self._scene = HandScene(server, hand)
-        self._state: State | None = None
+        """Build the panels; the folder ``top`` is above them. The hand must have been connected.
+
+        In a narrow window, the plots are folded away.
+        """
+        assert watch.hand is not None  # noqa: S101
+        assert watch.history is not None  # noqa: S101
+        hand = watch.hand
+        self._bridge, self._remote, self._watch, self._hand = bridge, remote, watch, hand
+        gui = bridge.stage.gui
+        self._scene = HandScene(bridge.stage, hand)
         self._pressed = False
         self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
-        self._object: ObjectDescription | None = None
         self._known: list[Action] = []
-        self._touched: dict[str, TouchState] = {}
         with top:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
         with self._tabs.add_tab("Actions"):
             self._actions = ActionsPanel(bridge, remote, self._show, partial(_remark, hand))
-        with self._tabs.add_tab("Make"):
+        with self._tabs.add_tab("Teach"):
             self._making = MakingPanel(bridge, remote, hand)
-        with self._tabs.add_tab("Try"):
+        with self._tabs.add_tab("Simulate"):
             self._trying = TryPanel(bridge, remote, hand, self._actions.add_trial, self._show_grasp)
-        with self._tabs.add_tab("Log"):
+        with self._tabs.add_tab("Recordings"):
             self._recordings = RecordingsPanel(bridge, remote, hand, self._look_at)
         with self._tabs.add_tab("View"):
             self._views = {
@@ -128,13 +116,25 @@ class Session:
             self._forces = gui.add_html("")
         self._panel = gui.add_panel()
         with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
-            self._plots = PlotsPanel(gui, hand)
+            self._plots = PlotsPanel(gui, hand, watch.history)
         with self._panel.add_tab("Joints", viser.Icon.TABLE):
             self._table = TablePanel(gui, hand)
         with self._panel.add_tab("Touch", viser.Icon.HAND_FINGER):
             self._touch_panel = TouchPanel(gui)
         self._panel.dock_left()
         self._panel.set_width(_PANEL_WIDTH)
+        if narrow:
+            self.fold()
+
+    @property
+    def client(self) -> str:
+        """This window's name on the network."""
+        return self._remote.client
+
+    @property
+    def recorded(self) -> str:
+        """What of the past this window shows, or an empty string if it shows the hand."""
+        return "" if self._playback is None else self._recordings.place
 
     @property
     def cards(self) -> dict[tuple[ActionKind, str], Card]:
@@ -164,7 +164,8 @@ class Session:
 
     def _target(self, posture: Posture, intensity: float) -> FloatArray:
         # Actuators that an action does not involve stay at their reference.
-        start = self._hand.rest if self._state is None else self._state.reference_position
+        state = self._watch.truth.state
+        start = self._hand.rest if state is None else state.reference_position
         target = np.array(start)
         for name in posture.involved:
             index = self._hand.actuator_index(name)
@@ -174,6 +175,9 @@ class Session:
     def _look_at(self, playback: Playback | None) -> None:
         self._playback = playback
         self._plots.follow(playback)
+        self._bridge.refused = "" if playback is None else _PAST
+        if playback is not None:
+            self._making.jog.give_back()
 
     async def _refresh(self) -> None:
         self._known = await self._actions.refresh()
@@ -184,30 +188,10 @@ class Session:
         """Update all panels; ends with `NoHand` when the hand has ended."""
         # Subscribed first, so that no change of the actions is missed.
         events = self._remote.events()
+        await self._request_trials()  # by which the cards are ordered
         await self._refresh()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._follow_events, events)
-            tasks.start_soon(self._follow_status)
-            tasks.start_soon(self._follow_states)
-            tasks.start_soon(self._follow_object)
-            tasks.start_soon(self._follow_touch)
-            tasks.start_soon(self._follow_windows)
-            await self._request_trials()
-
-    async def _follow_object(self) -> None:
-        """Request the simulated object once its pose is among the channels of the states."""
-        with contextlib.suppress(RteeError):  # a hand of an earlier version has no such request
-            while self._object is None:
-                await anyio.sleep(_STATUS_PERIOD)
-                channels = () if self._state is None else self._state.channels
-                if any(name.endswith(f"/{OBJECT_POSE}") for name in channels):
-                    self._object = await self._remote.object_description()
-
-    async def _follow_touch(self) -> None:
-        with contextlib.suppress(RequestRejected):  # refused by a hand of an earlier version
-            async for state in self._remote.touch_states():
-                self._touched[state.device] = state
-                self._touch_panel.add(state)
 
     async def _request_trials(self) -> None:
         # Refused by a hand of an earlier version; a damaged file must not end the session either.
@@ -228,71 +212,44 @@ class Session:
             title = event.kind.replace("_", " ")
             self._bridge.notify(title, event.text, _COLOURS.get(event.severity, "blue"))
 
-    async def _follow_status(self) -> None:
-        while True:
-            status = await self._remote.status()
-            self._header.show(status, jogs=self._making.jog.holding)
-            self._table.show_status(status)
-            self._making.show_status(status)
-            self._recordings.show_status(status)
-            await anyio.sleep(_STATUS_PERIOD)
-
-    async def _follow_windows(self) -> None:
-        """Give the hand back when nobody has been there for a while who could."""
-        attended = monotonic.now()
-        while True:
-            await anyio.sleep(_WINDOWS_PERIOD)
-            if self._bridge.attended:
-                attended = monotonic.now()
-            elif monotonic.now() - attended > UNATTENDED and self._making.jog.holding:
-                self._making.jog.give_back()
-
-    async def _follow_states(self) -> None:
-        """Draw the states received meanwhile, 30 times per second while a window is open."""
-        # As many states as the plots show are kept, even if drawing is delayed for that long.
-        most = round(_STATE_RATE * LONGEST)
-        async with self._remote.collected_states(_STATE_RATE, most) as states:
-            while True:
-                watched = self._bridge.watched
-                await anyio.sleep(_SCENE_PERIOD if watched else _UNWATCHED_PERIOD)
-                for state in states.drain(1 if watched else _UNWATCHED_STEP):
-                    self._receive(state)
-                if watched:
-                    # In one message, which costs less and leaves no window with half a state.
-                    with self._bridge.server.atomic():
-                        self._draw(monotonic.now())
-
-    def _receive(self, state: State) -> None:
-        names = self._hand.joint_names
-        if state.joint_names != names:  # the hand sends them in another order than the model here
-            by_name = state.joints
-            position = np.array([by_name.get(name, math.nan) for name in names])
-            state = replace(state, joint_names=names, joint_position=position)
-        self._state = state
-        speeds = self._hand.transmission.velocities(state.position, state.velocity)
-        self._plots.history.add(state, speeds)
+    def draw(self, now: float) -> None:
+        """Draw what is new; called about 30 times per second."""
+        # In one message, which costs less and leaves no window with half a state.
+        with self._bridge.stage.atomic():
+            self._draw(now)
 
     def _draw(self, now: float) -> None:
-        state, playback = self._state, self._playback
+        watch, playback = self._watch, self._playback
         self._recordings.advance()
-        if playback is not None:
-            state = playback.state()
-        if state is None:
-            return
-        self._draw_hand(state)
-        if now >= self._plots_due:
-            self._plots_due = now + _PLOT_PERIOD
+        state = watch.truth.state if playback is None else playback.state()
+        if state is None or (playback is None and watch.truth.stale):
+            state = None  # the last picture stays, marked as old
+        if state is not None:
+            self._draw_hand(state)
+        if now >= self._plots_due and state is not None:
+            quiet = playback is None and not watch.truth.busy
+            self._plots_due = now + (_QUIET_PERIOD if quiet else _PLOT_PERIOD)
             self._plots.draw()
-            panel = self._touch_panel
-            panel.draw(panel.live() if playback is None else playback.touch_windows(panel.length))
+            source = watch.touched.windows if playback is None else playback.touch_windows
+            self._touch_panel.draw(source(self._touch_panel.length))
         if now >= self._table_due:
             self._table_due = now + _TABLE_PERIOD
-            self._table.show_state(state)
-            self._touch_panel.show(self._touch_now())
-            contacts = self._scene.seen.summary(tuple(self._hand.urdf.links))
-            self._forces.content = small(escape(contacts))
-            if playback is None:
-                self._making.show_state(state)
+            self._header.show(watch.truth, jogs=self._making.jog.holding)
+            status = watch.truth.status
+            if status is not None:
+                self._table.show_status(status)
+                self._making.show_status(status)
+                self._recordings.show_status(status)
+            if state is not None:
+                self._show_numbers(state)
+
+    def _show_numbers(self, state: State) -> None:
+        self._table.show_state(state)
+        self._touch_panel.show(self._touch_now())
+        contacts = self._scene.seen.summary(tuple(self._hand.urdf.links))
+        put(self._forces, small(escape(contacts)))
+        if self._playback is None:
+            self._making.show_state(state)
 
     def _draw_hand(self, state: State) -> None:
         view = {label: box.value for label, box in self._views.items()}
@@ -306,7 +263,7 @@ class Session:
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
         playback = self._playback
-        held = self._object if playback is None else playback.object_description
+        held = self._watch.described if playback is None else playback.object_description
         self._scene.seen.describe(held if view["Object"] else None)
         self._scene.seen.show(state.channels, forces=view["Contact forces"])
 
@@ -323,7 +280,9 @@ class Session:
 
     def _touch_now(self) -> Sequence[TouchState]:
         """Return the last readings of the touch sensors, live or at the time of a recording."""
-        return list(self._touched.values()) if self._playback is None else self._playback.touch()
+        if self._playback is None:
+            return self._watch.touched.newest()
+        return self._playback.touch()
 
     def _pressures(self, state: State) -> dict[str, float]:
         """Return the pressure of each finger without taxels, as a share of the largest."""
@@ -337,6 +296,18 @@ class Session:
                 drawn = self._scene.taxels.fingers
                 return {f: share for f, share in shares.items() if f not in drawn}
         return {}
+
+    def fold(self) -> None:
+        """Fold the plots away."""
+        self._panel.minimize()
+
+    async def live(self) -> None:
+        """Show the running hand again, instead of a recording."""
+        await self._recordings.live()
+
+    async def stop(self) -> dict[str, bool]:
+        """Stop the hand; return whether each device has confirmed."""
+        return await self._remote.stop()
 
     async def leave(self) -> None:
         """Release the lease if it is held for jogging."""

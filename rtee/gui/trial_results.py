@@ -83,7 +83,9 @@ def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
     """Return the summary of an action's trials: ``held 7 of 12 objects``."""
     held = sum(result.held for result in results)
     fitting = sum(result.fits for result in results)
-    words = f"held {held} of {fitting} object{'s' if fitting != 1 else ''}"
+    if not fitting:
+        return "not tried: no object fits"
+    words = f"in simulation: held {held} of {fitting} object{'s' if fitting != 1 else ''}"
     words += " that fit" if fitting < len(results) else ""
     return f"{words}, outdated" if outdated else words
 

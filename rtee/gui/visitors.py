@@ -23,9 +23,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from rtee.errors import LoopError
-from rtee.gui import headset
+from rtee.gui import bar, headset
 from rtee.gui.access import HEADERS, Access, Role, only_operators, page_of
-from rtee.gui.colours import STOP
 from rtee.gui.headset import PAGE, PATH, Follow
 
 PING_PERIOD: Final = 2.0
@@ -50,19 +49,17 @@ _COMMAND: Final = "CommandTriggerMessage"
 _LONGEST_TEXT: Final = 10_000
 """Longest text in a control [characters]: several pages, more than a person types."""
 
-_STOP_BUTTON: Final = f'.mantine-Paper-root button[style*="#{bytes(STOP).hex()}"]'
-"""CSS selector of STOP by its colour, which no other button has: viser sets no id or class."""
-
-_WATCHING: Final = f"""<style>
+_WATCHING: Final = """<style>
 .mantine-Paper-root :is(button, input, label, .mantine-Slider-root, .mantine-Input-wrapper)
-  {{ pointer-events: none; opacity: 0.5; }}
-{_STOP_BUTTON}, {_STOP_BUTTON} * {{ pointer-events: auto; opacity: 1; }}
-</style><div role="note" style="padding:0.25em 0.75em">You watch: only STOP works here.</div>"""
+  { pointer-events: none; opacity: 0.5; }
+</style><div role="note" style="padding:0.25em 0.75em">View only. STOP works.</div>"""
 
-_role: contextvars.ContextVar[Role] = contextvars.ContextVar("role")
+_visitor: contextvars.ContextVar[Visitor] = contextvars.ContextVar("visitor")
 
 Handler = Callable[[ServerConnection], Awaitable[None]]
 Process = Callable[[ServerConnection, Request], Response | None]
+Come = Callable[[viser.ClientHandle], object]
+Gone = Callable[[int], object]
 
 
 _LARGEST_WHOLE: Final = 2**53
@@ -153,17 +150,20 @@ def _is_like(value: object, present: object) -> bool:
 class Visitors:
     """The people who have the page open, and their permissions.
 
-    ``guarded`` is set once viser has called the wrapper that checks access.
+    ``guarded`` is set once viser has called the wrapper that checks access; the ``desk`` is what
+    the bar above the page shows, if it has one.
     """
 
     def __init__(self, access: Access, follow: Follow | None = None) -> None:
         """Admit the holders of the tokens of ``access``; a headset's frames go to ``follow``."""
         self.guarded = False
+        self.desk: bar.Desk | None = None
         self._follow = follow
         self._access = access
         self._server: viser.ViserServer | None = None
-        self._for_everybody: frozenset[str] = frozenset()
         self._operators: set[int] = set()
+        self._come: Come = lambda client: None
+        self._gone: Gone = lambda number: None
 
     def open_server(self, port: int) -> viser.ViserServer:
         """Start the browser's server at a port, or at the next free one if it is in use.
@@ -183,7 +183,7 @@ class Visitors:
             options |= {"ping_interval": PING_PERIOD, "ping_timeout": PONG_WITHIN}
             options["close_timeout"] = _CLOSE_WITHIN
             return serve(
-                _in_role(handler, self._follow),
+                self._in_role(handler),
                 *args,
                 process_request=self._judged(process_request),
                 create_connection=self._connection_class(),
@@ -212,23 +212,31 @@ class Visitors:
         """Whether a window of an operator is open."""
         return bool(self._operators)
 
+    def tell(self, come: Come, gone: Gone) -> None:
+        """Tell of the windows that are open, that open, and that close; in viser's thread."""
+        self._come, self._gone = come, gone
+        for client in tuple(self._server.get_clients().values()) if self._server else ():
+            come(client)
+
     async def _greet(self, client: viser.ClientHandle) -> None:
-        """Disable and dim the controls in an observer's page, all but STOP."""
-        if _role.get(Role.OBSERVER) is Role.OBSERVER:
+        """Disable and dim the controls in an observer's page."""
+        visitor = _visitor.get(None)
+        if visitor is None or visitor.role is not Role.OPERATOR:
             client.gui.add_html(_WATCHING, order=-2)
         else:
             self._operators.add(client.client_id)
+        if visitor is not None:
+            visitor.window = client
+        self._come(client)
 
     async def _forget(self, client: viser.ClientHandle) -> None:
         self._operators.discard(client.client_id)
+        self._gone(client.client_id)
 
-    def leave_to_everybody(self, *controls: Any) -> None:
-        """Let observers use these buttons and commands and no others."""
-        # viser has no public name for the id of a control in the messages of a page.
-        self._for_everybody = frozenset(control._impl.uuid for control in controls)  # noqa: SLF001
-
-    def admits(self, role: Role | None, message: str | bytes) -> bool:
-        """Return whether the server may receive a message of a page."""
+    def admits(
+        self, role: Role | None, message: str | bytes, window: viser.ClientHandle | None = None
+    ) -> bool:
+        """Return whether the server may receive a message of a page, which may have controls."""
         try:
             # viser's page sends only binary messages, so that a text is not from it.
             read = _READER.decode(message if isinstance(message, bytes) else b"")
@@ -236,13 +244,14 @@ class Visitors:
             return False
         if role is None or isinstance(read, _Camera):
             return role is not None and read.is_finite
-        if role is not Role.OPERATOR and read.uuid not in self._for_everybody:
+        if role is not Role.OPERATOR:
             return False
         if isinstance(read, _Command):
             return True
         # viser has no public way to a control by its id in the messages of a page.
-        known = {} if self._server is None else self._server.gui._gui_input_handle_from_uuid  # noqa: SLF001
-        control = known.get(read.uuid)
+        pages = [page for page in (window, self._server) if page is not None]
+        found = (page.gui._gui_input_handle_from_uuid.get(read.uuid) for page in pages)  # noqa: SLF001
+        control = next((each for each in found if each is not None), None)
         return control is not None and _fits(read.updates.value, control)
 
     def _judged(self, process: Process | None) -> Process:
@@ -257,13 +266,31 @@ class Visitors:
                     connection.headset = judged is Role.OPERATOR
                     if not (connection.headset and request.headers.get_all("Upgrade")):
                         return page_of(PAGE) if connection.headset else only_operators()
+                connection.bar = request.path == bar.PATH and self.desk is not None
             response = None if process is None else process(connection, request)
             if response is not None:
+                if self.desk is not None:
+                    bar.put_into(response)
                 for name, value in HEADERS.items():
                     response.headers[name] = value
             return response
 
         return judge
+
+    def _in_role(self, handler: Handler) -> Handler:
+        async def handle(connection: ServerConnection) -> None:
+            if self._follow is not None and getattr(connection, "headset", False):
+                await headset.handle(connection, self._follow)
+            elif self.desk is not None and getattr(connection, "bar", False):
+                await bar.handle(connection, self.desk)
+            else:
+                # viser calls `_greet` for this connection in this task or a child of it, which
+                # inherits the context variable.
+                if isinstance(connection, Visitor):
+                    _visitor.set(connection)
+                await handler(connection)
+
+        return handle
 
     def _connection_class(self) -> type[Visitor]:
         class Guarded(Visitor):
@@ -281,26 +308,15 @@ class Visitor(ServerConnection):
     visitors: Visitors
     role: Role | None = None
     headset = False
+    bar = False
+    window: viser.ClientHandle | None = None
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that the page may send."""
         while True:
             message = await super().recv(decode)
-            if self.headset or self.visitors.admits(self.role, message):
+            if self.headset or self.bar or self.visitors.admits(self.role, message, self.window):
                 return message
-
-
-def _in_role(handler: Handler, follow: Follow | None) -> Handler:
-    async def handle(connection: ServerConnection) -> None:
-        if follow is not None and getattr(connection, "headset", False):
-            await headset.handle(connection, follow)
-            return
-        # viser calls `Visitors._greet` for this connection in this task or a child of it, which
-        # inherits the context variable. Without a known role, a page counts as an observer's.
-        _role.set(getattr(connection, "role", None) or Role.OBSERVER)
-        await handler(connection)
-
-    return handle
 
 
 class _NoRefusals(logging.Filter):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from html import escape
 from typing import Final
 
@@ -45,7 +45,7 @@ def coloured(text: str, colour: str) -> str:
     return small(f'<span style="color:{colour}">{escape(text)}</span>')
 
 
-def legend(names: Mapping[int, str], hint: str = "") -> str:
+def legend(names: Iterable[tuple[int, str]], hint: str = "") -> str:
     """Return the HTML legend of the lines of a plot, whose index selects colour and dashes.
 
     A hint in HTML may follow.
@@ -55,11 +55,11 @@ def legend(names: Mapping[int, str], hint: str = "") -> str:
         '<span style="display:inline-block;width:1.3em;vertical-align:middle;'
         f'border-top:3px {"dashed" if line_dash(i) else "solid"} {line_colour(i)}"></span> '
         f"{escape(name)}</span>"
-        for i, name in names.items()
+        for i, name in names
     )
     return (
         f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
-        f'<span style="color:#7a7f87">{hint}</span></div>'
+        f'<span style="color:#5f6570">{hint}</span></div>'
     )
 
 
@@ -72,6 +72,12 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
 def units(quantity: str, kinds: Collection[str]) -> str:
     """Return the unit of a quantity for actuators or joints of these kinds."""
     return MEASURED[quantity].unit_for(kinds)
+
+
+def put(place: viser.GuiHtmlHandle, html: str) -> None:
+    """Show HTML; viser sends each assignment, so that only changes are made."""
+    if place.content != html:
+        place.content = html
 
 
 def offer(dropdown: viser.GuiDropdownHandle[str], names: Iterable[str]) -> None:

@@ -43,6 +43,16 @@ class Agents:
         self._file = place.with_suffix(_SUFFIX)
         self._out = self._read()
         self._kept = self._out
+        self._met = False
+
+    def meet(self, client: str) -> None:
+        """Note that a client has come: only where agents have been is told that they are out."""
+        self._met |= is_agent(client)
+
+    @property
+    def told(self) -> str:
+        """What the status says: `out`, where an agent has been since the hand runs."""
+        return self._out if self._met else ""
 
     @property
     def out(self) -> str:

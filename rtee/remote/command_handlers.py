@@ -41,7 +41,7 @@ class CommandHandlers:
 
     def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread, agents: Agents) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
-        self._agents = agents
+        self.agents = agents
         self._lock = threading.Lock()
         self._stop_lock = threading.Lock()
         self._stopping: list[tuple[str, Stopped]] = []
@@ -80,7 +80,7 @@ class CommandHandlers:
         with self._lock:
             # Under the lock, so that no other client gets the lease between check and command.
             if name not in _WITHOUT_LEASE:
-                self._agents.check(request.client)
+                self.agents.check(request.client)
                 self._lease.check(request.client)
             self._moves += 1
             text = self._handlers[name](request) if goal is None else self._do(goal)
@@ -119,9 +119,9 @@ class CommandHandlers:
         gets the same answer. Each shuts agents out.
         """
         # First, so that no agent's goal comes after the stop; on disk afterwards, which takes time.
-        self._agents.shut_out(f"stopped by {client or 'a client'}")
+        self.agents.shut_out(f"stopped by {client or 'a client'}")
         self._begin_stop(client, answer)
-        self._agents.keep()
+        self.agents.keep()
 
     def _begin_stop(self, client: str, answer: Stopped) -> None:
         with self._stop_lock:
@@ -244,7 +244,7 @@ class CommandHandlers:
         return ""
 
     def _admit(self, request: IncomingRequest) -> str:
-        self._agents.admit(request.client)
+        self.agents.admit(request.client)
         text = f"{request.client} has let agents in"
         event = Event("agents_admitted", request.client, text, monotonic.now())
         self._thread.call_soon(self._loop.announce, event)

@@ -204,7 +204,7 @@ class QueryHandlers:
             "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
             "stream": asdict(stream),
-            "agents_out": self._agents.out,
+            "agents_out": self._agents.told,
             "counts": self._counts(),
         }
 

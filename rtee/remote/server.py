@@ -253,6 +253,8 @@ class Server:
 
     def _on_hello(self, query: zenoh.Query) -> None:
         def handle(request: IncomingRequest) -> None:
+            # Before it is answered, so that its first question for the status tells.
+            self._commands.agents.meet(str(request.fields["client"]))
             self._identities.hello(request, last_part(query))
 
         replier = self._replier(query, self.outbox)

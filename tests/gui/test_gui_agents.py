@@ -13,8 +13,8 @@ from remote.serving import make_hand, make_library, serving, until
 import rtee
 from rtee.errors import GoalRejected
 from rtee.gui.app import App
-from rtee.gui.bridge import Bridge
 from rtee.remote import approval
+from rtee.remote.agents import AGENT
 from rtee.remote.approval import approve
 
 from .test_gui_app import apart, server, shows
@@ -41,7 +41,7 @@ async def pressed(server: viser.ViserServer, label: str) -> None:
 async def test_a_person_answers_in_the_page(
     server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Bridge, "attended", True)
+    monkeypatch.setattr(App, "_attended", lambda app: True)
     monkeypatch.setattr(approval, "CALM", 0.0)
     asked: list[str] = []
 
@@ -85,6 +85,10 @@ async def test_a_person_lets_agents_in(server: viser.ViserServer, tmp_path: Path
         async with rtee.connect("small") as person:
             assert button(server, "Let agents in") is None
             await person.stop()
+            # Where no agent has ever been, there is nothing to tell.
+            assert (await person.status()).agents_out == ""
+            async with rtee.connect("small", client=AGENT):
+                assert "stopped" in (await person.status()).agents_out
             await pressed(server, "Let agents in")
             await until(lambda: button(server, "Let agents in") is None)
             assert (await person.status()).agents_out == ""

@@ -244,8 +244,8 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     found = tried.results
     posture = full_posture(hand, {hand.actuator_names[1]: 0.1})
     trig = Primitive(PrimitiveKind.TRIG, ("index",), (posture,))
-    assert line(found[key_of(trig)]) == "held 1 of 2 objects"
-    assert line(found["fist", ()]) == "held 1 of 1 object"
+    assert line(found[key_of(trig)]) == "in simulation: held 1 of 2 objects"
+    assert line(found["fist", ()]) == "in simulation: held 1 of 1 object"
     picture = tried_table(found[key_of(trig)])
     assert picture.index("sphere:0.03") < picture.index("sphere:0.01"), "what was held comes first"
     assert "it slipped &lt;out&gt;" in picture
@@ -255,7 +255,7 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     }
     earlier = re.sub(r"(?m)^method: .*\n", "", file.read_text())
     assert tried_in(earlier + "present: '0'\n").outdated, "made before methods were numbered"
-    assert line(found["fist", ()], outdated=True) == "held 1 of 1 object, outdated"
+    assert line(found["fist", ()], outdated=True) == "in simulation: held 1 of 1 object, outdated"
     assert tried_in("") == Tried()
     with pytest.raises(ConfigError, match="not results of trials"):
         tried_in("trials: [1]")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import viser
 
+from rtee.gui.history import TouchHistory
 from rtee.gui.panels.touch import TouchPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import HandScene
@@ -69,11 +70,11 @@ def test_taxels_are_coloured_where_they_are(server: viser.ViserServer, hand: Han
 
 
 def test_the_panel_has_a_plot_for_each_unit(server: viser.ViserServer) -> None:
-    panel = TouchPanel(server.gui)
-    panel.draw(panel.live())
+    panel, past = TouchPanel(server.gui), TouchHistory()
+    panel.draw(past.windows(panel.length))
     for k in range(5):
-        panel.add(state(0.5, 0.25 * k, 100.0, stamp=10.0 + k))
-    windows = panel.live()
+        past.add(state(0.5, 0.25 * k, 100.0, stamp=10.0 + k))
+    windows = past.windows(panel.length)
     sensors, times, sums = windows["board"]
     assert sensors is SENSORS
     assert times.tolist() == [-4.0, -3.0, -2.0, -1.0, 0.0]
@@ -86,8 +87,8 @@ def test_the_panel_has_a_plot_for_each_unit(server: viser.ViserServer) -> None:
     assert "1.50" in panel._table.content
     # Other sensors than before: what they had measured is not mixed with it.
     other = replace(state(0.5, 1.0, 7.0, stamp=20.0), sensors=(SENSORS[0], SENSORS[1]))
-    panel.add(other)
-    assert len(panel.live()["board"][1]) == 1
+    past.add(other)
+    assert len(past.windows(10.0)["board"][1]) == 1
 
 
 def test_a_recording_tells_what_was_felt_at_its_time(hand: Hand) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("viser")
 
+from rtee.gui.history import TouchHistory
 from rtee.gui.panels.touch import TouchPanel
 
 
@@ -20,11 +21,11 @@ def state(device: str, stamp: float) -> Any:
 
 def test_a_silent_device_leaves_a_gap_in_the_plot() -> None:
     panel = TouchPanel.__new__(TouchPanel)
-    panel._window, panel._history = SimpleNamespace(value=10), {}  # type: ignore[assignment]
+    past = TouchHistory()
     for k in range(5):
         for device in ("A", "B"):
-            panel.add(state(device, 100.0 + 0.1 * k))
+            past.add(state(device, 100.0 + 0.1 * k))
     for k in range(120):
-        panel.add(state("B", 101.0 + 0.1 * k))
-    found = panel._data(panel.live(), "N")
+        past.add(state("B", 101.0 + 0.1 * k))
+    found = panel._data(past.windows(10.0), "N")
     assert found is not None

@@ -29,7 +29,7 @@ class EditPanel:
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
         """Add the panel to the current container."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
         self._custom: dict[str, CustomAction] = {}
@@ -76,11 +76,11 @@ class EditPanel:
 
 
 class MakingPanel:
-    """The panels of the tab "Make"; `jog` is the first of them."""
+    """The panels of the tab "Teach"; `jog` is the first of them."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
         """Add the panel to the current container."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
         self._hand = hand
@@ -92,10 +92,8 @@ class MakingPanel:
             self._store = gui.add_checkbox(
                 "Store in the hand's folder", True, hint="As a YAML file"
             )
-            save = gui.add_button(
-                "Save as generic action", hint="Save the measured posture of all actuators"
-            )
-        with gui.add_folder("Compose or put in sequence", expand_by_default=False):
+            save = gui.add_button("Save pose", hint="Save the measured posture of all actuators")
+        with gui.add_folder("Combine actions", expand_by_default=False):
             self._parts = PartsPanel(bridge, remote)
         with gui.add_folder("Rename or delete", expand_by_default=False):
             self._edit = EditPanel(bridge, remote)
@@ -139,7 +137,7 @@ class TuningPanel:
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
         """Add the panel to the current container."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
         self._gains: dict[str, tuple[str, str]] = {}
@@ -155,7 +153,7 @@ class TuningPanel:
             100,
             1,
             40,
-            hint="Effort kept on what is held, as a share of the effort limit [%]",
+            hint="Effort kept on what is held, as a percentage of the effort limit [%]",
         )
         self._which = gui.add_dropdown("Gain", (NOTHING,), hint="Gain of a device", visible=False)
         self._value = gui.add_number(
@@ -242,7 +240,7 @@ class JogPanel:
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
         """Add the panel to the current container."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
         self._hand = hand
@@ -251,14 +249,15 @@ class JogPanel:
             "Jog (holds the hand)", False, hint="While ticked, nobody else can move the hand"
         )
         self._speed = gui.add_slider(
-            "Jog speed [%]", 5, 100, 5, 25, hint="Share of the actuators' velocity limits [%]"
+            "Jog speed [%]", 5, 100, 5, 25, hint="Percentage of the actuators' velocity limits [%]"
         )
         self._follow = gui.add_checkbox(
-            "Follow the sliders",
+            "Move live",
             False,
             hint="Stream the sliders' positions: the hand follows them at once, as fast as its "
             "limits allow",
         )
+        self._left = False
         self._wanted: dict[str, float] = {}
         self._sliders: list[viser.GuiSliderHandle[float]] = []
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
@@ -304,7 +303,7 @@ class JogPanel:
         self._wanted.clear()  # sliders moved earlier must not move the hand now
         try:
             async with self._remote.stream(_RATE) as stream:
-                while self._hold.value and self._follow.value:
+                while self.holding and self._follow.value:
                     if self._wanted:
                         await stream.send(dict(self._wanted))
                     await anyio.sleep(1.0 / _RATE)
@@ -326,7 +325,7 @@ class JogPanel:
     @property
     def holding(self) -> bool:
         """Whether this GUI holds the hand for jogging."""
-        return bool(self._hold.value)
+        return bool(self._hold.value) and not self._left
 
     def give_back(self) -> None:
         """Untick the box, which releases the lease and ends the stream of the sliders."""
@@ -334,7 +333,9 @@ class JogPanel:
 
     async def leave(self) -> None:
         """Release the lease if it is held; do not wait long for a hand that has gone."""
-        if self._hold.value:
+        # Not by the box: it may be that of a window that has gone.
+        held, self._left = self.holding, True
+        if held:
             with contextlib.suppress(RemoteError), anyio.move_on_after(_LEAVE_WITHIN):
                 await self._remote.release_lease()
 
@@ -358,7 +359,7 @@ class PartsPanel:
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
         """Add the panel to the current container."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
         self._uses: dict[str, ActionReference] = {}
@@ -370,7 +371,7 @@ class PartsPanel:
             100,
             1,
             100,
-            hint="Share of the way from rest to the action's posture [%]",
+            hint="Percentage of the way from rest to the action's posture [%]",
         )
         self._before = gui.add_number(
             "Before [s]",

@@ -19,8 +19,8 @@ from rtee.remote.goal_values import grasp_goal
 from rtee.remote.openings import OpeningRange
 from rtee.trials.result import TrialResult
 
-_FEW = 3
-"""Number of primitives whose cards are open at first: as many as fit on the screen."""
+_FEW = 1
+"""Number of primitives whose cards are open at first, so that all kinds of them are in sight."""
 
 
 def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Action]]:
@@ -44,7 +44,7 @@ class ActionsPanel:
         remark: Callable[[Action], str] = lambda action: "",
     ) -> None:
         """Add the panel to the current container; `refresh` fills it."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge = bridge
         self._hand = hand
         self._show = show
@@ -75,7 +75,7 @@ class ActionsPanel:
         self._holding.offer(offered)
         if not self._moves:  # which fingers an actuator moves does not change
             self._moves = {a.name: a.fingers for a in (await self._hand.info()).actuators}
-        groups = grouped(actions)
+        groups = grouped(sorted(actions, key=self._rank))
         for key in [key for key in self._cards if key not in groups]:
             self._cards.pop(key).remove()
             del self._known[key]
@@ -106,6 +106,17 @@ class ActionsPanel:
         self._filter()
         return actions
 
+    def _rank(self, action: Action) -> tuple[bool, float]:
+        """Return what actions are ordered by: the pinch, and then what held most in trials."""
+        results = [
+            result
+            for key, found in self._tried.results.items()
+            if key[0] == action.name
+            for result in found
+        ]
+        held = sum(result.held for result in results) / max(len(results), 1)
+        return action.name != "PinchTight", -held
+
     def _fingers(self, action: Action) -> tuple[str, ...]:
         """Return the fingers that an action moves, in the hand's order of actuators."""
         involved = {name for posture in action.waypoints for name in posture.involved}
@@ -134,7 +145,7 @@ class ActionsPanel:
     def _filter(self) -> None:
         wanted = str(self._search.value).lower().split()
         # In one message; otherwise each card would appear or vanish by itself.
-        with self._bridge.server.atomic():
+        with self._bridge.stage.atomic():
             for card in self._cards.values():
                 card.visible = all(word in card.words for word in wanted)
             for kind, folder in self._folders.items():
@@ -142,6 +153,9 @@ class ActionsPanel:
                     card.visible for key, card in self._cards.items() if key[0] is kind
                 )
 
+
+_WIDTH: Final = 30.0
+"""Width of an object that is offered first [mm]: that of a bottle's neck, for most hands."""
 
 _ANY: Final = "any"
 """Choice that leaves the fingers to the hand."""
@@ -155,13 +169,13 @@ class HoldingPanel:
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
         """Add the panel to the current container, hidden until the hand has openings."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge, self._hand = bridge, hand
         self._openings: tuple[OpeningRange, ...] = ()
-        self._folder = gui.add_folder("Hold an object", expand_by_default=False, visible=False)
+        self._folder = gui.add_folder("Hold an object", visible=False)
         with self._folder:
             self._width = gui.add_slider(
-                "Width [mm]", 0.0, 1.0, 0.1, 0.0, hint="Width of the object [mm]", order=0
+                "Width [mm]", 0.0, _WIDTH, 0.1, _WIDTH, hint="Width of the object [mm]", order=0
             )
             self._force = gui.add_slider(
                 "Force [N]",
@@ -169,7 +183,7 @@ class HoldingPanel:
                 1.0,
                 0.1,
                 0.0,
-                hint="Force to hold it with [N]; 0: as hard as the hand closes",
+                hint="Force to hold it with [N]; 0: automatic, as hard as the hand closes",
                 order=1,
             )
             self._speed = gui.add_slider(
@@ -178,7 +192,7 @@ class HoldingPanel:
                 200.0,
                 5.0,
                 0.0,
-                hint="How fast the fingertips close [mm/s]; 0: as fast as the force allows",
+                hint="How fast the fingertips close [mm/s]; 0: automatic, as the force allows",
                 order=2,
             )
             self._fingers = gui.add_dropdown(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html import escape
 from typing import Final
 
@@ -26,15 +27,15 @@ class Approval:
         listens: Whether questions come here.
     """
 
-    def __init__(self, bridge: Bridge) -> None:
-        self._bridge = bridge
+    def __init__(self, bridge: Bridge, attended: Callable[[], bool]) -> None:
+        self._bridge, self._attended = bridge, attended
         self.listens = False
 
     async def run(self) -> None:
         """Answer until cancelled."""
         while True:
             await anyio.sleep(_LOOK_EVERY)
-            if self._bridge.attended:
+            if self._attended():
                 try:
                     await self._answer()
                 except ConfigError:  # a terminal approves
@@ -44,14 +45,14 @@ class Approval:
         async with listening() as listener, anyio.create_task_group() as group:
             group.start_soon(answer_all, listener, self.ask)
             self.listens = True
-            while self._bridge.attended:  # noqa: ASYNC110 - viser tells no task of it
+            while self._attended():  # noqa: ASYNC110 - viser tells no task of it
                 await anyio.sleep(_LOOK_EVERY)
             self.listens = False
             group.cancel_scope.cancel()
 
     async def ask(self, question: str) -> bool:
         """Show a question until it is answered; cancelled, it is taken away."""
-        gui, answered, said = self._bridge.server.gui, anyio.Event(), False
+        gui, answered, said = self._bridge.stage.gui, anyio.Event(), False
 
         async def answer(yes: bool) -> None:
             nonlocal said

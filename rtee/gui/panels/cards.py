@@ -1,4 +1,4 @@
-"""Card of a grasping action: elements, intensity, Do, Preview, Cancel, and progress."""
+"""Card of a grasping action: elements, intensity, Run, Preview, and progress."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Show = Callable[[Posture | None, float, Evidence | None], None]
 _STAGES = {
     "to the grasp": Stage.BOTH,
     "to just before contact": Stage.PRE_GRASP,
-    "on to the grasp": Stage.GRASP,
+    "from contact to grasp": Stage.GRASP,
 }
 """Stages of a pinch by their labels."""
 
@@ -73,7 +73,7 @@ class Card:
         self._by_opening = False
         self._remark = remark
         self._fingers = fingers
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
             self._describe(gui)
@@ -82,8 +82,8 @@ class Card:
             self._add_more(gui)
             self._buttons = gui.add_button_group(
                 "",
-                ("Do", "Preview", "Cancel") if bridge.may(Role.OPERATOR) else ("Preview",),
-                hint="Do: execute it. Preview: show where it leads. Cancel: hold the hand as it is",
+                ("Run", "Preview") if bridge.may(Role.OPERATOR) else ("Preview",),
+                hint="Run: execute it. Preview: show where it leads",
                 order=4,
             )
             first = self._actions[0]
@@ -92,7 +92,7 @@ class Card:
             )
         self._buttons.on_click(self._clicked)
         self._command = gui.add_command(
-            f"Do {self.name}", description="Execute it as it is set in its card"
+            f"Run {self.name}", description="Execute it as it is set in its card"
         )
         bridge.need(Role.OPERATOR, self._touch, self._command)
         self._command.on_trigger(lambda _: self._begin())
@@ -157,10 +157,10 @@ class Card:
         self._trials = gui.add_html("", visible=False, order=2)
         with gui.add_folder("More", expand_by_default=False, order=3):
             self._speed = gui.add_slider(
-                "Speed [%]", 5, 100, 5, 100, hint="Share of the hand's velocity limits [%]"
+                "Speed [%]", 5, 100, 5, 100, hint="Percentage of the hand's velocity limits [%]"
             )
             self._effort = gui.add_slider(
-                "Effort [%]", 5, 100, 5, 100, hint="Share of the actuators' effort limits [%]"
+                "Effort [%]", 5, 100, 5, 100, hint="Percentage of the actuators' effort limits [%]"
             )
             # Only a pinch whose contact is known has a posture just before it.
             if self._contact is not None:
@@ -169,7 +169,7 @@ class Card:
                 )
             self._contacts = ContactChoice(gui, self._fingers(self.action))
             self._touch = gui.add_button(
-                "Touch",
+                "Close until contact",
                 hint="Close slowly until the first contact, and stop there",
                 visible=not isinstance(self._actions[0], Timed),
             )
@@ -277,7 +277,7 @@ class Card:
             value = int(self._slider.value)
             self._slider.remove()  # the marks of a slider cannot be changed
             with self._folder:
-                self._slider = self._make_slider(self._bridge.server.gui, value)
+                self._slider = self._make_slider(self._bridge.stage.gui, value)
         self._contacts.offer(self._fingers(self.action))
         self._show_opening()
         self._show_remark()
@@ -319,10 +319,8 @@ class Card:
 
     async def _clicked(self, event: viser.GuiEvent) -> None:
         match str(event.target.value):
-            case "Do":
+            case "Run":
                 self._begin()
-            case "Cancel":
-                self._bridge.call(self._hand.cancel)
             case _:
                 self._previewing = not self._previewing
                 self._preview_if_shown(hide=True)

@@ -25,7 +25,7 @@ class Execution:
 
     def __init__(self, bridge: Bridge, hand: RemoteHand, steps: Sequence[Step]) -> None:
         """Add the bars to the current container, one for each inner action of a timed action."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._hand = hand
         self._goal_id = ""
         self._removed = False

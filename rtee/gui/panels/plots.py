@@ -8,16 +8,16 @@ import numpy as np
 import viser
 from viser import uplot
 
-from rtee.gui.colours import line_colour, line_dash
+from rtee.gui.colours import line_colour, line_dash, line_numbers
 from rtee.gui.history import (
     JOINT_QUANTITIES,
     LONGEST,
     QUANTITIES,
-    History,
     Source,
     nice_range,
 )
 from rtee.gui.wording import legend, short_names, units
+from rtee.hand.colours import finger_of_link
 from rtee.hand.model import Hand
 from rtee.sample import MEASURED, FloatArray
 
@@ -66,22 +66,30 @@ def chart(
             uplot.Axis(font=_SMALL, size=48, space=24),
         ),
         legend=uplot.Legend(show=False),
+        cursor=uplot.Cursor(sync={"key": "time"}),  # one cursor for all plots
         height=height,
         padding=(10, 12, 0, 0),
     )
 
 
+def _differs(new: FloatArray, old: FloatArray) -> bool:
+    """Return whether a line would look another way: each is sent to the browser as a whole."""
+    return new.shape != old.shape or not np.allclose(new, old, atol=1e-4, equal_nan=True)
+
+
 class PlotsPanel:
     """Plots of the chosen actuators and joints."""
 
-    def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
-        """Add the panel to the current container."""
+    def __init__(self, gui: viser.GuiApi, hand: Hand, history: Source) -> None:
+        """Add the panel to the current container; the history is that of the live hand."""
         self._gui = gui
         self._units = _units([a.kind for a in hand.actuators], [j.kind for j in hand.joints])
         self._names = short_names(hand.actuator_names)
         self._joints = short_names(hand.joint_names)
-        self.history = History(len(self._names), len(self._joints))
-        self._source: Source = self.history
+        self._live = self._source = history
+        owner = finger_of_link(hand)
+        self._lines = line_numbers(hand, ["".join(a.fingers[:1]) for a in hand.actuators])
+        self._joint_lines = line_numbers(hand, [owner.get(j.child, "") for j in hand.joints])
         self._legend = gui.add_html("")
         self._folder = gui.add_folder(None)
         self._pause = gui.add_checkbox("Pause", False, hint="Freeze the plots; nothing is lost")
@@ -130,7 +138,7 @@ class PlotsPanel:
 
     def follow(self, source: Source | None) -> None:
         """Plot another source; ``None`` stands for the live hand."""
-        self._source = self.history if source is None else source
+        self._source = self._live if source is None else source
 
     @property
     def _columns(self) -> list[int]:
@@ -145,10 +153,11 @@ class PlotsPanel:
             plot.remove()
         self._plots.clear()
         columns, joints = self._columns, self._joint_columns
-        names = {index: self._names[index] for index in columns}
-        names |= {len(self._names) + index: self._joints[index] for index in joints}
+        names = [(self._lines[index], self._names[index]) for index in columns]
+        names += [(self._joint_lines[index], self._joints[index]) for index in joints]
         self._legend.content = legend(
-            names, "thin:&nbsp;reference" if columns else "choose actuators or joints below"
+            names,
+            "thin&nbsp;line:&nbsp;commanded" if columns else "choose actuators or joints below",
         )
         with self._folder:
             for name, box in self._quantities.items():
@@ -171,16 +180,13 @@ class PlotsPanel:
                 )
             )
 
-        # Joints take the colours after those of the actuators, thinner to tell them apart.
-        if name in JOINT_QUANTITIES:
-            for index in columns:
-                add(len(self._names) + index, self._joints[index], 1.25)
-        else:
-            for index in columns:
-                add(index, self._names[index], 1.75)
+        joints = name in JOINT_QUANTITIES
+        lines, names = (self._joint_lines, self._joints) if joints else (self._lines, self._names)
+        for index in columns:
+            add(lines[index], names[index], 1.75)
         if name == "position":
             for index in columns:
-                add(index, f"{self._names[index]} reference", 0.75, 0.7)
+                add(lines[index], f"{names[index]} commanded", 0.75, 0.7)
         return chart(self._gui, self._data(name), series, self._title(name), _HEIGHT)
 
     def _data(self, name: str) -> tuple[FloatArray, ...]:
@@ -190,7 +196,11 @@ class PlotsPanel:
         if name == "position":
             data += self._source.window("reference", columns, length)[1:]
         ends = nice_range(data[1:], MEASURED[name.removeprefix("joint_")].span)
-        return (*data, *(np.full(len(data[0]), end) for end in ends))
+        # Single precision is far finer than a pixel, and half to send.
+        return tuple(
+            line.astype(np.float32)
+            for line in (*data, *(np.full(len(data[0]), end) for end in ends))
+        )
 
     def draw(self) -> None:
         """Update the plots; called a few times a second."""
@@ -204,4 +214,5 @@ class PlotsPanel:
             if len(data) != len(plot.data):  # a box changed meanwhile: another number of lines
                 self._stale = True
                 return
-            plot.data = data
+            if any(map(_differs, data[1:], plot.data[1:])):
+                plot.data = data

@@ -56,19 +56,20 @@ class RecordingsPanel:
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, opened: Opened) -> None:
         """Add the panel to the current container; ``opened`` receives the recording to show."""
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge, self._remote, self._hand, self._opened = bridge, remote, hand, opened
         self._playback: Playback | None = None
         self._files: dict[str, Path] = {}
         self._quiet = False
+        self._shown = ""
         self._played = self._drawn = 0.0
         self._status = gui.add_html("")
         record = gui.add_button_group(
-            "Record", ("Start", "Stop"), hint="Start a new recording, or stop the current one"
+            "Record", ("Start", "Finish"), hint="Start a new recording, or finish the current one"
         )
         self._text = gui.add_text("Mark", "", hint="Text of a mark in the recording, one line")
         mark = gui.add_button("Set mark", icon=viser.Icon.BOOKMARK, hint="Mark this moment")
-        with gui.add_folder("Look at a recording"):
+        with gui.add_folder("Recordings"):
             self._folder = gui.add_text(
                 "Folder",
                 str(configured_folder(hand.name)),
@@ -76,13 +77,15 @@ class RecordingsPanel:
             )
             self._file = gui.add_dropdown("File", (NOTHING,), hint="Newest first")
             show = gui.add_button_group(
-                "", ("Refresh", "Open", "Live"), hint="Live: back to the running hand"
+                "",
+                ("Refresh", "Play", "Back to live"),
+                hint="Play: in this window only, which moves nothing until Back to live",
             )
             self._player = gui.add_folder(None, visible=False)
         with self._player:
             self._line = gui.add_html("")
             self._time = gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, hint="Time in it [s]")
-            self._play = gui.add_checkbox("Play", False, hint="Let the time run")
+            self._play = gui.add_checkbox("Play", False, hint="Play it")
             self._speed = gui.add_dropdown(
                 "Speed", tuple(_SPEEDS), initial_value="1 ×", hint="1 × is real time"
             )
@@ -102,7 +105,7 @@ class RecordingsPanel:
     # --- the recording being written
 
     async def _record(self, button: str) -> None:
-        await self._remote.record(button.lower())
+        await self._remote.record("start" if button == "Start" else "stop")
         words = "a recording begins" if button == "Start" else "the recording ends"
         self._bridge.notify("Recording", words, "green")
 
@@ -127,6 +130,18 @@ class RecordingsPanel:
 
     # --- the recording being viewed
 
+    @property
+    def place(self) -> str:
+        """The recording that is shown, and the time in it."""
+        playback = self._playback
+        if playback is None:
+            return ""
+        return f"{self._shown} · {playback.time:.1f} of {playback.duration:.1f} s"
+
+    async def live(self) -> None:
+        """Show the running hand again."""
+        await self._live()
+
     def _refresh(self) -> None:
         # `Path.expanduser` would raise an error while the user is still typing after "~".
         folder = Path(os.path.expanduser(str(self._folder.value)))
@@ -137,10 +152,10 @@ class RecordingsPanel:
         match button:
             case "Refresh":
                 self._refresh()
-            case "Open":
-                self._bridge.call(self._open)
+            case "Play":
+                self._bridge.call(self._open, always=True)
             case _:
-                self._bridge.call(self._live)
+                self._bridge.call(self._live, always=True)
 
     async def _open(self) -> None:
         path = self._files.get(str(self._file.value))
@@ -160,7 +175,7 @@ class RecordingsPanel:
         self._span.options = tuple(sorted(self._places, key=self._places.__getitem__)) or (NOTHING,)
         self._span.value = self._span.options[0]
         self._quiet = False
-        self._playback = playback
+        self._playback, self._shown = playback, path.name
         self._player.visible = True
         self._line.content = timeline(playback)
         self._opened(playback)

@@ -8,7 +8,7 @@ from html import escape
 
 import viser
 
-from rtee.gui.wording import short_names, units
+from rtee.gui.wording import put, short_names, units
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
@@ -65,19 +65,14 @@ class TablePanel:
 
     def show_state(self, state: State) -> None:
         """Show a measured state."""
-        self._grip.visible = state.opening is not None
-        force = "" if state.force is None else f"{state.force:.1f} ± {state.force_error or 0.0:.1f}"
-        self._grip.content = table(
-            ("", "opening [mm]", "force [N]", "by"),
-            [
-                [
-                    "fingertips",
-                    f"{1e3 * (state.opening or 0.0):.1f}",
-                    force or "–",
-                    state.force_source or "–",
-                ]
-            ],
+        if self._grip.visible is (state.opening is None):
+            self._grip.visible = state.opening is not None
+        force = (
+            "–" if state.force is None else f"{state.force:.1f} ± {state.force_error or 0.0:.1f}"
         )
+        width = f"{1e3 * (state.opening or 0.0):.1f}"
+        grip = ["fingertips", width, force, state.force_source or "–"]
+        put(self._grip, table(("", "opening [mm]", "force [N]", "by"), [grip]))
         rows = [
             [
                 self._names[i],
@@ -89,7 +84,7 @@ class TablePanel:
             for i in range(len(self._names))
         ]
         head = (f"actuator [{self._unit}]", "pos", "ref", f"effort [{self._force}]", "°C")
-        self._actuators.content = table(head, rows)
+        put(self._actuators, table(head, rows))
         # By name, since the hand may send its joints in another order than the model here.
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
@@ -104,7 +99,7 @@ class TablePanel:
             for i, joint in enumerate(self._hand.joints)
         ]
         head = (f"joint [{self._joint_unit}]", "pos", f"vel [{self._joint_speed}]", "min", "max")
-        self._joints.content = table(head, rows)
+        put(self._joints, table(head, rows))
 
     def show_status(self, status: HandStatus) -> None:
         """Show the timing of the loop and the counters of the buses."""
@@ -118,7 +113,7 @@ class TablePanel:
             + [f"{1e6 * v:.0f}" for v in (s.busy_p50, s.busy_p99, s.busy_max)],
             ["log records dropped", str(s.dropped), "", ""],
         ]
-        self._loop.content = table(("", "", "", ""), rows)
+        put(self._loop, table(("", "", "", ""), rows))
         counters = [
             [f"{device.name}: {name}", str(count)]
             for device in status.devices
@@ -127,4 +122,4 @@ class TablePanel:
         rates = [
             [f"{device.name}: exchanges [Hz]", f"{device.rate:.0f}"] for device in status.devices
         ]
-        self._buses.content = table(("device", ""), rates + counters)
+        put(self._buses, table(("device", ""), rates + counters))

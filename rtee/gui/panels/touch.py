@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from html import escape
 from typing import Final
 
@@ -12,26 +11,20 @@ import viser
 from viser import uplot
 
 from rtee.gui.colours import line_colour, line_dash
-from rtee.gui.history import LONGEST, nice_range, stride
+from rtee.gui.history import LONGEST, Windows, nice_range
 from rtee.gui.panels.plots import chart
 from rtee.gui.panels.table import table
-from rtee.gui.wording import legend, small
+from rtee.gui.wording import legend, put, small
 from rtee.sample import FloatArray
-from rtee.touch import TouchSensor, TouchState
+from rtee.touch import TouchState
 
 _HEIGHT: Final = 180
 """Height of a plot [pixels]: plots of two units and the table fit on a laptop's screen."""
-
-_KEPT: Final = int(100 * LONGEST)
-"""Number of readings kept per device: 60 s at 100 Hz, as long as the other plots."""
 
 _SPAN: Final = 0.5
 """Least length of an axis, in the unit of the sensor, so that noise looks small."""
 
 _NONE = "The hand measures no touch."
-
-Windows = Mapping[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]
-"""By device: its sensors, times relative to now ``(k,)`` [s], and the sums ``(k, sensors)``."""
 
 
 class TouchPanel:
@@ -54,28 +47,6 @@ class TouchPanel:
         self._table = gui.add_html("")
         self._plots: dict[str, viser.GuiUplotHandle] = {}
         self._shown: list[tuple[str, str]] = []
-        self._history: dict[str, deque[TouchState]] = {}
-
-    def add(self, state: TouchState) -> None:
-        """Add a reading of the live hand."""
-        kept = self._history.setdefault(state.device, deque(maxlen=_KEPT))
-        # Readings of other sensors have another length and cannot be plotted together.
-        if kept and kept[-1].sensors is not state.sensors:
-            kept.clear()
-        kept.append(state)
-
-    def live(self) -> Windows:
-        """Return the newest readings."""
-        now = max((kept[-1].stamp for kept in self._history.values()), default=0.0)
-        windows = {}
-        for device, kept in self._history.items():
-            stamps = np.array([state.stamp for state in kept]) - now
-            rows = np.flatnonzero(stamps >= -self.length)
-            # From the end, so that the newest reading is always among those kept.
-            rows = rows[::-1][:: stride(len(rows))][::-1]
-            sums = np.array([kept[row].totals for row in rows])
-            windows[device] = (kept[-1].sensors, stamps[rows], sums)
-        return windows
 
     @property
     def length(self) -> float:
@@ -91,7 +62,7 @@ class TouchPanel:
                 largest = float(state.of(sensor.name).max())
                 unit = "stale" if state.stale else escape(sensor.unit)
                 rows.append((sensor.name, f"{total:.2f}", f"{largest:.2f}", unit))
-        self._table.content = table(("sensor", "sum", "largest", "unit"), rows) if rows else ""
+        put(self._table, table(("sensor", "sum", "largest", "unit"), rows) if rows else "")
 
     def draw(self, windows: Windows) -> None:
         """Draw the lines."""
@@ -109,7 +80,7 @@ class TouchPanel:
         for plot in self._plots.values():
             plot.remove()
         self._plots.clear()
-        names = dict(enumerate(name for name, _ in self._shown))
+        names = list(enumerate(name for name, _ in self._shown))
         self._legend.content = legend(names) if names else small(_NONE)
         self._window.visible = bool(names)
         with self._folder:

@@ -88,7 +88,7 @@ class TryPanel:
 
         ``found`` receives the results of trials, ``preview`` shows a planned grasp.
         """
-        gui = bridge.server.gui
+        gui = bridge.stage.gui
         self._bridge, self._remote, self._hand, self._found = bridge, remote, hand, found
         self._jobs = Jobs()
         self._removed = False
@@ -149,9 +149,9 @@ class TryPanel:
         )
         self._buttons = gui.add_button_group(
             "",
-            ("Try", "Plan", "Cancel"),
-            hint="Try: does the action hold the object, in simulation? Plan: which action holds it "
-            "best? Nothing moves",
+            ("Try", "Suggest grasps", "Cancel"),
+            hint="Try: does the action hold the object, in simulation? Suggest grasps: which "
+            "action holds it best? Nothing moves",
         )
         self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR)
         self._report = gui.add_html("")
@@ -189,7 +189,7 @@ class TryPanel:
         match button:
             case "Try":
                 self._bridge.call(partial(self._start, planning=False))
-            case "Plan":
+            case "Suggest grasps":
                 self._bridge.call(partial(self._start, planning=True))
             case _:
                 self._bridge.call(self._cancel)
@@ -317,7 +317,7 @@ class GraspsPanel:
         self._bridge, self._remote, self._preview = bridge, remote, preview
         self._ranking: Ranking | None = None
         self._folder: viser.GuiFolderHandle | None = None
-        self._place = bridge.server.gui.add_folder(None)
+        self._place = bridge.stage.gui.add_folder(None)
 
     @property
     def verdict(self) -> str:
@@ -338,7 +338,7 @@ class GraspsPanel:
             self._folder = None
         if ranking is None:
             return
-        gui = self._bridge.server.gui
+        gui = self._bridge.stage.gui
         with self._place:
             self._folder = gui.add_folder(f"Grasps of {object_name(ranking.object)}")
         with self._folder:
@@ -352,7 +352,7 @@ class GraspsPanel:
                 gui.add_html(small(f"<details><summary>{title}</summary>{lines}</details>"))
 
     def _add(self, number: int, plan: GraspPlan) -> None:
-        gui = self._bridge.server.gui
+        gui = self._bridge.stage.gui
         with gui.add_folder(f"{number}. {plan.label}", expand_by_default=number == 1):
             gui.add_html(small(summary(plan)))
             reasons = "".join(f"<li>{escape(reason)}</li>" for reason in plan.reasons)

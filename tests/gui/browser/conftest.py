@@ -153,7 +153,7 @@ def context(proxy_port: int) -> Iterator[BrowserContext]:
     rules = f"MAP {REBOUND} 127.0.0.1,MAP {PROXIED}:443 127.0.0.1:{proxy_port}"
     # Proxies have certificates of no authority that a browser knows.
     arguments = (f"--host-resolver-rules={rules}", "--ignore-certificate-errors")
-    with browser(900, 700, scale=0.5, arguments=arguments) as opened:
+    with browser(1010, 700, scale=0.5, arguments=arguments) as opened:
         for script in (_SPARING, _NOTE_WHAT_IS_TOLD):
             opened.add_init_script(script)
         opened.set_default_timeout(PATIENCE)

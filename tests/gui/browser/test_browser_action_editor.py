@@ -19,7 +19,7 @@ pytestmark = in_a_browser
 
 @pytest.fixture
 def window(window: Window) -> Window:
-    window.tab("Make")
+    window.tab("Teach")
     return window
 
 
@@ -32,14 +32,14 @@ def test_jog_moves_the_hand_while_nobody_else_can(window: Window, other: Blockin
     other.open()
     hold = window.field("Jog (holds the hand)")
     hold.click()
-    window.status("held by this GUI")
+    window.status("control: this window")
     with pytest.raises(LeaseHeld, match="gui"):
         other.open()
     slider = window.field("finger_joint [rad]")
     slider.fill("0.4")
     window.until(lambda: abs(other.state().position[0] - 0.4) <= 0.005)
     hold.click()
-    window.status("held by nobody")
+    window.status("control: free")
     slider.fill("0.7")
     window.wait(slider, "field => Math.abs(field.value - 0.4) < 0.01")
     assert other.state().position[0] == pytest.approx(0.4, abs=0.01)
@@ -47,10 +47,10 @@ def test_jog_moves_the_hand_while_nobody_else_can(window: Window, other: Blockin
 
 def test_the_hand_follows_the_sliders_as_a_stream(window: Window, other: BlockingHand) -> None:
     other.open()
-    hold, follow = window.field("Jog (holds the hand)"), window.field("Follow the sliders")
+    hold, follow = window.field("Jog (holds the hand)"), window.field("Move live")
     follow.click()
     hold.click()
-    window.status("held by this GUI")
+    window.status("control: this window")
     slider = window.field("finger_joint [rad]")
     for position in (0.2, 0.5, 0.3):
         slider.fill(f"{position}")
@@ -65,7 +65,7 @@ def test_the_hand_follows_the_sliders_as_a_stream(window: Window, other: Blockin
     slider.fill("0.6")  # not a stream any more, but jogged to
     window.until(lambda: abs(other.state().position[0] - 0.6) <= 0.005)
     hold.click()
-    window.status("held by nobody")
+    window.status("control: free")
 
 
 def test_the_sliders_follow_the_hand_while_nobody_jogs(window: Window, other: BlockingHand) -> None:
@@ -81,20 +81,20 @@ def test_a_posture_is_saved_and_stored(window: Window, other: BlockingHand, plac
     there = other.state().position[0]
     here = window.folder("Save this posture", unfold=True)
     window.type("Name", "half", here)
-    window.button("Save as generic action", here).click()
+    window.button("Save pose", here).click()
     window.told("action 'half'")
     assert _made(other, "half").posture.position["finger_joint"] == pytest.approx(there, abs=0.02)
     stored = place / "config" / GRIPPER / "actions" / "generic" / "half.yaml"
     assert stored.is_file()
     window.type("Name", "../half", here)
-    window.button("Save as generic action", here).click()
+    window.button("Save pose", here).click()
     window.told("Refused")
     other.remove_action("half")
     assert not stored.exists()
 
 
 def test_actions_are_put_in_sequence_and_composed(window: Window, other: BlockingHand) -> None:
-    panel = window.folder("Compose or put in sequence", unfold=True)
+    panel = window.folder("Combine actions", unfold=True)
     for action, scale, before, after in (
         ("Grasp", "50", "0", "0.2"),
         ("PinchTight", "20", "0.1", "0"),
@@ -133,7 +133,7 @@ def test_actions_are_put_in_sequence_and_composed(window: Window, other: Blockin
     window.tab("Actions")
     card = window.folder("in_turn")
     window.says("0.1 s before, 0 s after", card)
-    window.button("Do", card).click()
+    window.button("Run", card).click()
     window.says("reached", card)
     bars = card.locator("[role=progressbar]")
     assert [bars.nth(n).get_attribute("aria-valuenow") for n in range(3)] == ["100"] * 3

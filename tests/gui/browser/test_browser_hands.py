@@ -44,7 +44,7 @@ def _toggled(window: Window, box: Locator, before: Picture) -> Picture:
 def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")
-    window.button("Do", card).click()
+    window.button("Run", card).click()
     window.says("held by finger_1, finger_2", card)
     window.tab("View")
     with_both = window.picture()
@@ -52,7 +52,7 @@ def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
     plain = _toggled(window, window.field("Effort"), without)
     _toggled(window, window.field("Effort"), plain)
     window.field("Pressure").click()
-    window.button("Open").click()
+    window.button("Open hand").click()
 
 
 @pytest.mark.heavy
@@ -70,17 +70,17 @@ def test_fingers_stop_where_they_touch(
         window.choose("Contact of", "all fingers", more)
         window.choose("On contact", "stop", more)
         window.says("finger_1: hold · others: stop", more)
-        window.button("Do", card).click()
+        window.button("Run", card).click()
         window.says(re.compile(r"touched by finger_\d, finger_\d"), card)
         assert hand.state().reference_position[0] < 0.9 * closed
-        window.button("Open").click()
+        window.button("Open hand").click()
         window.choose("On contact", "as configured", more)
         window.choose("Contact of", "finger_1", more)
         window.choose("On contact", "as configured", more)
-        window.button("Touch", more).click()
+        window.button("Close until contact", more).click()
         window.says("touched by", card)
         assert hand.state().reference_position[0] < 0.9 * closed
-        window.button("Open").click()
+        window.button("Open hand").click()
 
 
 def _width_said(held: Locator) -> float:
@@ -106,19 +106,19 @@ def test_an_object_is_held_by_its_width_and_a_force(
         assert state.force == pytest.approx(30.0, rel=0.25)
         assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)
         assert 1e3 * state.opening == pytest.approx(BALL_WIDTH, abs=SOFT)
-        window.button("Open").click()
+        window.button("Open hand").click()
         # The ball is wider than what is asked for: held, but outside of the tolerance.
         window.type("Width [mm]", "20", panel)
         window.button("Grasp", panel).click()
         held = window.says("something of another width is held by", panel)
         assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)
-        window.button("Open").click()
+        window.button("Open hand").click()
 
 
 def test_what_trials_found_is_on_the_card(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")
-    window.says("held 1 of 2 objects, outdated", card).click()
+    window.says("in simulation: held 1 of 2 objects, outdated", card).click()
     window.says("sphere:0.05", card)
     window.says("too wide for it", card)
 
@@ -128,7 +128,7 @@ def test_gains_and_the_grip_effort_are_tuned(
 ) -> None:
     window = squeezer
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
-    window.tab("Make")
+    window.tab("Teach")
     panel = window.folder("Tune", unfold=True)
     window.choose("Gain", "mujoco: kd.finger_joint", panel)
     window.wait(window.field("Value", panel), "field => Number(field.value) > 0")
@@ -151,7 +151,7 @@ def test_24_actuators_stay_usable(any_window: Window, hands: Hands) -> None:
     window.says("moves f0_joint0")
     window.page.get_by_text("Trig", exact=True).first.wait_for(state="hidden")
     window.type("Search", "")
-    window.tab("Make")
+    window.tab("Teach")
     assert not window.page.locator("label:visible", has_text="f5_joint3").count(), "not folded"
     window.folder("Actuators", unfold=True)
     window.says(["f5_joint3", "[rad]"][0])
@@ -169,17 +169,17 @@ def test_hands_one_after_the_other_leave_nothing_behind(any_window: Window, hand
         window.show(hand)
     window.page.evaluate("document.activeElement.blur()")
     window.page.keyboard.press("Control+k")
-    window.page.get_by_placeholder("Search commands...").fill("Do ")
-    window.says("Do PinchTight")
+    window.page.get_by_placeholder("Search commands...").fill("Run ")
+    window.says("Run PinchTight")
     offered = window.page.locator("[data-action], .mantine-Spotlight-action").all_inner_texts()
     window.page.keyboard.press("Escape")
     assert not [text for text in offered if "fist" in text or "wave" in text]
-    assert len([text for text in offered if text.startswith("Do Grasp")]) == 1
+    assert len([text for text in offered if text.startswith("Run Grasp")]) == 1
 
 
 def test_the_object_and_forces_are_seen(squeezer: Window) -> None:
     window = squeezer
-    window.button("Do", window.folder("Grasp")).click()
+    window.button("Run", window.folder("Grasp")).click()
     window.says("held by finger_1, finger_2", window.folder("Grasp"))
     window.tab("View")
     window.says(re.compile(r"\d\.\d N"))
@@ -188,7 +188,7 @@ def test_the_object_and_forces_are_seen(squeezer: Window) -> None:
     _toggled(window, window.field("Contact forces"), without)
     window.field("Contact forces").click()
     window.field("Object").click()
-    window.button("Open").click()
+    window.button("Open hand").click()
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def gate(place: Path) -> Iterator[Path]:
 
 def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: Path) -> None:
     window = squeezer
-    window.tab("Try")
+    window.tab("Simulate")
     window.choose("Object", "box")
     window.type("Width [mm]", "50")
     window.choose("Action", "Grasp")
@@ -213,7 +213,7 @@ def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: 
     window.told("a trial is under way; wait for its end, or cancel it")
     window.button("Cancel").last.click()
     window.says("cancelled")
-    window.button("Plan").click()
+    window.button("Suggest grasps").click()
     window.says("planning begins …")
     gate.unlink()
     window.says("best: ")
@@ -223,4 +223,4 @@ def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: 
     window.says(re.compile("^(reached|held by .*|stalled)$"))
     window.tab("Actions")
     window.says("Tried now: box:0.05x0.04x0.1: held", window.folder("Grasp"))
-    window.button("Open").click()
+    window.button("Open hand").click()

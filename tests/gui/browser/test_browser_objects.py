@@ -31,7 +31,7 @@ def grasp(window: Window) -> None:
     """Grasp the ball, and wait until the hand has it."""
     window.tab("Actions")
     card = window.folder("Grasp", unfold=True)
-    window.button("Do", card).click()
+    window.button("Run", card).click()
     window.says("held by finger_1, finger_2", card)
 
 
@@ -51,7 +51,7 @@ def test_contact_forces_are_drawn_and_told(squeezer: Window) -> None:
     felt.wait_for(state="hidden")
     window.field("Contact forces").click()
     window.says(FELT)
-    window.button("Open").click()
+    window.button("Open hand").click()
     felt.wait_for(state="hidden")
 
 
@@ -66,7 +66,7 @@ def test_taxels_are_drawn_and_told(squeezer: Window) -> None:
     window.tab("View")
     toggle(window, "Touch")
     window.field("Touch").click()
-    window.button("Open").click()
+    window.button("Open hand").click()
     window.tab("Plots")
 
 
@@ -74,29 +74,29 @@ def test_taxels_are_drawn_and_told(squeezer: Window) -> None:
 def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path) -> None:
     window = squeezer
     before = set((place / "logs").glob("*.mcap"))
-    window.tab("Log")
+    window.tab("Recordings")
     window.says("○ off")
     window.button("Start").click()
     window.told("a recording begins")
     window.says("recording to")
     grasp(window)
-    window.tab("Log")
+    window.tab("Recordings")
     window.type("Mark", "it has the ball")
     window.button("Set mark").click()
     window.told("it has the ball")
-    window.button("Open").first.click()
+    window.button("Open hand").first.click()
     window.tab("View")
     window.page.get_by_text(FELT).first.wait_for(state="hidden")
-    window.tab("Log")
-    window.button("Stop").click()
+    window.tab("Recordings")
+    window.button("Finish").click()
     window.says("○ off")
     (recorded,) = set((place / "logs").glob("*.mcap")) - before
 
-    panel = window.folder("Look at a recording", unfold=True)
+    panel = window.folder("Recordings", unfold=True)
     window.button("Refresh", panel).click()
     window.field("File", panel).click()
     window.page.get_by_role("option").filter(has_text=recorded.stem).click()
-    window.button("Open", panel).click()
+    window.button("Play", panel).click()
     line = panel.get_by_label("actions over time")
     line.wait_for()
     window.field("Go to", panel).click()
@@ -105,8 +105,8 @@ def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path
     window.says(FELT)  # in the recording; the hand itself is open
     toggle(window, "Object")
     window.field("Object").click()
-    window.tab("Log")
-    window.button("Live", panel).click()
+    window.tab("Recordings")
+    window.button("Back to live", panel).click()
     line.wait_for(state="detached")
     window.tab("View")
     window.page.get_by_text(FELT).first.wait_for(state="hidden")

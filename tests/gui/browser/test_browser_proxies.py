@@ -203,7 +203,7 @@ def test_the_page_works_behind_it_as_the_docs_say(
         assert page.url == f"{OWN}/"
         [kept] = [each for each in context.cookies(OWN) if each["name"].startswith("rtee_")]
         assert (kept["secure"], kept["httpOnly"], kept["sameSite"]) == (True, True, "Strict")
-        page.get_by_role("button", name="Open", exact=True).first.click()
+        page.get_by_role("button", name="Open hand", exact=True).first.click()
         while abs(other.state().position - before).max() < 1e-2:
             page.wait_for_timeout(50)
         page.reload()

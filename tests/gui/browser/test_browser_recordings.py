@@ -23,14 +23,14 @@ def test_a_recording_is_marked_ended_and_looked_at(
 ) -> None:
     other.open()
     other.record("stop")
-    window.status("held by nobody")
+    window.status("control: free")
     before = set((place / "logs").glob("*.mcap"))
-    window.tab("Log")
+    window.tab("Recordings")
     window.says("○ off")
     window.button("Start").click()
     window.told("a recording begins")
     window.page.locator("div:visible", has_text="recording to").first.wait_for()
-    for name in ("STOP", "Start", "Stop", "Set mark"):
+    for name in ("STOP", "Start", "Finish", "Set mark"):
         assert window.room(window.button(name).first) >= 0, name
     other.do("PinchTight", "finger_1", "finger_2")
     window.type("Mark", "it is closed")
@@ -38,15 +38,15 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.told("it is closed")
     closed = other.state().position[0]
     other.open()
-    window.button("Stop").click()
+    window.button("Finish").click()
     window.says("○ off")
     (recorded,) = set((place / "logs").glob("*.mcap")) - before
 
-    panel = window.folder("Look at a recording", unfold=True)
+    panel = window.folder("Recordings", unfold=True)
     window.button("Refresh", panel).click()
     window.field("File", panel).click()
     window.page.get_by_role("option").filter(has_text=recorded.stem).click()
-    window.button("Open", panel).click()
+    window.button("Play", panel).click()
     line = panel.get_by_label("actions over time")
     line.wait_for()
     said = line.locator("title").all_text_contents()
@@ -62,7 +62,7 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.until(lambda: _position(window) <= 0.05)
     window.field("Play", panel).click()
     window.until(lambda: _position(window) >= 0.1)
-    window.button("Live", panel).click()
+    window.button("Back to live", panel).click()
     line.wait_for(state="detached")
     window.until(lambda: abs(_position(window) - other.state().position[0]) <= 0.02)
     window.tab("Plots")

@@ -14,6 +14,7 @@ import viser
 from websockets.exceptions import InvalidStatus
 
 from benchmarks.gui_onlooker import _CAMERA, Visit, admitted, controls, messages, use
+from benchmarks.gui_onlooker import stop as press_stop
 from benchmarks.gui_onlooker import window as window_of
 from rtee.remote.blocking import BlockingHand
 
@@ -89,7 +90,7 @@ class Stranger:
 
 @pytest.fixture
 def stranger(only_window: Window) -> Iterator[Stranger]:
-    found = Stranger("Open")
+    found = Stranger("Open hand")
     gui = urlsplit(only_window.address).netloc
     found.target, found.frame = f"ws://{gui}", f"http://{gui}/"
     yield found
@@ -111,7 +112,7 @@ def test_the_stranger_presses_open_where_nobody_asks(page: Page, stranger: Stran
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     pressed = threading.Event()
     try:
-        server.gui.add_button("Open").on_click(lambda _: pressed.set())
+        server.gui.add_button("Open hand").on_click(lambda _: pressed.set())
         stranger.target = f"ws://127.0.0.1:{server.get_port()}"
         page.goto(f"http://localhost:{stranger.port}/")
         page.wait_for_function("document.title === 'pressed'")
@@ -218,16 +219,15 @@ def test_a_link_elsewhere_opens_it(page: Page, stranger: Stranger, links: Links)
 
 def test_nobody_makes_a_tunnel(gui: Program, links: Links) -> None:
     visit = admitted(links.operator())
-    with window_of(visit) as asking, window_of(visit) as watching:
+    with window_of(visit) as asking:
         there = {found["props"]["label"]: found for found in controls(asking)}
-        controls(watching)
         asking.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
-        use(asking, there["Window [s]"], 20.0)  # what the other windows hear once that is done
-        for frame in watching:
+        use(asking, there["Search"], "nothing")  # hides all cards, once the request is done
+        for frame in asking:
             assert isinstance(frame, bytes)
             told = messages(frame)
             assert "ShareUrlUpdated" not in {message["type"] for message in told}
-            if there["Window [s]"]["uuid"] in [message.get("uuid") for message in told]:
+            if any(message.get("updates", {}).get("visible") is False for message in told):
                 break
     assert gui.process.poll() is None
 
@@ -257,32 +257,31 @@ def test_html_in_a_panel_runs_nothing(page: Page) -> None:
 def test_an_observer_sees_and_stops_only(page: Page, links: Links, other: BlockingHand) -> None:
     page.goto(links.observer())
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
-    page.get_by_text("You watch: only STOP works here.").wait_for()
+    page.get_by_text("View only. STOP works.").wait_for()
     of = "each => getComputedStyle(each).pointerEvents"
-    for name in ("Open", "Do", "Preview"):
+    for name in ("Open hand", "Run", "Preview"):
         button = page.get_by_role("button", name=name, exact=True).first
         button.wait_for()
         assert button.evaluate(of) == "none"
     # A script of their own reaches the server, which takes only the stop.
     assert other.do("PinchTight", intensity=0.5).reached
     before = other.state().position
-    with window_of(admitted(links.observer())) as connection:
+    visit = admitted(links.observer())
+    with window_of(visit) as connection:
         there = {found["props"]["label"]: found for found in controls(connection)}
-        use(connection, there["Open"])
+        use(connection, there["Open hand"])
         use(connection, there["Jog (holds the hand)"])
-        use(connection, there["STOP"])
-        told(page, "confirmed by")
+        press_stop(visit)
+        told(page, "; confirmed")
     page.evaluate("window.told = []")
-    stop = page.get_by_role("button", name="STOP")
-    assert stop.evaluate(of) == "auto"
-    stop.click()
-    told(page, "confirmed by")
+    page.get_by_role("button", name="STOP").click()
+    told(page, "; confirmed")
     assert other.status().holder == ""
     assert other.state().position == pytest.approx(before, abs=0.05)
     page.goto(links.operator())  # the browser keeps one cookie
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
     with window_of(admitted(links.operator())) as connection:
         there = {found["props"]["label"]: found for found in controls(connection)}
-        use(connection, there["Open"])
+        use(connection, there["Open hand"])
         while abs(other.state().position - before).max() < 1e-2:
             page.wait_for_timeout(50)

@@ -63,15 +63,15 @@ def bare(context: BrowserContext, place: Path, hands: Hands) -> Iterator[Window]
 
 @pytest.mark.heavy
 def test_the_try_tab_says_what_is_missing_and_the_hand_still_moves(bare: Window) -> None:
-    bare.tab("Try")
+    bare.tab("Simulate")
     bare.says(f"trying an action needs the extra 'sim': {install_line('sim')}")
-    bare.button("Plan").click()
+    bare.button("Suggest grasps").click()
     bare.says(f"planning a grasp needs the extra 'extract': {install_line('extract')}")
     bare.button("Try").click()
     bare.says("trying an action needs the extra 'sim'")
     bare.forget()
     bare.tab("Actions")
     card = bare.folder("PinchTight", unfold=True)
-    bare.button("Do", card).click()
+    bare.button("Run", card).click()
     bare.says("reached", card)
-    bare.button("Open").first.click()
+    bare.button("Open hand").first.click()

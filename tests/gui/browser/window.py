@@ -62,16 +62,16 @@ class Window:
         """Open the page and wait for a hand."""
         self.page.goto(self.address)
         self.page.get_by_text(f"{hand}: connected").wait_for()
-        self.button("Do").first.wait_for()
+        self.button("Run").first.wait_for()
         self.page.locator(".mantine-Notification-closeButton").first.click()
 
     def show(self, hand: str) -> None:
         """Choose a hand and its actions, unless they are shown."""
-        if self.field("Shown").input_value() != hand:
-            self.choose("Shown", hand)
+        if self.field("Hand").input_value() != hand:
+            self.choose("Hand", hand)
         self.page.get_by_text(f"{hand}: connected").wait_for()
         self.tab("Actions")
-        self.button("Do").first.wait_for()
+        self.button("Run").first.wait_for()
         if self.field("Search").input_value():
             self.field("Search").fill("")
 
@@ -138,8 +138,8 @@ class Window:
         while not true():
             self.page.wait_for_timeout(50)
 
-    def status(self, text: str) -> None:
-        """Wait until the lines below Stop and Open say something."""
+    def status(self, text: str | re.Pattern[str]) -> None:
+        """Wait until the bar, or the lines below Open hand, say something."""
         self.page.locator("[role=status]").filter(has_text=text).first.wait_for()
 
     def room(self, control: Locator) -> float:

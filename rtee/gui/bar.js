@@ -1,0 +1,132 @@
+"use strict";
+(() => {
+  const SILENT = 1500; // time without a message after which this page has lost its GUI [ms]
+  const NARROW = 1000; // width below which the plots leave the hand no room [CSS px]
+  const AGAIN = 1000; // time between two attempts to reach it [ms]
+  let line, heard = performance.now(), lost = false, window_ = "", run = "", silent = 0;
+  const bar = document.createElement("div");
+  bar.id = "rtee-bar";
+  bar.role = "banner";
+  bar.innerHTML = `<button id="rtee-stop" type="button"
+      title="Stop all devices now, whoever controls the hand (keys: S, Escape). Not a safety-rated emergency stop."
+      >STOP</button>
+    <div id="rtee-said" role="status"><span id="rtee-held"></span><span id="rtee-link"></span>
+    <span id="rtee-mode"></span><span id="rtee-doing"></span></div>
+    <button id="rtee-live" type="button" hidden>Back to live</button>`;
+  const at = (name) => bar.querySelector(`#rtee-${name}`);
+  const say = (name, text, tone = "plain") => {
+    const place = at(name);
+    if (place.textContent !== text) place.textContent = place.title = text;
+    place.dataset.tone = tone;
+  };
+  const stop = () => {
+    if (line?.readyState === WebSocket.OPEN && !lost) line.send("stop");
+    else say("doing", "STOP did not leave this page: use the emergency stop", "bad");
+  };
+  at("stop").onclick = stop;
+  at("live").onclick = () => line.send("live");
+
+  const show = (words) => {
+    for (const name of ["held", "link", "mode", "doing"]) say(name, ...words[name]);
+    document.title = words.title;
+    document.documentElement.classList.toggle("rtee-old", words.old);
+    document.documentElement.classList.toggle("rtee-recorded", words.recorded);
+    at("live").hidden = !words.recorded;
+    // Another run of the GUI has other controls: only a new page shows them.
+    if (run && run !== words.run) location.reload();
+    run = words.run;
+  };
+  const tell = () => {
+    if (!window_) return;
+    line.send(window_);
+    if (innerWidth < NARROW) line.send("narrow");
+  };
+  const connect = () => {
+    line = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/bar`);
+    line.onopen = tell;
+    line.onmessage = (message) => {
+      heard = performance.now();
+      silent = 0;
+      lost = false;
+      if (message.data) show(JSON.parse(message.data));
+    };
+    line.onclose = () => setTimeout(connect, AGAIN);
+  };
+  const since = new Date();
+  const look = async () => {
+    const own = document.querySelector("[data-rtee-window]")?.dataset.rteeWindow ?? "";
+    if (own && own !== window_) {
+      window_ = own;
+      if (line.readyState === WebSocket.OPEN) tell();
+    }
+    // Counted too, since a page that was asleep, or drew for long, has not looked meanwhile.
+    if (performance.now() - heard < SILENT || ++silent < 4) return;
+    if (!lost) since.setTime(Date.now() - (performance.now() - heard));
+    lost = true;
+    document.documentElement.classList.add("rtee-old");
+    document.title = "no GUI";
+    say("held", "no data", "bad");
+    let why = "the GUI does not answer";
+    if (line.readyState !== WebSocket.OPEN)
+      try {
+        const answer = await fetch("/", { method: "GET", cache: "no-store" });
+        if (answer.status === 403) why = "the GUI was started again: open the address it has printed";
+      } catch {
+        why = "the GUI has ended";
+      }
+    if (!lost) return;
+    say("link", `this page is of ${since.toTimeString().slice(0, 8)}; ${why}`, "bad");
+    say("mode", "STOP cannot reach the hand, use the emergency stop", "bad");
+    say("doing", "");
+  };
+
+  const TYPED = new Set(["text", "number", "search", "password", "email", "url", ""]);
+  const typing = (place) =>
+    place instanceof HTMLTextAreaElement || place?.isContentEditable ||
+    (place instanceof HTMLInputElement && TYPED.has(place.getAttribute("type") ?? "") &&
+      !place.readOnly && place.getAttribute("aria-haspopup") !== "listbox");
+  addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+    const text = typing(event.target);
+    // Afterwards keys are commands again: what was typed has been sent.
+    if (text && event.key === "Enter") return setTimeout(() => event.target.blur());
+    if (text || !(event.key === "Escape" || event.key.toLowerCase() === "s")) return;
+    stop();
+    if (event.key !== "Escape") event.stopImmediatePropagation(); // viser moves the camera by it
+  }, true);
+
+  // What viser's page leaves out for who hears it, or uses no mouse.
+  const name = (each, text) => text && !each.ariaLabel && (each.ariaLabel = text);
+  const makeAccessible = () => {
+    document.getElementById("root")?.setAttribute("role", "main");
+    for (const each of document.querySelectorAll("[role=slider], .mantine-Input-input")) {
+      let row = each;
+      while (row && !row.querySelector("label")) row = row.parentElement;
+      name(each, row?.querySelector("label")?.textContent);
+    }
+    for (const each of document.querySelectorAll("[role=progressbar]")) name(each, "progress");
+    for (const each of document.querySelectorAll(".mantine-Notification-closeButton"))
+      name(each, "close");
+    for (const icon of document.querySelectorAll("button .tabler-icon")) {
+      const button = icon.closest("button");
+      if (!button.textContent) name(button, [...icon.classList].pop().replace("tabler-icon-", ""));
+    }
+    for (const icon of document.querySelectorAll("[class*=tabler-icon-chevron-]")) {
+      const label = icon.closest("div.mantine-Paper-root > div.mantine-Paper-root");
+      if (!label) continue;
+      label.tabIndex = 0;
+      label.role = "button";
+      label.ariaExpanded = String(icon.classList.contains("tabler-icon-chevron-up"));
+      label.onkeydown = (event) => ["Enter", " "].includes(event.key) && label.click();
+    }
+  };
+
+  const begin = () => {
+    document.body.prepend(bar);
+    connect();
+    setInterval(look, 250);
+    setInterval(makeAccessible, 1000);
+  };
+  if (document.body) begin();
+  else addEventListener("DOMContentLoaded", begin);
+})();

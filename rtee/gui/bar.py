@@ -1,0 +1,87 @@
+"""The bar above the page: what is true of the hand, and STOP, whatever the page below shows.
+
+It is put into viser's page where that is served, and has a WebSocket of its own, so that neither a
+folded panel nor a dialog nor an end of viser's connection takes it away. Without messages, the page
+says by itself that it has lost its GUI.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gzip
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, Protocol
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Response
+
+PATH: Final = "/bar"
+"""Path of the WebSocket."""
+
+_PERIOD: Final = 0.2
+"""Time between two looks at what is true [s]: the page misses messages after some of them."""
+
+_BEAT: Final = 3
+"""Every third message is sent even if nothing has changed, so that the page knows it is alive."""
+
+_PARTS: Final = "".join(
+    f"<{tag}>{Path(__file__).with_name(name).read_text(encoding='utf-8')}</{tag}>"
+    for tag, name in (("style", "bar.css"), ("script", "bar.js"))
+)
+
+
+class Desk(Protocol):
+    """What the bar shows, and what its STOP does; called in the server's thread."""
+
+    def words(self, window: int | None) -> dict[str, object]:
+        """Return what a window's bar says."""
+        ...
+
+    def press(self, button: str, window: int | None) -> None:
+        """Do what a button says: ``stop`` the hand, show it ``live`` here; or ``narrow``."""
+        ...
+
+
+@lru_cache(maxsize=2)
+def _with_bar(body: bytes, encoding: str) -> bytes:
+    page = gzip.decompress(body) if encoding == "gzip" else body
+    page = page.replace(b"</title>", b"</title>" + _PARTS.encode(), 1)
+    return gzip.compress(page) if encoding == "gzip" else page
+
+
+def put_into(response: Response) -> None:
+    """Put the bar into a response with viser's page."""
+    if response.headers.get("Content-Type", "").startswith("text/html"):
+        encoding = response.headers.get("Content-Encoding", "")
+        response.body = _with_bar(bytes(response.body), encoding)
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+
+
+async def handle(connection: ServerConnection, desk: Desk) -> None:
+    """Tell a page what is true until it has gone; it sends its window's number or a button."""
+    window: int | None = None
+
+    async def listen() -> None:
+        nonlocal window
+        async for message in connection:
+            if message in ("stop", "live", "narrow"):
+                desk.press(str(message), window)
+            elif isinstance(message, str) and message.isdecimal() and len(message) < 10:
+                window = int(message)
+
+    listening = asyncio.ensure_future(listen())
+    told, since = "", _BEAT
+    with contextlib.suppress(ConnectionClosed):
+        while not listening.done():
+            words = json.dumps(desk.words(window))
+            since += 1
+            if words != told or since >= _BEAT:
+                await connection.send("" if words == told else words)
+                told, since = words, 0
+            await asyncio.sleep(_PERIOD)
+    listening.cancel()

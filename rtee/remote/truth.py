@@ -1,0 +1,250 @@
+"""What is true of the hand now, and by what evidence: the one place that says so, for all panels.
+
+It is told of states, results, events and the status as they come, and says how old they are.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from rtee import monotonic
+from rtee.messages.state import State
+from rtee.remote.monitoring import HandStatus
+from rtee.types import DeviceStatus, Event, Lifecycle, Outcome, Result
+
+STALE_AFTER: Final = 1.0
+"""Age of the newest state from which on it says nothing of now [s]: a hundred states late."""
+
+_FELT: Final = 0.5
+"""Measured force from which on something is held, without any result [N]: above sensors' drift."""
+
+_NOTHING: Final = 0.05
+"""Measured force below which nothing is pressed [N]: below the lightest grasp."""
+
+_OLD: Final = "use the emergency stop"
+
+
+class Tone(StrEnum):
+    """What a statement means for the person who reads it; pages colour it."""
+
+    GOOD = "good"
+    PLAIN = "plain"
+    WARN = "warn"
+    BAD = "bad"
+
+
+class Words(NamedTuple):
+    """A statement, and its tone."""
+
+    text: str
+    tone: Tone = Tone.PLAIN
+
+
+class Grip(StrEnum):
+    """What is known of an object in the hand."""
+
+    HOLDING = "holding"
+    EMPTY = "empty"
+    LOST = "lost"
+    UNKNOWN = "not known"
+
+
+def clock(seconds: float | None = None) -> str:
+    """Return a time of day in this computer's zone; by default, now."""
+    return time.strftime("%H:%M:%S", time.localtime(seconds))
+
+
+def problem(device: DeviceStatus) -> str:
+    """Return why a device does not follow references, in words; ``""`` if it does."""
+    if device.lifecycle is Lifecycle.ACTIVE:
+        return ""
+    fault = f"fault {device.fault_code}: {device.fault_name}" if device.fault_name else ""
+    return fault or device.message or f"it is {device.lifecycle}"
+
+
+class Truth:
+    """What is true of one hand.
+
+    Attributes:
+        hand: The hand's name, or an empty string.
+        state: The newest state.
+        status: The newest status.
+        trouble: Why there is no connection, or an empty string.
+        grip: What is known of an object in the hand.
+        stopped: The last stop, until something moves again.
+    """
+
+    def __init__(self, hand: str = "") -> None:
+        self.hand = hand
+        self.state: State | None = None
+        self.status: HandStatus | None = None
+        self.trouble = "looking for a hand …"
+        self.grip = Grip.UNKNOWN
+        self.stopped = Words("")
+        self._received = -math.inf
+        self._since = ""
+        self._fingers: tuple[str, ...] = ()
+        self._word = False  # the devices' own word of a grasp
+        self._over = ""  # the goal that ended last, which the status may still call running
+
+    # --- what it is told
+
+    def on_state(self, state: State) -> None:
+        """Take a state that has just come."""
+        self.state, self._received = state, monotonic.now()
+        word, before = bool((np.asarray(state.grasped) == 1).any()), self._word
+        self._word = word
+        # Estimates from efforts are no evidence by themselves.
+        sensed = state.force_source in ("tip forces", "device")
+        measured = state.force if sensed and state.force is not None else math.nan
+        if word:
+            self._conclude(Grip.HOLDING)
+        elif self.grip is Grip.HOLDING:
+            if before or measured < _NOTHING:
+                self._conclude(Grip.UNKNOWN if self.moving else Grip.LOST)
+        # Without a result: a grasp from before this page, or by other means than a goal.
+        elif self.grip is Grip.UNKNOWN and measured > _FELT and not self.moving:
+            self._conclude(Grip.HOLDING)
+
+    def on_status(self, status: HandStatus) -> None:
+        """Take the status of loop and devices."""
+        begun = self.moving
+        self.status, self.trouble = status, ""
+        if self.moving:
+            self.stopped = Words("")
+            if not begun and not self._word:  # what was held may be let go now
+                self._conclude(Grip.UNKNOWN)
+        if any(problem(device) for device in status.devices):
+            self._conclude(Grip.UNKNOWN)
+
+    def on_result(self, result: Result) -> None:
+        """Take the result of any client's goal."""
+        self._over = result.goal_id
+        early = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
+        if result.grasped:
+            self._fingers = result.grasped_fingers
+            self._conclude(Grip.HOLDING)
+        elif result.outcome in (*early, Outcome.UNKNOWN, Outcome.TOUCHED):
+            self._conclude(Grip.UNKNOWN)
+        else:
+            self._conclude(Grip.EMPTY)
+
+    def on_event(self, event: Event) -> None:
+        """Take an event of the hand."""
+        match event.kind:
+            case "grasp_lost":
+                self._conclude(Grip.LOST)
+                self._fingers = (event.source,)
+            case "device_lost" | "device_fault":
+                self._conclude(Grip.UNKNOWN)
+            case "stop":
+                tone = Tone.BAD if event.severity == "error" else Tone.WARN
+                words = event.text.removeprefix(f"{self.hand}: ")
+                self.stopped = Words(f"{clock()} {words}", tone)
+
+    def on_gone(self, why: str) -> None:
+        """Take it that the hand cannot be reached; what was known of it is kept, as old."""
+        self.trouble = why
+        self._conclude(Grip.UNKNOWN)
+
+    def _conclude(self, grip: Grip) -> None:
+        if grip is not self.grip:
+            self.grip, self._since = grip, clock()
+            self._fingers = self._fingers if grip is Grip.HOLDING else ()
+
+    # --- what it says
+
+    @property
+    def age(self) -> float:
+        """Age of the newest state [s]; infinite if there is none."""
+        return monotonic.now() - self._received
+
+    @property
+    def stale(self) -> bool:
+        """Whether what is known is of the past."""
+        return bool(self.trouble) or self.age > STALE_AFTER
+
+    @property
+    def moving(self) -> bool:
+        """Whether a goal runs."""
+        goal = "" if self.status is None else self.status.goal_id
+        return goal not in ("", self._over)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a goal or a stream moves the hand, or somebody holds it to move it."""
+        status = self.status
+        return self.moving or (status is not None and bool(status.holder or status.stream.stream))
+
+    @property
+    def ill(self) -> Sequence[tuple[str, str]]:
+        """The devices that do not follow references, with the reasons."""
+        devices = () if self.status is None else self.status.devices
+        return [(device.name, problem(device)) for device in devices if problem(device)]
+
+    def held(self) -> Words:
+        """Say whether something is held, how wide, with what force, and by what evidence."""
+        if self.stale or self.state is None:
+            return Words("no data", Tone.BAD)
+        if self.ill:
+            return Words(f"no data from {', '.join(name for name, _ in self.ill)}", Tone.BAD)
+        match self.grip:
+            case Grip.HOLDING:
+                return Words(f"holding{self._measures()}", Tone.GOOD)
+            case Grip.LOST:
+                who = f" by {', '.join(self._fingers)}" if self._fingers else ""
+                return Words(f"part lost{who} {self._since}", Tone.BAD)
+            case Grip.EMPTY:
+                return Words("empty")
+        return Words("moving" if self.moving else "not known whether something is held")
+
+    def _measures(self) -> str:
+        state = self.state
+        words = [""]
+        if state is not None and state.opening is not None:
+            words.append(f"{1e3 * state.opening:.1f} mm")
+        if state is not None and state.force is not None:
+            source = "tip sensors" if state.force_source == "tip forces" else state.force_source
+            words.append(f"{state.force:.1f} ± {state.force_error or 0.0:.1f} N ({source})")
+        elif self._fingers:
+            words.append(f"by {', '.join(self._fingers)}")
+        return " · ".join(words)
+
+    def link(self) -> Words:
+        """Say whether the hand is connected, or how old the last state is."""
+        if self.stale:
+            words = [f"not connected: {self.trouble}"] if self.trouble else []
+            if self.status is not None:
+                words.append(f"no data for {self.age:.1f} s: STOP cannot reach the hand, {_OLD}")
+            return Words(" · ".join(words), Tone.BAD)
+        if self.ill:
+            return Words(" · ".join(f"{name}: {why}" for name, why in self.ill), Tone.BAD)
+        return Words(f"{self.hand}: connected", Tone.GOOD)
+
+    def control(self, own: str = "", others: Sequence[str] = ()) -> Words:
+        """Say who controls the hand: this window's client, another window's, or anybody else."""
+        holder = "" if self.status is None else self.status.holder
+        if not holder:
+            return Words("control: free")
+        who = "this window" if holder == own else holder
+        who = f"another window ({holder.rpartition('-')[2]})" if holder in others else who
+        return Words(f"control: {who}", Tone.PLAIN if holder == own else Tone.WARN)
+
+    def doing(self) -> Words:
+        """Say what runs, what is recorded, what was stopped, and what limits the hand."""
+        if self.stopped.text:
+            return self.stopped
+        status = self.status
+        if status is None or self.stale:
+            return Words("")
+        if status.recording_trouble:
+            return Words(f"recording: {status.recording_trouble}", Tone.WARN)
+        words = [f"running {status.action}"] if status.action else []
+        words += ["● recording"] if status.recording else []
+        return Words(" · ".join(words))
