@@ -71,7 +71,7 @@ def test_a_hand_reads_no_file_that_a_client_names(
 ) -> None:
     path = str(repository / "experiments/objects/wedge.stl")
     question = rtee.planning.apart.Question(path)
-    monkeypatch.setattr("rtee.remote.action_client.question_about", lambda *_: question)
+    monkeypatch.setattr("rtee.remote.action_client.question_about", lambda *_, **__: question)
     with pytest.raises(RequestRejected, match="is not an object"):
         remote.grasp_plan(path)
 
