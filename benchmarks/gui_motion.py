@@ -89,7 +89,7 @@ class Watch:
     def _look(self) -> None:
         first: State | None = None
         with rtee.connect_blocking(self._hand) as hand:
-            for state in hand.states(RATE):
+            for state in hand.states(RATE, keep=1000):
                 if first is None:
                     first = state
                     self.ready.set()
