@@ -1,4 +1,4 @@
-"""Measure how processor time and memory grow with the length of what is worked on.
+"""Measure how processor time and memory grow with the size of what is worked on.
 
     python benchmarks/growth.py [--minutes 1] [--only plot] [--hand schunk_svh]
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import os
 import random
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -22,6 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import anyio
+import numpy as np
+import trimesh
 from common import Table, command_line
 
 from rtee.actions.library import ActionLibrary
@@ -174,6 +177,74 @@ def recordings(hand: str, minutes: float) -> Iterator[Quantity]:
         )
 
 
+ANSWERS = """
+import sys
+from pathlib import Path
+from rtee.trials.answers import Answers
+from rtee.trials.result import Trial, TrialResult
+from rtee.trials.work import MadeWith
+made_with = MadeWith("model", "action", "", "settings", "versions")
+for again in range(2):
+    known = Answers(Path(sys.argv[2]))
+    for n in range(int(sys.argv[1])):
+        trial = Trial("Grasp", object=f"sphere:{n / 1e6}", variations=20)
+        if known.find(trial, made_with) is None:
+            known.add("hand", trial, made_with, "here", TrialResult(trial, True, survived=18))
+    known.write()
+"""
+"""Keeps results of a sweep, and finds all of them when it begins anew."""
+
+MESHED = """<robot name="meshed"><link name="palm">{0}</link>
+<link name="a">{1}</link><link name="b">{2}</link><link name="c">{3}</link>{4}</robot>"""
+SHAPE = '<collision><geometry><mesh filename="{}.stl" scale="{}"/></geometry></collision>'
+JOINT = """<joint name="j{0}" type="revolute"><parent link="palm"/><child link="{0}"/>
+<origin xyz="{1} {2} 0.075"/><axis xyz="0 {3} 0"/>
+<limit lower="0" upper="1.2" effort="5" velocity="3"/></joint>"""
+
+
+def meshed(folder: Path, subdivisions: int) -> Path:
+    """Write a hand of four links, each a mesh of 20 * 4 ** subdivisions triangles."""
+    for number in range(4):
+        mesh = trimesh.creation.icosphere(subdivisions, radius=0.02)
+        waves = 0.05 * np.sin(1000.0 * mesh.vertices[:, :1] + number)
+        mesh.vertices = mesh.vertices * (1.0 + waves) * [1.0, 1.0, 2.0]
+        mesh.export(folder / f"{number}.stl")
+    shapes = [SHAPE.format(n, "0.4 0.4 1" if n else "1.5 1.5 0.8") for n in range(4)]
+    places = {"a": (0.03, 0.0, -1), "b": (-0.03, 0.015, 1), "c": (-0.03, -0.015, 1)}
+    joints = "".join(JOINT.format(link, *place) for link, place in places.items())
+    file = folder / "meshed.urdf"
+    file.write_text(MESHED.format(*shapes, joints))
+    return file
+
+
+def offline(folder: Path) -> Iterator[Quantity]:
+    """Yield what is done with meshes, parts and results of trials."""
+
+    def extract(size: int, out: Path) -> list[str]:
+        file = meshed(out, 5 + size)
+        new = ["-m", "rtee", "new", f"meshed{size}", "--urdf", str(file)]
+        subprocess.run([sys.executable, *new], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        return ["-m", "rtee", "extract", str(folder / "config" / f"meshed{size}")]
+
+    def plan(size: int, out: Path) -> list[str]:
+        meshed(out, 5 + size)
+        return ["-m", "rtee", "grasp-plan", "robotiq_2f_85", "--object", str(out / "1.stl")]
+
+    def several(size: int, out: Path) -> list[str]:
+        shapes = [f"--object=cylinder:{0.01 + n / 2000}x0.1" for n in range(2 * STEP**size)]
+        return ["-m", "rtee", "grasp-plan", "robotiq_2f_85", *shapes, "--json"]
+
+    triangles = tuple(f"{20 * 4 ** (5 + n):,}" for n in range(3))
+    yield Quantity("extract, triangles of each of four links", triangles, extract)  # type: ignore[arg-type]
+    yield Quantity("grasp-plan, triangles of the object", triangles, plan)  # type: ignore[arg-type]
+    yield Quantity("grasp-plan, objects", ("2", "8", "32"), several)
+    yield Quantity(
+        "results of a sweep, kept and found",
+        ("4,000", "16,000", "64,000"),
+        lambda size, out: ["-c", ANSWERS, str(4000 * STEP**size), str(out)],
+    )
+
+
 def measured(words: list[str]) -> tuple[float, float]:
     """Run a command of this Python; return its processor time [s] and peak memory [MB]."""
     with silent() as null:
@@ -202,7 +273,8 @@ def exponent(values: list[float]) -> str:
 
 def main() -> None:
     given = command_line(__doc__, minutes=1.0, only=str, hand="schunk_svh").parse_args()
-    quantities = [*recordings(given.hand, given.minutes)]
+    home = Path(tempfile.mkdtemp(prefix="rtee-growth-", dir=os.environ["RTEE_RUNTIME_DIR"]))
+    quantities = [*recordings(given.hand, given.minutes), *offline(home)]
     table = Table("what", "sizes", "processor time [s]", "grows", "peak memory [MB]", "grows")
     for each in quantities:
         if given.only and given.only not in each.name:

@@ -157,7 +157,9 @@ def run_trial(
     # None is good enough: the best one is as far as the next tries go.
     best = ranked[0]
     varied.choose(best, trial.choosing)
-    for round_ in range(_ROUNDS):
+    # No move lifts what is held so rarely to the rate that is wanted.
+    hopeless = decided(sum(best.held), len(best.held), trial.wanted)
+    for round_ in range(0 if hopeless else _ROUNDS):
         here = varied.at(varied.shifted(best.place, round_)[0], free, best)
         varied.choose(here, trial.choosing, best)
         # A place that was moved may be worse: the tries that moved it are few.
