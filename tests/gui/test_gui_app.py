@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import anyio
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 import viser
 from remote.serving import Config, Remote, free_endpoint, make_hand, make_library, serving
+from remote.test_truth import ACTIVE, STATE, status
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -32,6 +34,7 @@ from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import History
 from rtee.gui.panels.execution import Execution
+from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.session import Session
@@ -44,7 +47,8 @@ from rtee.messages.state import State
 from rtee.remote import credentials
 from rtee.remote.client import RemoteHand
 from rtee.remote.running_goal import RunningGoal
-from rtee.types import Goal, Named, Result
+from rtee.remote.truth import Truth
+from rtee.types import Goal, Lifecycle, Named, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -275,6 +279,35 @@ async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_
     sliders = [c for c in controls if isinstance(c, viser.GuiSliderHandle | viser.GuiNumberHandle)]
     plain = {"Value", "Friction", "Variations"}  # of any unit, or of none
     assert [c.label for c in sliders if "[" not in c.label and c.label not in plain] == []
+
+
+async def test_recover_is_offered_wherever_a_device_does_not_follow_and_asks_first(
+    server: viser.ViserServer,
+) -> None:
+    """After a cable was out, devices are inactive, without a fault."""
+    recovered: list[str] = []
+
+    async def recover() -> None:
+        recovered.append("all")
+
+    hand = SimpleNamespace(open=recover, cancel=recover, admit_agents=recover, recover=recover)
+    header = Header(Bridge(server), cast("RemoteHand", hand))
+    truth = Truth("svh")
+    for lifecycle, offered in ((Lifecycle.INACTIVE, True), (Lifecycle.ACTIVE, False)):
+        line = dataclasses.replace(ACTIVE, lifecycle=lifecycle, message="it was unplugged")
+        truth.on_status(status(devices=(line,)))
+        truth.on_state(STATE)
+        header.show(truth)
+        assert header._recover.visible is offered
+    truth.on_status(status(devices=(dataclasses.replace(line, lifecycle=Lifecycle.FAULT),)))
+    header.show(truth)
+    assert "it was unplugged" in header._state.content
+    await header._ask()
+    assert header._sure.visible
+    assert "keep clear" in header._moves.content
+    assert not recovered
+    await header._do_recover()
+    assert recovered == ["all"]
 
 
 async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> None:

@@ -117,6 +117,16 @@ def test_an_action_made_elsewhere_appears_in_every_window_and_goes(
     second = Window(context.new_page(), window.address)
     second.page.goto(window.address)
     second.says("from_elsewhere")
+    # What is typed in a window is that window's alone, and who jogs is told in the others.
+    second.type("Search", "from_else")
+    assert window.field("Search").input_value() == ""
+    second.tab("Teach")
+    second.field("Jog (holds the hand)").click()
+    second.status("control: this window")
+    window.status("control: another window")
+    second.field("Jog (holds the hand)").click()
+    window.status("control: free")
+    second.tab("Actions")
     other.remove_action("from_elsewhere")
     for each in (window, second):
         each.page.get_by_text("from_elsewhere", exact=True).first.wait_for(state="detached")

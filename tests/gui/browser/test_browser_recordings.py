@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rtee.remote.blocking import BlockingHand
 
 from .marks import in_a_browser
 from .window import Window
+
+if TYPE_CHECKING:
+    from playwright.sync_api import BrowserContext
 
 pytestmark = in_a_browser
 
@@ -19,7 +23,7 @@ def _position(window: Window) -> float:
 
 
 def test_a_recording_is_marked_ended_and_looked_at(
-    window: Window, other: BlockingHand, place: Path
+    window: Window, context: BrowserContext, other: BlockingHand, place: Path
 ) -> None:
     other.open()
     other.record("stop")
@@ -49,6 +53,16 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.button("Play", panel).click()
     line = panel.get_by_label("actions over time")
     line.wait_for()
+    # The past of this window alone, which moves nothing meanwhile.
+    window.status(f"RECORDING {recorded.name}")
+    window.page.locator("html.rtee-recorded").wait_for()
+    second = context.new_page()
+    second.goto(window.address)
+    second.locator("#rtee-mode", has_text="control: free").wait_for()
+    second.close()
+    window.page.bring_to_front()
+    window.button("Open hand").click()
+    window.told("this window shows a recording; go back to live first")
     said = line.locator("title").all_text_contents()
     assert any(text.startswith("PinchTight") and "reached" in text for text in said), said
     assert "it is closed" in said
@@ -62,7 +76,8 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.until(lambda: _position(window) <= 0.05)
     window.field("Play", panel).click()
     window.until(lambda: _position(window) >= 0.1)
-    window.button("Back to live", panel).click()
+    window.button("Back to live").first.click()  # that of the bar
+    window.status("control: free")
     line.wait_for(state="detached")
     window.until(lambda: abs(_position(window) - other.state().position[0]) <= 0.02)
     window.tab("Plots")
