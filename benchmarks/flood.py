@@ -28,7 +28,7 @@ from witness import child
 
 import rtee
 from rtee.messages.identity import Signer
-from rtee.messages.requests import HERE, PUT, REQUESTS, inbox_key
+from rtee.messages.requests import HERE, REQUESTS, SAMPLE, inbox_key
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct, open_client
 from rtee.running.prepare import RunOptions
@@ -86,12 +86,12 @@ def flood(kind: str, hand: str, session: zenoh.Session, signer: Signer, client: 
     threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
     places, source, count = threading.Semaphore(WAITING), random.Random(1), 0
     key = f"rtee/{hand}/hello/here" if kind == "hello" else REQUESTS[kind].key(hand)
-    if kind in PUT:
-        key = inbox_key(hand, HERE, kind, client)
+    if kind == SAMPLE:
+        key = inbox_key(hand, HERE, client)
     while not ended.is_set():
         question = question_of(kind, source)
         proof = signer.attachment(signer.number(), kind, question)
-        if kind in PUT:
+        if kind == SAMPLE:
             block = zenoh.CongestionControl.BLOCK
             session.put(key, question, attachment=proof, congestion_control=block)
         elif places.acquire(timeout=1.0):

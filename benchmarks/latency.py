@@ -53,13 +53,13 @@ now = time.monotonic_ns
 
 
 class Noted(Server):
-    """A server that notes the arrival times of publications [ns]."""
+    """A server that notes the arrival times of requests [ns]."""
 
     came = 0
 
-    def _on_put(self, sample: zenoh.Sample) -> None:
+    def _on_control(self, query: zenoh.Query) -> None:
         Noted.came = now()
-        super()._on_put(sample)
+        super()._on_control(query)
 
 
 class Notes:
@@ -133,19 +133,19 @@ async def send_goals(
     """Send goals from standstill; return each name with the times of call and sending [ns]."""
     source = random.Random(1)
     # The moment at which Zenoh takes over is seen nowhere else.
-    publishers: dict[str, Any] = hand._link._fast._publishers  # type: ignore[assignment]
-    put = publishers["do"].put
+    session = hand._link._session
     handed = 0
 
     class Watched:
-        def put(self, *arguments: Any, **options: Any) -> None:
+        def get(self, *arguments: Any, **options: Any) -> None:
             nonlocal handed
-            put(*arguments, **options)
+            session.get(*arguments, **options)
             handed = now()
 
-        undeclare = publishers["do"].undeclare
+        def __getattr__(self, name: str) -> Any:
+            return getattr(session, name)
 
-    publishers["do"] = Watched()
+    hand._link._session = Watched()  # type: ignore[assignment]
     sent = []
     for i in range(count):
         await anyio.sleep(0.1)

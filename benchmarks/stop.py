@@ -212,7 +212,7 @@ async def client_attack(kind: str, hand: str) -> None:
             while True:
                 if kind == "samples":
                     sample = StreamTargets("x", time.monotonic(), {"thumb": 0.1}, {}, remote.client)
-                    remote._link.put("sample", STREAM_TARGETS.encode(sample), "x")
+                    remote._link.put(STREAM_TARGETS.encode(sample), "x")
                     await anyio.sleep(1.0 / 300.0)
                 elif kind == "requests":
                     for name in ("info", "status", "hello"):

@@ -40,21 +40,10 @@ class Tips:
     grip: Grip
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """The action that a goal means.
-
-    Attributes:
-        action: The action.
-        tips: Its opposing fingertips; ``None``: it has none, and the goal asks for no opening.
-    """
-
-    action: Action
-    tips: Tips | None
-
-
-def choose(goal: Goal, hand: Hand, library: ActionLibrary, devices: DeviceForces) -> Choice:
-    """Return the action that a goal means.
+def choose(
+    goal: Goal, hand: Hand, library: ActionLibrary, devices: DeviceForces
+) -> tuple[Action, Tips | None]:
+    """Return the action that a goal means, and its tips, if they oppose each other.
 
     Raises:
         UnknownAction: if there is no such action.
@@ -77,14 +66,14 @@ def choose(goal: Goal, hand: Hand, library: ActionLibrary, devices: DeviceForces
         opening = library.openings.of(action)
     except ActionError:
         if isinstance(to, Intensity | FirstContact):
-            return Choice(action, None)
+            return action, None
         raise
     if isinstance(to, ToOpening | Around) and not _spans(opening, to):
         raise GoalRejected(
             f"{opening.label} opens {opening.narrowest * 1e3:.1f} to {opening.widest * 1e3:.1f} mm,"
             f" not {to.width * 1e3:.1f} mm; the nearest is {_nearest(opening, to):.1f} mm"
         )
-    return Choice(action, _tips(action, opening, hand, library, devices))
+    return action, _tips(action, opening, hand, library, devices)
 
 
 def _named(what: Named, hand: Hand, library: ActionLibrary) -> Action:
@@ -124,14 +113,14 @@ def _best(
     hand: Hand,
     library: ActionLibrary,
     devices: DeviceForces,
-) -> Choice:
+) -> tuple[Action, Tips]:
     """Return the action of some fingers, or of any, that suits a width and a force best.
 
     Actions that can exert the force come first, then they are ordered by `suitability`.
     """
     openings = _openings(library, fingers)
     narrower = to.narrower if isinstance(to, Around) else 0.0
-    candidates: list[tuple[tuple[float, ...], Choice]] = []
+    candidates: list[tuple[tuple[float, ...], tuple[Action, Tips]]] = []
     for order, (action, opening) in enumerate(openings):
         # At its widest opening, an action cannot get around the object.
         if not opening.narrowest - narrower <= to.width < opening.widest:
@@ -139,7 +128,7 @@ def _best(
         tips = _tips(action, opening, hand, library, devices)
         weak = force is not None and not _exerts(force.value, to.width, tips, hand, devices)
         key = (weak, *suitability(hand, action, opening, to.width), order)
-        candidates.append((key, Choice(action, tips)))
+        candidates.append((key, (action, tips)))
     if not candidates:
         raise GoalRejected(_no_action(fingers, to, hand, [opening for _, opening in openings]))
     return min(candidates, key=lambda each: each[0])[1]

@@ -10,7 +10,7 @@ from rtee.actions.openings import MARGIN
 from rtee.actions.types import Action, Timed
 from rtee.errors import GoalRejected, suggestion
 from rtee.hand.model import Hand
-from rtee.loop.choice import Choice, Tips, choose
+from rtee.loop.choice import Tips, choose
 from rtee.loop.closing import checked_share, closing_time
 from rtee.loop.forces import DeviceForces, effort_limits, force_efforts
 from rtee.loop.plan import Leg, Plan, targets_of
@@ -65,11 +65,10 @@ def make_plan(
             raise GoalRejected(
                 f"on_contact of an unknown finger '{name}'; {suggestion(name, hand.finger_names)}"
             )
-    choice = choose(goal, hand, library, devices)
-    action, tips = choice.action, choice.tips
-    legs = _legs(goal.to, choice, hand)
+    action, tips = choose(goal, hand, library, devices)
+    legs = _legs(goal.to, action, tips, hand)
     effort = _efforts(goal, hand, tips, devices)
-    speed = _speed(goal, choice, hand)
+    speed = _speed(goal, action, tips, hand)
     timeout = goal.timeout
     if timeout is None:
         # Waiting times of the action must not use up the time for moving, nor must a low speed.
@@ -95,18 +94,17 @@ def make_plan(
 
 
 def _legs(
-    to: Intensity | Opening | Around | FirstContact, choice: Choice, hand: Hand
+    to: Intensity | Opening | Around | FirstContact, action: Action, tips: Tips | None, hand: Hand
 ) -> tuple[Leg, ...]:
-    action = choice.action
     shares: Sequence[float] = (1.0,)
     if isinstance(to, Intensity):
         shares = (_share(to, action),)
-    elif isinstance(to, Opening | Around) and choice.tips is not None:
-        grip = choice.tips.grip
+    elif isinstance(to, Opening | Around) and tips is not None:
+        grip = tips.grip
         shares = (grip.intensity_at(to.width),)
         if isinstance(to, Around):
             # First around the object, then closed until the object stops the fingers.
-            wider = min(to.width + MARGIN, choice.tips.opening.widest)
+            wider = min(to.width + MARGIN, tips.opening.widest)
             shares = (grip.intensity_at(wider), grip.intensity[-1])
     if isinstance(action, Timed):
         return tuple(
@@ -149,23 +147,23 @@ def _efforts(
     return efforts
 
 
-def _speed(goal: Goal, choice: Choice, hand: Hand) -> float:
+def _speed(goal: Goal, action: Action, tips: Tips | None, hand: Hand) -> float:
     """Return the speed as a share of the velocity limits."""
     speed, to = goal.speed, goal.to
     if isinstance(to, FirstContact) and speed == 1.0:
         speed = TipSpeed(_TOUCH_SPEED)
-        if choice.tips is None:
+        if tips is None:
             return _TOUCH_SHARE
     if not isinstance(speed, TipSpeed):
         return speed
-    if choice.tips is None:
-        raise GoalRejected(f"{choice.action.name} has no opening: give the speed as a share")
-    grip = choice.tips.grip
+    if tips is None:
+        raise GoalRejected(f"{action.name} has no opening: give the speed as a share")
+    grip = tips.grip
     # Where the opening falls fastest, so that it closes no faster anywhere else.
     at = max(grip.intensity, key=grip.slope_at)
     if isinstance(to, Opening | Around):
         at = grip.intensity_at(to.width)
-    name = label(choice.action.name, choice.action.elements)
+    name = label(action.name, action.elements)
     return checked_share(speed.value, hand, grip, at, name)
 
 

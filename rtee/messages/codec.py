@@ -117,15 +117,25 @@ class Codec(Generic[T]):
 
     Args:
         cls: The dataclass.
+        whole: Functions that return the fields of an object, and the object for fields, where it
+            takes more than a conversion of each attribute.
         held: Conversions of the attributes that differ from a field of the same name.
 
     Attributes:
         kind: The type of the messages, which begin with a header.
     """
 
-    def __init__(self, kind: str, cls: type[T], /, **held: As) -> None:
+    def __init__(
+        self,
+        kind: str,
+        cls: type[T],
+        /,
+        whole: tuple[Callable[[T], Mapping[str, Any]], Callable[[Mapping[str, Any]], T]]
+        | None = None,
+        **held: As,
+    ) -> None:
         self.kind = message_type(kind)
-        self._cls = cls
+        self._cls, self._whole = cls, whole
         self._same = [
             attribute.name
             for attribute in dataclasses.fields(cls)  # type: ignore[arg-type]
@@ -146,8 +156,14 @@ class Codec(Generic[T]):
 
     def fields(self, value: T, *, time: float = 0.0, wall: int = 0) -> dict[str, Any]:
         """Return the fields of a message, to nest it in another one; arguments as `encode`."""
-        values = {name: time if get is None else get(value) for name, _, get in self._writers}
-        return {"header": header(wall), **values}
+        fields = self._pack(value, time)
+        return {"header": header(wall), **{name: fields[name] for name, _, _ in self._writers}}
+
+    def _pack(self, value: T, time: float) -> Mapping[str, Any]:
+        if self._whole is not None:
+            return {"time": time, **self._whole[0](value)}
+        # The only field without an attribute is the time.
+        return {name: time if get is None else get(value) for name, _, get in self._writers}
 
     def encode(self, value: T, *, time: float = 0.0, wall: int = 0) -> bytes:
         """Return the bytes of the message for a value.
@@ -162,9 +178,9 @@ class Codec(Generic[T]):
         """
         writer = Writer(_BEGIN.pack(HEADER, *divmod(wall, SECOND), 1, 0))
         try:
-            for _, write, get in self._writers:
-                # The only field without an attribute is the time.
-                write(writer, time if get is None else get(value))
+            fields = self._pack(value, time)
+            for name, write, _ in self._writers:
+                write(writer, fields[name])
         except (TypeError, ValueError, AttributeError, struct.error) as error:
             # A MessageError is a ValueError, too, and already has a message.
             if isinstance(error, MessageError):
@@ -191,6 +207,8 @@ class Codec(Generic[T]):
             name: foreign(value) if isinstance(value, str) and not value.isprintable() else value
             for name, value in fields.items()
         }
+        if self._whole is not None:
+            return self._whole[1](fields)
         values = {name: fields[name] for name in self._same}
         for attribute, (names, unpack) in self._unpackers.items():
             values[attribute] = unpack(*[fields[name] for name in names])

@@ -26,7 +26,6 @@ from rtee.commands import (
 )
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
-from rtee.messages.goals import number
 from rtee.messages.schema import message_type
 from rtee.objects.description import ObjectDescription, ObjectPart
 from rtee.types import (
@@ -40,6 +39,14 @@ from rtee.types import (
 )
 
 _STRING = message_type("std_msgs/msg/String")
+
+
+def _number(name: str) -> As:
+    """Return the conversion of an optional number to a field, with ``NaN`` for ``None``."""
+    return As(
+        {name: lambda value: math.nan if value is None else value},
+        lambda value: None if math.isnan(value) else value,
+    )
 
 
 _AIM = word("aim", Aim, "aim '{:.50}' is none of posture, object, contact")
@@ -57,9 +64,9 @@ RESULT = Codec(
     grasped_fingers=field("grasped_fingers", tuple),
     position=mapping("position_name", "position"),
     elements=field("elements", tuple),
-    opening=number("opening"),
-    force=number("force"),
-    force_error=number("force_error"),
+    opening=_number("opening"),
+    force=_number("force"),
+    force_error=_number("force_error"),
     # One byte, as the bool of earlier recordings.
     within=As(
         {"within": lambda within: -1 if within is None else int(within)},

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from rtee.errors import GoalRejected
-from rtee.messages.codec import As, Codec, paired, word
+from rtee.messages.codec import Codec, paired, word
 from rtee.types import (
     Around,
     Fingers,
@@ -24,14 +24,6 @@ from rtee.types import (
     Stage,
     TipSpeed,
 )
-
-
-def number(name: str) -> As:
-    """Return the conversion of an optional number to a field, with ``NaN`` for ``None``."""
-    return As(
-        {name: lambda value: math.nan if value is None else value},
-        lambda value: None if math.isnan(value) else value,
-    )
 
 
 def goal_of(
@@ -78,132 +70,90 @@ def goal_of(
     Raises:
         GoalRejected: if a value cannot be used, or two of them exclude one another.
     """
-    return Goal(
-        _what(action, elements, kind),
-        _to(intensity, stage, tolerance, opening, narrower, wider, grasp, touch),
-        _speed(speed, tip_speed),
-        _effort({} if effort is None else effort, force, max_force),
-        **others,
-    )
-
-
-def _what(action: str, elements: Sequence[str], kind: str | None) -> Named | Fingers:
-    return Named(action, tuple(elements), kind or None) if action else Fingers(tuple(elements))
-
-
-def _to(
-    intensity: float,
-    stage: Stage,
-    tolerance: float,
-    opening: float | None,
-    narrower: float,
-    wider: float,
-    grasp: bool,
-    touch: bool,
-) -> Intensity | Opening | Around | FirstContact:
-    posture = Intensity(intensity, stage, tolerance)
-    if touch and (grasp or opening is not None):
-        raise GoalRejected("a touch takes no opening: it stops by itself")
-    if not (touch or grasp) and opening is None:
-        return posture
-    if (posture.share, posture.stage) != (1.0, Stage.BOTH):
-        what = "an intensity" if posture.share != 1.0 else "a stage"
-        raise GoalRejected(f"give {what} or {'a touch' if touch else 'an opening'}, not both")
-    if touch:
-        return FirstContact(tolerance)
-    if opening is None:
-        raise GoalRejected("a grasp needs the width of the object, in metres")
-    return Around(opening, narrower, wider) if grasp else Opening(opening)
-
-
-def _speed(speed: float, tip_speed: float | None) -> float | TipSpeed:
-    if tip_speed is None:
-        return speed
-    if speed != 1.0:
+    what = Named(action, tuple(elements), kind or None) if action else Fingers(tuple(elements))
+    to: Intensity | Opening | Around | FirstContact = Intensity(intensity, stage, tolerance)
+    if touch or grasp or opening is not None:
+        other = "a touch" if touch else "an opening"
+        if intensity != 1.0 or stage is not Stage.BOTH:
+            first = "an intensity" if intensity != 1.0 else "a stage"
+            raise GoalRejected(f"give {first} or {other}, not both")
+        if touch and (grasp or opening is not None):
+            raise GoalRejected("a touch takes no opening: it stops by itself")
+        if touch:
+            to = FirstContact(tolerance)
+        elif opening is None:
+            raise GoalRejected("a grasp needs the width of the object, in metres")
+        else:
+            to = Around(opening, narrower, wider) if grasp else Opening(opening)
+    if tip_speed is not None and speed != 1.0:
         raise GoalRejected("give the speed as a share or in m/s, not both")
-    return TipSpeed(tip_speed)
-
-
-def _effort(
-    efforts: Mapping[str, float], force: float | None, most: float | None
-) -> Mapping[str, float] | Force:
-    if force is None:
-        if most is not None:
-            raise GoalRejected("a largest force needs the force to begin with")
-        return efforts
-    if efforts:
+    if force is not None and effort:
         raise GoalRejected("give efforts or a force, not both")
-    return Force(force, most)
+    if force is None and max_force is not None:
+        raise GoalRejected("a largest force needs the force to begin with")
+    pressing = (effort or {}) if force is None else Force(force, max_force)
+    return Goal(what, to, speed if tip_speed is None else TipSpeed(tip_speed), pressing, **others)
 
 
-def _attribute(kind: type | tuple[type, ...], name: str, otherwise: Any) -> Any:
-    """Return a function that returns an attribute of objects of a kind, a default for others."""
-    return lambda value: getattr(value, name) if isinstance(value, kind) else otherwise
+def _fields(goal: Goal) -> dict[str, Any]:
+    """Return the fields of the message for a goal, without header and time."""
+    what, to, speed = goal.what, goal.to, goal.speed
+    efforts = {} if isinstance(goal.effort, Force) else goal.effort
+    optional = {
+        "opening": getattr(to, "width", None),
+        "tip_speed": getattr(speed, "value", None),
+        "force": getattr(goal.effort, "value", None),
+        "max_force": getattr(goal.effort, "most", None),
+        "timeout": goal.timeout,
+    }
+    return {
+        "goal_id": goal.goal_id,
+        "client": goal.client,
+        "action": getattr(what, "action", ""),
+        "elements": what.elements,
+        "kind": getattr(what, "kind", None) or "",
+        "intensity": getattr(to, "share", 1.0),
+        "stage": getattr(to, "stage", Stage.BOTH),
+        "tolerance": getattr(to, "tolerance", 0.01),
+        "narrower": getattr(to, "narrower", 0.005),
+        "wider": getattr(to, "wider", 0.005),
+        "grasp": isinstance(to, Around),
+        "touch": isinstance(to, FirstContact),
+        "speed": 1.0 if isinstance(speed, TipSpeed) else speed,
+        "effort_name": list(efforts),
+        "effort": list(efforts.values()),
+        "contact_finger": list(goal.on_contact),
+        "on_contact": list(goal.on_contact.values()),
+        **{name: math.nan if value is None else value for name, value in optional.items()},
+    }
 
 
-def _optional(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-_NONE = math.nan
+_SAME: Final = (
+    *("action", "elements", "kind", "intensity", "tolerance", "narrower", "wider"),
+    *("grasp", "touch", "speed", "goal_id", "client"),
+)
+OPTIONAL = ("opening", "tip_speed", "force", "max_force", "timeout")
+"""Fields that are ``NaN`` where a goal has no such value."""
 
 # The words come from the network and may have any length.
 _STAGE = word("stage", Stage, "stage '{:.50}' is none of both, pre_grasp, grasp")
 _ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' is none of stop, hold, squeeze")
 
-GOAL = Codec(
-    "rtee_msgs/msg/Goal",
-    Goal,
-    what=As(
-        {
-            "action": _attribute(Named, "action", ""),
-            "elements": lambda what: what.elements,
-            "kind": lambda what: (isinstance(what, Named) and what.kind) or "",
-        },
-        _what,
-    ),
-    to=As(
-        {
-            "intensity": _attribute(Intensity, "share", 1.0),
-            "stage": _attribute(Intensity, "stage", Stage.BOTH),
-            "tolerance": _attribute((Intensity, FirstContact), "tolerance", 0.01),
-            "opening": _attribute((Opening, Around), "width", _NONE),
-            "narrower": _attribute(Around, "narrower", 0.005),
-            "wider": _attribute(Around, "wider", 0.005),
-            "grasp": lambda to: isinstance(to, Around),
-            "touch": lambda to: isinstance(to, FirstContact),
-        },
-        lambda intensity, stage, tolerance, opening, *others: _to(
-            intensity, _STAGE.unpack(stage), tolerance, _optional(opening), *others
-        ),
-    ),
-    speed=As(
-        {
-            "speed": lambda speed: 1.0 if isinstance(speed, TipSpeed) else speed,
-            "tip_speed": _attribute(TipSpeed, "value", _NONE),
-        },
-        lambda speed, tip_speed: _speed(speed, _optional(tip_speed)),
-    ),
-    effort=As(
-        {
-            "effort_name": lambda effort: [] if isinstance(effort, Force) else list(effort),
-            "effort": lambda effort: [] if isinstance(effort, Force) else list(effort.values()),
-            "force": _attribute(Force, "value", _NONE),
-            "max_force": lambda effort: _most(effort),
-        },
-        lambda names, values, force, most: _effort(
-            paired("effort", names, values), _optional(force), _optional(most)
-        ),
-    ),
-    on_contact=As(
-        {"contact_finger": list, "on_contact": lambda by_finger: list(by_finger.values())},
-        lambda fingers, words: paired("on_contact", fingers, list(map(_ON_CONTACT.unpack, words))),
-    ),
-    timeout=number("timeout"),
-)
+
+def _goal(fields: Mapping[str, Any]) -> Goal:
+    """Return the goal in the fields of a message."""
+    words = list(map(_ON_CONTACT.unpack, fields["on_contact"]))
+    given: dict[str, Any] = {
+        name: None if math.isnan(fields[name]) else fields[name] for name in OPTIONAL
+    }
+    return goal_of(
+        **{name: fields[name] for name in _SAME},
+        **given,
+        stage=_STAGE.unpack(fields["stage"]),
+        effort=paired("effort", fields["effort_name"], fields["effort"]),
+        on_contact=paired("on_contact", fields["contact_finger"], words),
+    )
+
+
+GOAL = Codec("rtee_msgs/msg/Goal", Goal, whole=(_fields, _goal))
 """Goals in CDR."""
-
-
-def _most(effort: Mapping[str, float] | Force) -> float:
-    most = effort.most if isinstance(effort, Force) else None
-    return math.nan if most is None else most

@@ -4,9 +4,9 @@ A client sends a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attachme
 identity, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
 error, a ``rtee_msgs/Reply`` with the reason for the refusal.
 
-Requests that steer the hand may also be published on ``rtee/<hand>/put/<way>/<name>/<client>``. The
-answer is published on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or
-``-<number>`` and a ``rtee_msgs/Reply`` with the reason for the refusal.
+Samples of streams are published on ``rtee/<hand>/put/<way>/sample/<client>``, since nobody waits
+for an answer to them. A refusal, a ``rtee_msgs/Reply`` with the attachment ``-<number>``, is
+published on ``rtee/<hand>/answers/<client>``.
 """
 
 from __future__ import annotations
@@ -49,15 +49,18 @@ STATES = "states"
 """Part of the keys of streams of states."""
 
 ANSWERS = "answers"
-"""Part of the keys on which the hand publishes the answers to published requests."""
+"""Part of the keys on which the hand publishes the refusals of samples."""
 
 INBOX = "put"
-"""Part of the keys on which clients publish requests instead of sending queries."""
+"""Part of the keys on which clients publish the samples of streams."""
+
+SAMPLE = "sample"
+"""Name of the request that is published: a sample of a stream."""
 
 
-def inbox_key(hand: str, way: str, name: str, client: str) -> str:
-    """Return the key on which a client publishes a request; for the way, see `HELLO`."""
-    return f"{PREFIX}/{hand}/{INBOX}/{way}/{name}/{client}"
+def inbox_key(hand: str, way: str, client: str) -> str:
+    """Return the key on which a client publishes samples; for the way, see `HELLO`."""
+    return f"{PREFIX}/{hand}/{INBOX}/{way}/{SAMPLE}/{client}"
 
 
 def topic_for(way: str, topic: str) -> str:
@@ -66,10 +69,6 @@ def topic_for(way: str, topic: str) -> str:
     Each certificate has its own keys, on which the hand publishes nothing once it is revoked.
     """
     return topic if way in (HERE, PLAIN) else f"{WATCH}/{way}/{topic}"
-
-
-PUT = ("do", "jog", "sample")
-"""Requests that clients publish, since they are urgent and a query takes Zenoh 0.1 ms longer."""
 
 
 # Numbers, since a role is compared with the lowest one that a request needs.
@@ -127,7 +126,7 @@ _ALL = (
     _request(CONTROL, "jog", "NamedValues", "Reply", "Move actuators to positions."),
     _request(CONTROL, "begin_stream", "StreamBegin", "Reply", "Be ready for a stream."),
     _request(
-        CONTROL, "sample", "StreamTargets", "Reply", "Put a sample; only a refusal is answered."
+        CONTROL, SAMPLE, "StreamTargets", "Reply", "Put a sample; only a refusal is answered."
     ),
     _request(CONTROL, "end_stream", "StreamEnd", "Reply", "End a stream; the hand brakes, holds."),
     _request(CONTROL, "gains", "NamedValues", "Reply", "Change gains of a device.", _M),

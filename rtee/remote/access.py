@@ -15,12 +15,12 @@ from rtee.messages.requests import (
     ALIVE,
     ANSWERS,
     CLIENTS,
-    CONTROL,
     HELLO,
     HERE,
     INBOX,
     PLAIN,
     REQUESTS,
+    SAMPLE,
     STATES,
     Role,
     topic_for,
@@ -195,6 +195,5 @@ def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
         names = [f"{group}/*" for group in sorted({request.group for request in allowed})]
     keys = [f"{HELLO}/{way}", *names]
     yield _rule(f"{role.name.lower()} {way}", "ingress", ["query"], hand, keys)
-    put = [f"{INBOX}/{way}/{request.name}/*" for request in allowed if request.group == CONTROL]
-    if put:
-        yield _rule(f"put {way}", "ingress", ["put"], hand, put)
+    if REQUESTS[SAMPLE] in allowed:
+        yield _rule(f"put {way}", "ingress", ["put"], hand, [f"{INBOX}/{way}/{SAMPLE}/*"])

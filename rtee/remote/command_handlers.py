@@ -20,6 +20,7 @@ from rtee.loop.handloop import HandLoop
 from rtee.messages import GOAL
 from rtee.messages.codec import paired
 from rtee.messages.convert import STREAM_TARGETS
+from rtee.messages.requests import SAMPLE
 from rtee.remote.agents import Agents
 from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
@@ -69,7 +70,7 @@ class CommandHandlers:
         Returns the encoded answer; ``None`` if it is sent once the request has been carried out.
         """
         name = request.request.name
-        if name == "sample":
+        if name == SAMPLE:
             raise RequestRejected("samples of a stream must be published, not queried")
         goal = GOAL.decode(request.question) if name == "do" else None
         if goal is None:
@@ -87,15 +88,8 @@ class CommandHandlers:
             self._moves += 1
         return None if text is None else REPLY.encode(accepted(text))
 
-    def handle_put(self, request: IncomingRequest) -> bytes | None:
-        """Handle a request that was published, such as a goal or a sample of a stream."""
-        if request.request.name != "sample":
-            return self.handle(request)
-        self._take_sample(request)
-        return None
-
-    def _take_sample(self, request: IncomingRequest) -> None:
-        """Pass a sample of a stream to the loop; only refusals are answered."""
+    def take_sample(self, request: IncomingRequest) -> None:
+        """Pass a sample of a stream, which was published, to the loop; raises `RteeError`."""
         streams = self._loop.streams
         with self._lock:
             # First: samples of others must not use up the rate of the holder's stream.

@@ -1,4 +1,4 @@
-"""The messages that clients publish, each client on its own keys.
+"""The samples of streams that clients publish, each client on a key of its own.
 
 Each message takes Python's interpreter lock when it arrives, and thousands per second take it from
 the loop. Queries can be slowed down by late answers, but publishers wait for no answer. So the hand
@@ -86,7 +86,7 @@ class Inboxes:
 
     def open(self, client: str, way: str) -> None:
         """Begin to listen to a client; ``way``: its access path, see `HELLO`."""
-        inbox = _Inbox(inbox_key(self._hand, way, "*", client))
+        inbox = _Inbox(inbox_key(self._hand, way, client))
         with self._lock:
             self._inboxes[client] = inbox
         self._call(partial(self._listen, client, inbox))

@@ -31,10 +31,10 @@ from rtee.messages.identity import Signer
 from rtee.messages.requests import (
     ALIVE,
     CLIENTS,
+    CONTROL,
     HELLO,
     HERE,
     PLAIN,
-    PUT,
     REQUESTS,
     STOP,
     Role,
@@ -42,7 +42,7 @@ from rtee.messages.requests import (
 )
 from rtee.messages.schema import message_type
 from rtee.remote.credentials import common_name, person
-from rtee.remote.fast_requests import FastRequests
+from rtee.remote.samples import Samples
 from rtee.remote.session import direct
 
 _REPLY = message_type("rtee_msgs/msg/Reply")
@@ -77,9 +77,7 @@ class Link:
         self._subscribers: list[zenoh.Subscriber[None]] = []
         self._way = way
         self._signer = Signer(client)
-        self._fast = FastRequests(
-            session, hand, client, way, self._signer, self._call_soon, self._settle
-        )
+        self._samples = Samples(session, hand, client, way, self._signer, self._call_soon)
         # The hand knows by this token that its client is alive. Nobody else knows the token's name,
         # so nobody else can declare it.
         self._token_name = secrets.token_hex(16)
@@ -105,7 +103,7 @@ class Link:
         # An unknown role, of a newer hand, counts as the highest: the hand itself refuses requests.
         self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)
         # Zenoh silently drops messages published before the hand has subscribed.
-        await self._fast.connected()
+        await self._samples.connected()
 
     def on_gone(self, callback: Callable[[], object]) -> None:
         """Call a function when the hand goes."""
@@ -128,7 +126,6 @@ class Link:
 
     def _on_gone(self) -> None:
         self.gone = True
-        self._fast.fail_all(self.lost())
         for callback in self._gone_callbacks:
             callback()
 
@@ -226,9 +223,9 @@ class Link:
             LeaseHeld: if another client holds the lease.
             RequestRejected: if the hand refuses the request, with its reason.
         """
-        if name in PUT:
-            return self._fast.send(name, question, within)
         request = REQUESTS[name]
+        if self.gone and request.group == CONTROL:
+            raise self.lost()
         future: asyncio.Future[bytes] = self._loop.create_future()
 
         def replied(reply: zenoh.Reply) -> None:
@@ -261,14 +258,16 @@ class Link:
             raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
         return future
 
-    def put(self, name: str, question: bytes, label: str) -> None:
-        """Send a request that is only answered if it is refused; see `FastRequests.put`."""
-        self._fast.put(name, question, label)
+    def put(self, question: bytes, label: str) -> None:
+        """Send a sample of a stream under a label; see `refusals`. Raises `NoHand`."""
+        if self.gone:
+            raise self.lost()
+        self._samples.put(question, label)
 
     @contextlib.contextmanager
     def refusals(self, label: str, refused: Callable[[RemoteError], None]) -> Iterator[None]:
         """Call a function with the hand's refusals under a label, see `put`."""
-        with self._fast.refusals(label, lambda data: refused(self._refusal(data))):
+        with self._samples.refusals(label, lambda data: refused(self._refusal(data))):
             yield
 
     def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
@@ -286,7 +285,7 @@ class Link:
         try:
             reply = _REPLY.decode(data)
         except MessageError:
-            return NoHand(f"the hand '{self.hand}' does not answer")
+            return self.lost() if self.gone else NoHand(f"the hand '{self.hand}' does not answer")
         match reply["error"]:
             case "LeaseHeld":
                 return LeaseHeld(reply["text"])
@@ -303,7 +302,7 @@ class Link:
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
-            self._fast.close()
+            self._samples.close()
             # After the rest: when it goes, the hand drops this client's inbox and its lease.
             self._token.undeclare()  # type: ignore[no-untyped-call]
 

@@ -1,9 +1,9 @@
 """The server beside a hand's loop: it makes the hand available on the network.
 
-The path of a goal and its answer: Zenoh's thread calls `Server._on_put`; `handle_request` checks
-the message and calls `CommandHandlers.handle_put`, which queues the goal for the loop's next tick
-and returns the encoded answer. `Server._answer_put` passes the answer to a `CallQueue`, whose
-thread publishes it, since that may have to wait for a slow client. Queries are handled likewise.
+The path of a goal and its answer: Zenoh's thread calls `Server._on_control`; `handle_request`
+checks the query and calls `CommandHandlers.handle`, which queues the goal for the loop's next tick
+and returns the encoded answer. The thread of a `CallQueue` sends it, since that may have to wait
+for a slow client. Samples of streams are published, and handled likewise.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Server:
         self.stops = CallQueue(f"stop {hand}")
         self.questions = CallQueue(f"answer {hand}", _MOST_QUESTIONS)
         self.refused = DelayQueue(f"refuse {hand}", _REFUSED_AFTER, _MOST_REFUSED)
-        self.inboxes = Inboxes(session, hand, self._on_put, self.outbox)
+        self.inboxes = Inboxes(session, hand, self._on_sample, self.outbox)
         self._hand, self._session = hand, session
         self._identities, self._commands, self._queries = identities, commands, queries
         identities.present = self.inboxes.open
@@ -299,9 +299,8 @@ class Server:
 
         return later
 
-    def _on_put(self, sample: zenoh.Sample) -> None:
+    def _on_sample(self, sample: zenoh.Sample) -> None:
         attachment, owner = attachment_of(sample), last_part(sample)
-        is_sample = str(sample.key_expr).rpartition("/")[0].endswith("/sample")
         signed = False
 
         def check(request: Request, attachment: bytes | None, question: bytes) -> str:
@@ -313,28 +312,24 @@ class Server:
             return self._identities.permit(client, request)
 
         def answer(data: bytes, ok: bool) -> None:
-            claim = claim_of(attachment)
-            if not ok and signed and is_sample:
-                # Nobody waits for the answer to a sample, so refusals do not slow its sender down.
-                self.inboxes.count_excess(owner)
-            # Only to the signer: otherwise others could make the hand refuse its request.
-            if claim is not None and signed:
-                self._answer_put(owner, claim.number, data, ok)
-            else:
-                self.inboxes.count_excess(owner)
+            # Nobody waits for the answer to a sample, so refusals do not slow its sender down.
+            self.inboxes.count_excess(owner)
+            # Only to the signer: otherwise others could make the hand refuse its samples.
+            if (claim := claim_of(attachment)) is not None and signed:
+                self._refuse_sample(owner, claim.number, data)
 
         def later(data: bytes | None) -> None:
             self.inboxes.count_excess(owner)
             if data is not None:
                 answer(data, False)
 
-        handle_request(sample, CONTROL, check, self._commands.handle_put, answer, later)
+        handle_request(sample, CONTROL, check, self._commands.take_sample, answer, later)
 
-    def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
+    def _refuse_sample(self, client: str, number: str, data: bytes) -> None:
         topic = topic_for(self._identities.way(client), f"{ANSWERS}/{client}")
         key = network_key(self._hand, topic)
-        attachment = f"{'+' if ok else '-'}{number}"
-        self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **DELIVER))
+        put = partial(self._session.put, key, data, attachment=f"-{number}", **DELIVER)
+        self.outbox.put(put)
 
     def _on_question(self, query: zenoh.Query) -> None:
         def handle(request: IncomingRequest) -> None:

@@ -84,7 +84,7 @@ class Stream:
         wanted = numbers(targets, "target of a sample")
         given = numbers(velocity, "velocity of a sample")
         sample = StreamTargets(self.name, when, wanted, given, self._link.client)
-        self._link.put("sample", STREAM_TARGETS.encode(sample), self._number)
+        self._link.put(STREAM_TARGETS.encode(sample), self._number)
         self.check()
         # So that the hand's messages are received even by a caller that awaits nothing else.
         await anyio.lowlevel.checkpoint()

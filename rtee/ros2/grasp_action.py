@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, TypeVar
+import math
+from typing import Any
 
-from rtee.errors import GoalRejected, suggestion
-from rtee.messages.goals import goal_of
+from rtee.errors import GoalRejected, MessageError
+from rtee.messages.goals import GOAL, OPTIONAL
 from rtee.ros2.action_server import ActionServer, Offer
 from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
-from rtee.types import Feedback, Goal, OnContact, Result, Stage
+from rtee.types import Feedback, Goal, Result, new_goal_id
 
 GRASP = "~/grasp"
 """Name of the action."""
-
-V = TypeVar("V")
 
 
 class Grasp(ActionPart):
@@ -45,57 +43,17 @@ class Grasp(ActionPart):
 
 
 def goal_in(message: Any) -> Goal:
-    """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; leave checks of numbers to the hand.
+    """Return the goal in a ``rtee_msgs/action/Grasp_Goal``.
 
-    Raises `GoalRejected` if names and values do not match, or a keyword is unknown.
+    Raises `GoalRejected` if it makes no sense.
     """
-    fingers = _pairs(message.contact_finger, message.on_contact, "on_contact")
-    return goal_of(
-        message.action,
-        tuple(message.elements),
-        kind=message.kind or None,
-        intensity=message.intensity,
-        effort=_pairs(message.effort_name, list(map(float, message.effort)), "effort"),
-        tolerance=message.tolerance,
-        speed=message.speed,
-        timeout=_optional(message.timeout),
-        stage=_word(Stage, message.stage, "stage"),
-        opening=_optional(message.opening),
-        force=_optional(message.force),
-        grasp=message.grasp,
-        tip_speed=_optional(message.tip_speed),
-        narrower=message.narrower,
-        wider=message.wider,
-        on_contact={
-            finger: _word(OnContact, word, "on_contact") for finger, word in fingers.items()
-        },
-        touch=message.touch,
-        max_force=_optional(message.max_force),
-    )
-
-
-def _optional(values: Sequence[float]) -> float | None:
-    """Return the value of a sequence of at most one."""
-    return float(values[0]) if len(values) else None
-
-
-def _pairs(names: Sequence[str], values: Sequence[V], what: str) -> dict[str, V]:
-    if len(names) != len(values) or len(set(names)) != len(names):
-        raise GoalRejected(
-            f"'{what}' needs a value for each of its names, which all differ, not"
-            f" {len(values)} for {len(names)}"
-        )
-    return dict(zip(names, values, strict=True))
-
-
-W = TypeVar("W", Stage, OnContact)
-
-
-def _word(kind: type[W], word: str, what: str) -> W:
+    fields = {field.name: getattr(message, field.name) for field in message.STRUCTURE.fields}
+    for name in OPTIONAL:  # a sequence of at most one value
+        fields[name] = float(fields[name][0]) if len(fields[name]) else math.nan
     try:
-        return kind(word)
-    except ValueError:
-        raise GoalRejected(f"unknown {what} '{word[:100]}'; {suggestion(word, kind)}") from None
+        return GOAL.of({**fields, "goal_id": new_goal_id(), "client": ""})
+    except MessageError as error:
+        raise GoalRejected(str(error)) from None
 
 
 def _feedback(feedback: Feedback) -> dict[str, Any]:

@@ -69,9 +69,9 @@ class Intruder:
         found = self.session.get(key, payload=question, attachment=proof, timeout=5.0)
         return [REPLY.decode(e.err.payload.to_bytes())["reason"] if e.err else "" for e in found]
 
-    def put(self, name: str, owner: str, question: bytes, proof: str | None = None) -> None:
-        """Put a request where a client of the hand puts it."""
-        key = inbox_key("small", HERE, name, owner)
+    def put(self, owner: str, question: bytes, proof: str | None = None) -> None:
+        """Put what a client of the hand puts, where it puts it."""
+        key = inbox_key("small", HERE, owner)
         block = zenoh.CongestionControl.BLOCK
         self.session.put(key, question, attachment=proof, congestion_control=block)
 
@@ -131,7 +131,7 @@ async def test_nobody_moves_the_hand_under_the_name_of_its_holder(
         for proof in (None, f"1 {holder}", forged.attachment("9", "do", goal)):
             (reason,) = await in_thread(bad.ask, "do", goal, proof)
             assert (unsigned if proof in (None, f"1 {holder}") else NOT_SIGNED) in reason
-            await in_thread(bad.put, "do", holder, goal, proof)
+            await in_thread(bad.put, holder, goal, proof)
         await settled(victim)
         assert (await victim.status()).holder == victim.client
         assert served.watcher.goals == []

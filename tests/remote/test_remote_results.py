@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import Callable
 from typing import Any
@@ -103,18 +104,29 @@ async def test_a_goal_that_the_hand_has_forgotten_ends_with_an_error(
             await running.result()
 
 
+class Mute(Deaf):
+    """A link on which the answers to goals are lost."""
+
+    def send(self, name: str, question: bytes, *, within: float) -> asyncio.Future[bytes]:
+        sent = self._link.send(name, question, within=within)
+        loop = asyncio.get_running_loop()
+        lost: asyncio.Future[bytes] = loop.create_future()
+        loop.call_later(within, lambda: lost.done() or lost.set_exception(NoHand("no answer")))
+        sent.add_done_callback(asyncio.Future.exception)
+        return lost
+
+
 @pytest.mark.anyio
 async def test_a_goal_whose_answer_is_lost_runs_all_the_same(
     hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rtee.remote.goal._ACCEPTED_WITHIN", 0.3)
     async with serving(hand, library) as served, rtee.connect() as remote:
-        # The hand answers nobody that publishes.
-        monkeypatch.setattr(served.server, "_answer_put", lambda *_: None)
-        assert (await remote.do("Trig", "index", intensity=0.2)).reached
+        goals = GoalClient(Mute(remote._link), remote.info)  # type: ignore[arg-type]
+        assert (await goals.do("Trig", "index", intensity=0.2)).reached
         # The caller gives up before the answer: the goal ends all the same.
         with anyio.move_on_after(0.1):
-            await remote.start("wave")
+            await goals.start("wave")
         await until(lambda: len(served.watcher.results) == 2)
         assert served.watcher.results[-1].cancelled
 

@@ -150,7 +150,7 @@ async def test_samples_without_lease_take_none_of_the_stream(
                 for _ in range(6):
                     now = time.monotonic()
                     stolen = StreamTargets(stream.name, now, {"near": 1.4}, {}, other.client)
-                    other._link.put("sample", STREAM_TARGETS.encode(stolen), "x")
+                    other._link.put(STREAM_TARGETS.encode(stolen), "x")
                 await anyio.sleep(0.02)
 
         group.start_soon(steal)

@@ -148,7 +148,7 @@ async def test_bad_samples_are_refused_in_one_sentence(
             await stream.send({"near": 57.0}, stamp=now + 0.3)
             await until(lambda: stream._refused is not None)
             went: list[bytes] = []
-            monkeypatch.setattr(remote._link, "put", lambda _name, data, _label: went.append(data))
+            monkeypatch.setattr(remote._link, "put", lambda data, _label: went.append(data))
             with pytest.raises(RequestRejected, match="degrees"):
                 await stream.send({"near": 0.1})
             assert STREAM_TARGETS.decode(went[0]).targets == {"near": 0.1}  # sent all the same
@@ -177,7 +177,7 @@ async def flooded(served: Served, remote: RemoteHand, stream: Stream) -> None:
     begin, ticks = time.monotonic(), served.watcher.ticks
     for k in range(2000):
         sample = StreamTargets(stream.name, k * 1e-4, {"near": 0.5}, {}, remote.client)
-        remote._link.put("sample", STREAM_TARGETS.encode(sample), stream._number)
+        remote._link.put(STREAM_TARGETS.encode(sample), stream._number)
         await anyio.lowlevel.checkpoint()
     while True:
         status = await stream.status()
@@ -214,7 +214,7 @@ async def test_others_are_kept_out(hand: Hand, library: ActionLibrary) -> None:
                 StreamTargets(stream.name, time.monotonic(), {"near": 1.5}, {}, other.client)
             )
             for _ in range(5):
-                other._link.put("sample", data, "s9")
+                other._link.put(data, "s9")
                 await stream.send({"near": 0.3})
                 await anyio.sleep(0.02)
             await followed(served, stream, near=0.3)

@@ -339,10 +339,10 @@ async def test_what_a_grasp_refuses(
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [
-        ({"stage": "half"}, "unknown stage 'half'"),
-        ({"on_contact": ["hold"]}, "'on_contact' needs a value for each of its names"),
-        ({"contact_finger": ["thumb"], "on_contact": ["hit"]}, "unknown on_contact 'hit'"),
-        ({"effort_name": ["near", "near"], "effort": [1.0, 2.0]}, "'effort' needs a value"),
+        ({"stage": "half"}, "stage 'half' is none of both"),
+        ({"on_contact": ["hold"]}, "on_contact: 0 names for 1 values"),
+        ({"contact_finger": ["thumb"], "on_contact": ["hit"]}, "on_contact 'hit' is none of stop"),
+        ({"effort_name": ["near", "near"], "effort": [1.0, 2.0]}, "effort: a name occurs twice"),
     ],
 )
 def test_a_grasp_that_is_none(fields: dict[str, Any], reason: str) -> None:
