@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import os
 from html import escape
 from typing import Final
 
 import anyio
 import viser
 
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, RteeError
 from rtee.gui.access import Access
 from rtee.gui.app import serve
 from rtee.gui.bridge import Bridge
@@ -23,7 +24,9 @@ from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.gui.headset import Follow
 from rtee.gui.visitors import Visitors
 from rtee.gui.wording import coloured, small
+from rtee.remote.client import stop_hand
 from rtee.remote.fleet import Fleet, Look, Place, following
+from rtee.remote.truth import Tone, Words, clock
 
 _DRAWN_EVERY: Final = 1.0
 """Time between two looks at all hands [s]: often enough to see which one moves."""
@@ -33,10 +36,10 @@ _COLOURS: Final = {"ready": GOOD, "moving": GOOD, "leased": WARN, "inactive": WA
 
 
 class Cards:
-    """Cards of the hands that were found, in a page.
+    """Cards of the hands that were found, in a page; the STOP above it stops them all.
 
     Attributes:
-        words: What each card says, as HTML.
+        cards: What each card says, as HTML.
         chosen: The hand whose card was clicked.
     """
 
@@ -44,21 +47,56 @@ class Cards:
         """Add nothing yet; must be called in the event loop."""
         self._gui, self._bridge = server.gui, Bridge(server)
         self._gui.set_panel_label("rtee")
-        self.words: dict[Place, viser.GuiHtmlHandle] = {}
+        self.cards: dict[Place, viser.GuiHtmlHandle] = {}
         self._folders: dict[Place, viser.GuiFolderHandle] = {}
         self._clicked = anyio.Event()
+        self._run = os.urandom(4).hex()  # the page that follows has another, and is loaded anew
+        self._stopped = Words("")
         self.chosen: Place | None = None
+
+    def words(self, window: int | None) -> dict[str, object]:
+        """Return what the bar says."""
+        count = sum(bool(place.hand) for place in self.cards)
+        held = Words(f"{count} hand{'s' * (count != 1)}: STOP stops all")
+        rest = {"link": Words(""), "mode": Words(""), "old": False, "recorded": False}
+        return {"run": self._run, "title": "rtee", "held": held, "doing": self._stopped, **rest}
+
+    def press(self, button: str, window: int | None) -> None:
+        """Stop all hands, if that is the button; from any thread."""
+        if button == "stop":
+            self._bridge.call(self._stop, always=True)
+
+    async def _stop(self) -> None:
+        said: list[str] = []
+
+        async def stop(place: Place) -> None:
+            try:
+                _, done = await stop_hand(place.hand, endpoint=place.endpoint or None, client="gui")
+                silent = ", ".join(name for name, confirmed in done.items() if not confirmed)
+                said.append(
+                    f"{place.hand}: " + (f"NOT confirmed by {silent}" if silent else "stopped")
+                )
+            except RteeError as error:
+                said.append(f"STOP has NOT reached {place.hand}: {error}")
+
+        self._stopped = Words("stopping …", Tone.WARN)
+        async with anyio.create_task_group() as group:
+            for place in self.cards:
+                if place.hand:
+                    group.start_soon(stop, place)
+        bad = any("NOT" in words for words in said)
+        self._stopped = Words(f"{clock()} {'; '.join(said)}", Tone.BAD if bad else Tone.WARN)
 
     def draw(self, looks: list[Look]) -> None:
         """Show what hands answered; hands that were not found any more lose their card."""
         places = [look.place for look in looks]
         for place in [known for known in self._folders if known not in places]:
             self._folders.pop(place).remove()
-            del self.words[place]
+            del self.cards[place]
         for number, look in enumerate(looks):
             if look.place not in self._folders:
                 self._add(look.place, number)
-            self.words[look.place].content = _html(look)
+            self.cards[look.place].content = _html(look)
 
     def _add(self, place: Place, order: int) -> None:
         name = place.hand or place.endpoint
@@ -68,7 +106,7 @@ class Cards:
             self.choose(place)
 
         with folder:
-            self.words[place] = self._gui.add_html("")
+            self.cards[place] = self._gui.add_html("")
             if place.hand:
                 self._gui.add_button(f"Show {name}").on_click(self._bridge.clicked(choose))
 
@@ -123,7 +161,8 @@ async def serve_chosen(
             print(f"rtee: GUI at {link}", flush=True)  # noqa: T201
         async with following([endpoint] if endpoint else [], here=endpoint is None) as fleet:
             await fleet.known()
-            place = await Cards(server).run(fleet)
+            visitors.desk = cards = Cards(server)
+            place = await cards.run(fleet)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()

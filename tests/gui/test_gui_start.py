@@ -39,11 +39,15 @@ async def test_each_hand_has_a_card_a_click_away(
         await fleet.known()
         cards = Cards(server)
         cards.draw(await fleet.look())
-        assert list(cards.words) == [Place("left"), Place("right")]
-        assert all("ready" in words.content for words in cards.words.values())
+        assert list(cards.cards) == [Place("left"), Place("right")]
+        assert all("ready" in words.content for words in cards.cards.values())
+        cards.press("stop", None)
+        while "right: stopped" not in str(cards.words(None)["doing"]):  # noqa: ASYNC110
+            await anyio.sleep(0.02)
+        assert "left: stopped" in str(cards.words(None)["doing"])
         async with anyio.create_task_group() as group:
             group.start_soon(cards.run, fleet)
             cards.choose(Place("right"))
         assert cards.chosen == Place("right")
         cards.draw([])
-        assert not cards.words
+        assert not cards.cards
