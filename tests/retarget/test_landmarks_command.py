@@ -4,42 +4,28 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import anyio.from_thread
 import numpy as np
 import pytest
-from remote.serving import Served, serving
+from remote.served_leap import served
+from remote.serving import Served
 from typer.testing import CliRunner
 
-from rtee.actions.library import ActionLibrary
 from rtee.cli._common import app_of
 from rtee.cli.retarget import retarget
 from rtee.cli.teleop import teleop
 from rtee.errors import LogError, UserError
 from rtee.hand.catalog import find_hand
-from rtee.hand.load import load_hand
 from rtee.retarget import LAYOUTS, Retargeter, Side
 from rtee.retarget.frames import read_frames
 from rtee.testing.human_hand import HumanHand
 
+__all__ = ["served"]
+
 HUMAN = HumanHand()
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "run"))
-    monkeypatch.delenv("RTEE_CONNECT", raising=False)
-    monkeypatch.delenv("RTEE_HAND", raising=False)
-    hand = load_hand("leap_hand")
-    library = ActionLibrary.load(hand, find_hand("leap_hand") / "actions")
-    with (
-        anyio.from_thread.start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(serving(hand, library)) as served,
-    ):
-        yield served
 
 
 def run(command: object, *words: str, given: str | None = None) -> str:

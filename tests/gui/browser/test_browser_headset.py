@@ -6,21 +6,17 @@ import json
 from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import anyio.from_thread
 import numpy as np
 import pytest
 import viser
-from remote.serving import Served, serving
+from remote.served_leap import served
+from remote.serving import Served
 
-from rtee.actions.library import ActionLibrary
 from rtee.cli.landmarks import follow_headset
 from rtee.gui.access import Access, Role
 from rtee.gui.visitors import Visitors
-from rtee.hand.catalog import find_hand
-from rtee.hand.load import load_hand
 from rtee.retarget import LAYOUTS
 from rtee.testing.human_hand import HumanHand
 
@@ -28,6 +24,8 @@ from .marks import in_a_browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext, Page
+
+__all__ = ["served"]
 
 pytestmark = in_a_browser
 
@@ -63,20 +61,6 @@ def joints(curls: float) -> list[list[float]]:
     found = np.zeros((layout.count, 3))
     found[[part[0] for part in layout.order]] = points
     return [[float(value) for value in row] for row in found]
-
-
-@pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "run"))
-    monkeypatch.delenv("RTEE_CONNECT", raising=False)
-    monkeypatch.delenv("RTEE_HAND", raising=False)
-    hand = load_hand("leap_hand")
-    library = ActionLibrary.load(hand, find_hand("leap_hand") / "actions")
-    with (
-        anyio.from_thread.start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(serving(hand, library)) as served,
-    ):
-        yield served
 
 
 @pytest.fixture
