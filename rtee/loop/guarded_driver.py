@@ -274,6 +274,9 @@ def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[A
                 if cancelled >= _CANCELLATIONS:
                     raise
                 waits_for = work.throw(error)
+            except Exception as error:
+                # A task throws here what a future raises; the work may expect it.
+                waits_for = work.throw(error)
             else:
                 waits_for = work.send(None)
     except StopIteration as done:

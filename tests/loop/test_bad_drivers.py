@@ -18,6 +18,7 @@ from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import CommandRejected, DeviceFault, DriverError
 from rtee.hand.model import Hand
 from rtee.loop.clock import ManualClock
+from rtee.loop.guarded_driver import GuardedDriver
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings
 from rtee.messages import DEVICE_STATUS, EVENT
@@ -222,3 +223,21 @@ async def test_a_bad_driver_costs_its_device_alone(hand: Hand, what: str) -> Non
         assert confirmed[0]["good"]
     # The run ends, and within bounds: leaving the context has returned.
     assert ticks == 260
+
+
+async def test_a_driver_may_expect_what_a_future_raises(hand: Hand) -> None:
+    """A task throws what its future raised into the outermost coroutine, past the driver's."""
+
+    class Expecting(KinematicDriver):
+        async def activate(self) -> None:
+            future = asyncio.get_running_loop().create_future()
+            asyncio.get_running_loop().call_soon(future.set_exception, KeyError("expected"))
+            with pytest.raises(KeyError):
+                await future
+            await super().activate()
+
+    own = device(hand, "own", INDEX, rate=RATE)
+    guarded = GuardedDriver(Expecting(own.spec, BusPool()), "own", len(INDEX))
+    await guarded.configure()
+    await guarded.activate()
+    assert (await guarded.sense()).position.shape == (len(INDEX),)
