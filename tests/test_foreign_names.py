@@ -310,7 +310,10 @@ async def seen_in_the_gui(
 ) -> None:
     app = App(server, hand.name, None)
     group.start_soon(app.run)
-    while app.session is None:  # noqa: ASYNC110
+    while app._group is None:
+        await anyio.lowlevel.checkpoint()
+    page = app.open(server)
+    while page.session is None:  # noqa: ASYNC110
         await anyio.sleep(0.02)
     async with rtee.connect(hand.name) as remote:
         served.loop.announce(Event("told", "device", ALLOWED[1], 0.0))

@@ -38,7 +38,7 @@ from rtee.remote.call_queue import CallQueue
 from rtee.remote.connections import raise_file_limit
 from rtee.remote.rates import CONNECTIONS_OF_CERTIFICATE
 from rtee.remote.session import direct, host_of, local_endpoint, open_listening
-from rtee.remote.stopping import stop_at, stop_path
+from rtee.remote.stopping import CERTIFICATE, stop_at, stop_path
 
 log = logging.getLogger(__name__)
 
@@ -231,7 +231,7 @@ class _Gate:
     def _stop(self, query: zenoh.Query) -> None:
         with contextlib.suppress(NoHand, zenoh.ZError), query:
             assert self._stop_at is not None  # noqa: S101
-            confirmed = stop_at(self._stop_at, self._hand, f"certificate_{self._name}")
+            confirmed = stop_at(self._stop_at, self._hand, f"{CERTIFICATE}{self._name}")
             fields = {"device": list(confirmed), "confirmed": list(confirmed.values())}
             query.reply(
                 REQUESTS["stop"].key(self._hand),

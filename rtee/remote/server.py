@@ -63,7 +63,7 @@ from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
 from rtee.remote.session import DELIVER, TLS, direct, fits, open_server
-from rtee.remote.stopping import SUFFIX, StopSocket
+from rtee.remote.stopping import CERTIFICATE, SUFFIX, Stopped, StopSocket
 
 T = TypeVar("T")
 
@@ -217,7 +217,15 @@ class Server:
                     commands.client_left(client)
 
             stack.enter_context(protection.watched(admit))
-            stops = await in_thread(StopSocket, socket.with_suffix(SUFFIX), commands.stop)
+
+            def stop(client: str, answer: Stopped) -> None:
+                # The door knows whoever it lets in by a certificate's common name only.
+                way = client.partition(" ")[0].removeprefix(CERTIFICATE)
+                admitted = protection.admit(way) if client.startswith(CERTIFICATE) else None
+                who = client if admitted is None else admitted.prefix.removesuffix(".")
+                commands.stop(who, answer)
+
+            stops = await in_thread(StopSocket, socket.with_suffix(SUFFIX), stop)
             stack.push_async_callback(in_thread, stops.close)
             # Last, since waiting clients send requests as soon as the hand is announced.
             place.write([endpoint])

@@ -29,6 +29,9 @@ from rtee.hand.names import safe_name
 SUFFIX = ".stop"
 """Ending of the socket's path; the rest is that of the socket of the network."""
 
+CERTIFICATE = "certificate_"
+"""Beginning of the name under which the hand's door passes a stop on; a common name follows."""
+
 Stopped = Callable[[Mapping[str, Any]], object]
 """Called with the fields of a ``rtee_msgs/StopReply`` once the devices have stopped."""
 
