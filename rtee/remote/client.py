@@ -29,6 +29,7 @@ from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import Link, introduced
 from rtee.remote.monitoring import Monitoring
 from rtee.remote.reaching import ReachClient
+from rtee.remote.session import close_session
 from rtee.remote.stopping import stop_at, stop_path
 from rtee.remote.stream import StreamClient
 
@@ -422,4 +423,4 @@ async def _linked(
     finally:
         # Even when cancelled: while the session is open, the client is alive to the hand.
         with anyio.CancelScope(shield=True):
-            await anyio.to_thread.run_sync(found.session.close)
+            await anyio.to_thread.run_sync(close_session, found.session)

@@ -37,7 +37,7 @@ from rtee.messages.requests import REQUESTS, STOP
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.connections import raise_file_limit
 from rtee.remote.rates import CONNECTIONS_OF_CERTIFICATE
-from rtee.remote.session import direct, host_of, local_endpoint, open_listening
+from rtee.remote.session import close_session, direct, host_of, local_endpoint, open_listening
 from rtee.remote.stopping import CERTIFICATE, stop_at, stop_path
 
 log = logging.getLogger(__name__)
@@ -241,7 +241,7 @@ class _Gate:
 
     def close(self) -> None:
         """Close all that goes through it; blocks for a moment."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_session(self._session)
         self._stops.close()
 
 

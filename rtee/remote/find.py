@@ -17,7 +17,7 @@ from rtee.hand.names import check_name
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running
-from rtee.remote.session import open_client, way_to
+from rtee.remote.session import close_session, open_client, way_to
 from rtee.remote.stopping import stop_path
 from rtee.units import TIME, quantity
 
@@ -114,7 +114,7 @@ async def _elsewhere(hand: str | None, endpoint: str) -> Found:
         names = await anyio.to_thread.run_sync(alive, session)
         return Found(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
     except BaseException:  # cancellation, too, since an open session keeps threads
-        session.close()  # type: ignore[no-untyped-call]
+        close_session(session)
         raise
 
 

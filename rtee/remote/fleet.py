@@ -23,7 +23,7 @@ from rtee.remote.directory import Running
 from rtee.remote.find import Found, alive, hands_running, open_here
 from rtee.remote.link import introduced
 from rtee.remote.monitoring import HandStatus, Monitoring
-from rtee.remote.session import open_client, way_to
+from rtee.remote.session import close_session, open_client, way_to
 from rtee.types import DeviceStatus, Lifecycle
 
 _SEARCH_EVERY = 2.0
@@ -206,7 +206,7 @@ async def _opened_here(running: Running) -> AsyncIterator[Found]:
 async def _close(session: zenoh.Session | None) -> None:
     if session is not None:
         with anyio.CancelScope(shield=True):
-            await anyio.to_thread.run_sync(session.close)
+            await anyio.to_thread.run_sync(close_session, session)
 
 
 @contextlib.asynccontextmanager

@@ -62,7 +62,7 @@ from rtee.remote.outlets import Outlets
 from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
-from rtee.remote.session import DELIVER, TLS, direct, fits, open_server
+from rtee.remote.session import DELIVER, TLS, close_session, direct, fits, open_server
 from rtee.remote.stopping import CERTIFICATE, SUFFIX, Stopped, StopSocket
 
 T = TypeVar("T")
@@ -161,7 +161,7 @@ class Server:
             session, endpoint = await in_thread(
                 open_server, socket, others, settings.connect, protection.settings
             )
-            stack.push_async_callback(in_thread, session.close)
+            stack.push_async_callback(in_thread, partial(close_session, session))
             connections = Connections(session, str(socket))
             stack.push_async_callback(in_thread, connections.close)
             outlets = Outlets(session, hand.name, protection.people)

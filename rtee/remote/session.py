@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import json
+import logging
 import os
 import re
 import resource
@@ -24,6 +25,8 @@ from rtee.errors import ConfigError, NoHand
 from rtee.messages.requests import HERE, PLAIN
 from rtee.remote.connections import disable_linger
 from rtee.remote.credentials import identity
+
+log = logging.getLogger(__name__)
 
 _RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 
@@ -264,6 +267,15 @@ def is_safe(endpoint: str) -> bool:
             return ipaddress.ip_address(match[1].strip("[]")).is_loopback
         return match[1] == "localhost"
     return endpoint.startswith((TLS, LOCAL))
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Close a session; blocks for some milliseconds, beside a process that is frozen for 10 s."""
+    try:
+        session.close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError as error:
+        # Its links close at the latest when this process ends, and others then forget it.
+        log.warning("a session did not close: %s", str(error).partition(" at ")[0])
 
 
 def open_client(endpoints: Sequence[str]) -> zenoh.Session:

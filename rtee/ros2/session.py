@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -19,9 +18,7 @@ from rtee.errors import ConfigError, NoRouter
 from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.remote import session as remote_session
 from rtee.remote.credentials import identity
-from rtee.remote.session import TLS, check_endpoints, is_safe
-
-log = logging.getLogger(__name__)
+from rtee.remote.session import TLS, check_endpoints, close_session, is_safe
 
 # Environment variables of ROS 2 and rmw_zenoh.
 DOMAIN = "ROS_DOMAIN_ID"
@@ -236,15 +233,6 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
         raise ConfigError(f"the ROS 2 session cannot be opened: {words}") from None
 
 
-def close_session(session: zenoh.Session) -> None:
-    """Close a session; blocks for some milliseconds, and for 10 s at most."""
-    try:
-        session.close()  # type: ignore[no-untyped-call]
-    except zenoh.ZError as error:
-        # Its declarations vanish for others when the process ends and closes their links.
-        log.warning("the ROS 2 session did not close: %s", _words(error))
-
-
 @asynccontextmanager
 async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[None]:
     """Run a stand-in for ROS 2's router (``rmw_zenohd``) for the duration of the context.
@@ -270,4 +258,4 @@ async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[N
     finally:
         with anyio.CancelScope(shield=True):
             # In a thread, since closing may block for seconds.
-            await anyio.to_thread.run_sync(session.close)
+            await anyio.to_thread.run_sync(close_session, session)
