@@ -153,7 +153,8 @@ def running_hand(
             stdout=output,
             stderr=output,
             pass_fds=[its.fileno()],
-            env=child.environment(),
+            # What it learns of its free motion is not the user's real hand's, nor the next test's.
+            env={**child.environment(), "XDG_STATE_HOME": str(folder.resolve() / "state")},
         )
     line = bench.Bench(ours)
     try:
