@@ -42,7 +42,6 @@ PROVISIONAL = {
     "rtee.remote.counts.Counts",
     "rtee.remote.link.Link",
     "rtee.remote.monitoring.CollectedStates",
-    "rtee.remote.monitoring.Monitoring",
     "rtee.sample.Quantity",
     "rtee.types.Aim",
 }
