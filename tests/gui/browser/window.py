@@ -116,9 +116,12 @@ class Window:
         from playwright.sync_api import TimeoutError as NotThere
 
         wanted = self.page.get_by_role("option", name=option, exact=True)
+        field = self.field(label, within)
         while True:
-            self.field(label, within).click()
+            # In the middle of the panel: at its edge, the heading of a folder may lie over it.
+            field.evaluate("(each) => each.scrollIntoView({block: 'center'})")
             try:
+                field.click(timeout=4000)
                 return wanted.click(timeout=4000)
             except NotThere:
                 continue
