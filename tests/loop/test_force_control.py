@@ -21,6 +21,7 @@ from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip, grip_at
 from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.planning import make_plan
+from rtee.loop.pressing import ceilings
 from rtee.sample import TickRecord
 from rtee.types import (
     Around,
@@ -336,6 +337,36 @@ def test_a_state_tells_the_force_that_the_result_tells() -> None:
     assert grip_at(grip, record)[1] == pytest.approx(10.0), "with weight and friction"
     known = replace(record, channels={GRIP_FORCE: np.array((4.0, 2.0))})
     assert grip_at(grip, known)[1:3] == (4.0, 2.0)
+
+
+def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes() -> None:
+    folder = FOLDER.with_name("leap_hand")
+    hand, config = load_configured(folder)
+    settings = loop_settings(config, rate=500.0)
+    controller = Controller(hand, settings)
+    controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
+    size = len(hand.actuators)
+    time, position = 0.0, hand.rest.tolist()
+
+    def tick() -> None:
+        nonlocal time, position
+        time += settings.period
+        nothing = [0.0] * size
+        controller.step(time, Measured(position, nothing, [NAN] * size, [True] * size, [-1] * size))
+        position = list(controller.reference_position)
+
+    tick()
+    library = ActionLibrary.load(hand, folder / "actions")
+    plan = make_plan(grasp(0.03, 0.5), hand, library, settings)
+    assert len(plan.effort) > 1, "of several joints"
+    controller.accept(plan, time)
+    limits = []
+    while not any(isinstance(item, Result) for item in controller.outbox.items):
+        tick()
+        limits.append([controller.reference_effort[i] for i in plan.effort])
+    allowed = ceilings(hand, dict(plan.effort), plan.effort)
+    assert np.min(limits, axis=0) == pytest.approx([allowed[i] for i in plan.effort])
+    assert all(allowed[i] < hand.actuators[i].effort for i in plan.effort)
 
 
 class Stepping(Gripper):
