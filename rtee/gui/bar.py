@@ -68,11 +68,12 @@ async def handle(connection: ServerConnection, desk: Desk) -> None:
 
     async def listen() -> None:
         nonlocal window
-        async for message in connection:
-            if message in ("stop", "live", "narrow"):
-                desk.press(str(message), window)
-            elif isinstance(message, str) and message.isdecimal() and len(message) < 10:
-                window = int(message)
+        with contextlib.suppress(ConnectionClosed):  # the page has gone without a word
+            async for message in connection:
+                if message in ("stop", "live", "narrow"):
+                    desk.press(str(message), window)
+                elif isinstance(message, str) and message.isdecimal() and len(message) < 10:
+                    window = int(message)
 
     listening = asyncio.ensure_future(listen())
     told, since = "", _BEAT

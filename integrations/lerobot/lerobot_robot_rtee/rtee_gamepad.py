@@ -8,6 +8,7 @@ from lerobot.teleoperators.config import TeleoperatorConfig
 from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot.utils.errors import DeviceNotConnectedError
 
+from lerobot_robot_rtee.uncalibrated import Uncalibrated
 from rtee.errors import ConfigError
 from rtee.teleop.drive import assigned
 from rtee.teleop.inputs import Gamepad, Input, open_gamepad
@@ -28,7 +29,7 @@ class RteeGamepadConfig(TeleoperatorConfig):
     device: str | None = None
 
 
-class RteeGamepad(Teleoperator):
+class RteeGamepad(Uncalibrated, Teleoperator):
     """A gamepad; for a robot with the same ``actions``."""
 
     config_class = RteeGamepadConfig
@@ -60,17 +61,6 @@ class RteeGamepad(Teleoperator):
     def is_connected(self) -> bool:
         """Whether the gamepad is open."""
         return self._pad is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
         """Open the gamepad."""

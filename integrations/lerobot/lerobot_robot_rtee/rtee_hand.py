@@ -15,6 +15,7 @@ from lerobot.robots import Robot, RobotConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 import rtee
+from lerobot_robot_rtee.uncalibrated import Uncalibrated
 from rtee.errors import ConfigError
 from rtee.loop.measured import TIP_FORCE, tip_forces
 from rtee.messages.features import USUAL, Quantity, feature, observed, quantities
@@ -50,7 +51,7 @@ class RteeHandConfig(RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
-class RteeHand(Robot):
+class RteeHand(Uncalibrated, Robot):
     """A running hand. `connect` takes the right to move it, `disconnect` and `stop` give it back.
 
     What it observes and takes is asked of the hand itself, before `connect`, too.
@@ -132,17 +133,6 @@ class RteeHand(Robot):
     def is_connected(self) -> bool:
         """Whether the hand can be moved."""
         return self._moving is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always: a hand is calibrated where it runs."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing: hand.yaml configures the hand."""
 
     def connect(self, calibrate: bool = True) -> None:
         """Wait until the hand is ready, and take the right to move it; nothing moves yet."""

@@ -14,6 +14,7 @@ from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot.utils.errors import DeviceNotConnectedError
 
 import rtee
+from lerobot_robot_rtee.uncalibrated import Uncalibrated
 from rtee import monotonic
 from rtee.errors import ConfigError, RteeError, needing_extra
 from rtee.messages.features import Quantity, feature
@@ -40,7 +41,7 @@ class RteeLandmarksConfig(TeleoperatorConfig):
     connect: str | None = None
 
 
-class RteeLandmarks(Teleoperator):
+class RteeLandmarks(Uncalibrated, Teleoperator):
     """Points of a person's hand; until one is seen, the hand stays where it is."""
 
     config_class = RteeLandmarksConfig
@@ -76,17 +77,6 @@ class RteeLandmarks(Teleoperator):
     def is_connected(self) -> bool:
         """Whether points are read."""
         return self._thread is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Always: no person needs a calibration."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
         """Begin to read points.
