@@ -127,6 +127,14 @@ def restore(controller: Controller, nodes: list[Any]) -> None:
 class _Restoring:
     def __init__(self, controller: Controller, nodes: list[Any]) -> None:
         self._given = {"hand": controller.hand, "settings": controller.settings}
+        # What a controller calls back is wired when it is made. A file that has been tampered with
+        # must not have it call anything else.
+        own = (value for value, _ in capture(controller).nodes.values())
+        self._wired = {
+            (type(each.__self__), each.__name__)
+            for each in own
+            if isinstance(each, (MethodType, BuiltinMethodType))
+        }
         self._nodes = nodes
         self._made: dict[int, Any] = {}
 
@@ -158,8 +166,11 @@ class _Restoring:
             made = _MAPPINGS[kind](dict(zip(values[:half], values[half:], strict=True)))
         elif kind == "ndarray":
             made = np.frombuffer(bytes.fromhex(parts[1]), parts[0]).reshape(parts[2:]).copy()
-        elif kind == "method" and not parts[1].startswith("_"):
-            made = getattr(self.value(parts[0], getattr(there, "__self__", None)), parts[1])
+        elif kind == "method":
+            owner = self.value(parts[0], getattr(there, "__self__", None))
+            if (type(owner), parts[1]) not in self._wired:
+                raise ValueError(f"a controller does not call {parts[1]} back")
+            made = getattr(owner, parts[1])
         elif kind == "enum":
             made = _class(parts[0])(parts[1])
         elif kind == "given":

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
 
 from rtee.actions.library import ActionLibrary
 from rtee.commands import SetActive
+from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
 from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
+from rtee.loop.snapshot import capture, restore, to_bytes
 from rtee.types import Goal, Named, Result
 
 START = 0.1
@@ -36,3 +39,18 @@ def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
         position = list(controller.reference_position)
     results = [item for item in controller.outbox.items if isinstance(item, Result)]
     assert [result.reached for result in results] == [True]
+
+
+def test_a_state_from_a_file_calls_back_nothing_but_what_a_controller_does(hand: Hand) -> None:
+    settings = LoopSettings(rate=100.0)
+    nodes = json.loads(to_bytes(capture(Controller(hand, settings))))["nodes"]
+    restore(Controller(hand, settings), nodes)
+    places = [place for place, (kind, *_) in enumerate(nodes) if kind == "method"]
+    assert places
+    for place in places:
+        _, owner, name = nodes[place]
+        for tampered in (["method", owner, "__init__"], ["method", [0], "accept"]):
+            nodes[place] = tampered
+            with pytest.raises(LogError, match="makes no sense"):
+                restore(Controller(hand, settings), nodes)
+        nodes[place] = ["method", owner, name]
