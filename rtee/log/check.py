@@ -185,6 +185,7 @@ class _Checker:
         # Those that the other side has not had yet: of weeks, few are in memory.
         self._computed: deque[Result] = deque()
         self._recorded: deque[Result] = deque()
+        self._newest = 0  # results of the last tick
         self._begin = self._next_tick = 0  # the first tick, and that after the last one
         self._begin_wall = -1
         self._sum = Check(0, 0, 0, 0, 0.0, None, True, 0, rules=replayable.rules)
@@ -236,6 +237,8 @@ class _Checker:
                     path=self.path,
                 )
             restore(self._controller, state["nodes"])
+            # It was captured before its tick's results were told: they belong to what was before.
+            self._controller.outbox.items.clear()
             # As in the live loop: a command may look at what this tick has measured.
             self._measured = self._controller.measured
             self._begin, self._begin_wall = state["tick"] + 1, state["wall"]
@@ -272,7 +275,9 @@ class _Checker:
             self._waiting.popleft()
         self._controller.step(stamp, measured)
         items = self._controller.outbox.items
-        self._computed += [item for item in items if isinstance(item, Result)]
+        ended = [item for item in items if isinstance(item, Result)]
+        self._computed += ended
+        self._newest = len(ended)
         items.clear()
 
     def _measurements(self, piece: Recording) -> Iterator[Measured]:
@@ -343,8 +348,10 @@ class _Checker:
         return replace(
             self._sum,
             # When the loop ended, it may have published one more result after the last recorded
-            # tick.
-            results=self._sum.results and not self._computed and len(self._recorded) <= 1,
+            # tick. Those of the last tick come after it, and so may begin the next part.
+            results=self._sum.results
+            and len(self._computed) <= self._newest
+            and len(self._recorded) <= 1,
             missing=self._next_tick - self._begin - self._sum.ticks,
         )
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import anyio
@@ -31,17 +31,19 @@ from rtee.errors import LogError, UnknownActuator
 from rtee.hand.config_schema import GraspSettings, ProfileKind, ProfileSettings
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
-from rtee.log import Entry, Recorder, Recording, read, reader
+from rtee.log import Entry, JointSeries, Recorder, Recording, read, reader
 from rtee.log.check import TOPICS, check
 from rtee.log.export import tables
-from rtee.log.layout import STATE
+from rtee.log.layout import STATE, library_name
 from rtee.loop import contact_rules
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
+from rtee.loop.observer import Observer
 from rtee.loop.settings import LoopSettings
+from rtee.loop.snapshot import Snapshot, capture, to_bytes
 from rtee.messages.convert import plain
-from rtee.sample import ActuatorState
-from rtee.types import FirstContact, Goal, Intensity, Named, OnContact
+from rtee.sample import ActuatorState, TickRecord
+from rtee.types import FirstContact, Goal, Intensity, Named, OnContact, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -328,6 +330,45 @@ async def test_a_goal_that_ended_otherwise_is_found(moved: Recording) -> None:
     entry = moved.results[0]
     other = replace(entry, value=replace(entry.value, stalled=True))
     assert not check(replace(moved, results=[other])).same
+
+
+async def test_a_part_may_begin_and_end_between_a_tick_and_its_result(
+    small: Hand, tmp_path: Path
+) -> None:
+    ends: list[tuple[int, Snapshot]] = []
+    async with recording(small, tmp_path, LoopSettings(rate=RATE)) as rig:
+        controller = rig.loop.controller
+
+        class Keeping(Observer):
+            def on_tick(self, record: TickRecord) -> None:
+                if any(isinstance(each, Result) for each in controller.outbox.items):
+                    ends.append((record.tick, capture(controller)))
+
+        rig.loop.add_observer(Keeping())
+        await rig.do("Trig", "index")
+        await rig.do("open")
+    found = read(recorded(tmp_path)[0])
+    (tick, state), _ = ends
+    first = {name: getattr(found, name)[:1] for name in ("goals", "plans")} | {"results": ()}
+    assert check(replace(between(found, 0, tick + 1), **first)).same
+    assert not check(replace(between(found, 0, tick + 2), **first)).same
+    wall = int(found.actuator_states.wall[tick])
+    begin = to_bytes(state, library=library_name(), tick=tick, wall=wall)
+    assert check(
+        replace(between(found, 1, None), attachments={**found.attachments, STATE: begin})
+    ).same
+
+
+def between(whole: Recording, first: int, end: int | None) -> Recording:
+    """Return a recording with some of its ticks alone."""
+
+    def part(series: JointSeries) -> JointSeries:
+        names = (each.name for each in fields(series) if each.name != "names")
+        return replace(series, **{name: getattr(series, name)[first:end] for name in names})
+
+    return replace(
+        whole, actuator_states=part(whole.actuator_states), reference=part(whole.reference)
+    )
 
 
 async def test_what_cannot_be_recomputed_is_said(moved: Recording) -> None:
