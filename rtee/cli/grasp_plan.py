@@ -41,6 +41,14 @@ def grasp_plan(
             help="Where the weight pulls, in the hand's base frame; along its reach unless given.",
         ),
     ] = None,
+    table: Annotated[
+        str | None,
+        typer.Option(
+            metavar="gravity|X,Y,Z[,HEIGHT]",
+            help="The object stands on a table, of which the hand keeps clear: across the weight, "
+            "or with this upward normal in the object's frame (0,0,1: as it is modelled).",
+        ),
+    ] = None,
     scale: Annotated[float, typer.Option(help="Brings a mesh to metres, such as 0.001.")] = 1.0,
     top: Annotated[int, typer.Option(min=1, help="How many grasps are shown.")] = 5,
     check: Annotated[
@@ -70,10 +78,12 @@ def grasp_plan(
         from rtee.planning.plan import plan_grasps
     from rtee.actions.build import check_custom_name
     from rtee.cli._common import actions_of
+    from rtee.objects.table import parse_table
     from rtee.planning.result import to_document
 
     # Mistakes in the options are found before the planning, which may take seconds.
     axis = None if weight_axis is None else _axis(weight_axis)
+    stands = None if table is None else parse_table(table)
     if save is not None:
         check_custom_name(save)
     library = actions_of(hand)
@@ -87,7 +97,7 @@ def grasp_plan(
         try:
             target = read_object(text, mass, scale)
             ranking = plan_grasps(
-                library.hand, library, target, friction=friction, weight_axis=axis
+                library.hand, library, target, friction=friction, weight_axis=axis, table=stands
             )
             if check:
                 ranking = _checked(hand, library, target, ranking)
@@ -179,6 +189,11 @@ def _show(ranking: Ranking, top: int) -> None:
     if first.flange_pose is not None and first.pre_flange_pose is not None:
         at, before = _words(first.flange_pose), _words(first.pre_flange_pose)
         print(f"the flange '{ranking.flange}' in the object's frame: {at}; it comes from {before}")
+    if first.overhang:
+        print(
+            f"it has to stand out over the table's edge by {first.overhang * 1e3:.0f} mm, the edge "
+            f"along y of: {_words(first.table or first.pose)}, in the object's frame"
+        )
     if first.action:
         words = " ".join((first.action, *first.elements))
         effort = f" --effort {first.effort:.0%}" if first.effort < 1.0 else ""

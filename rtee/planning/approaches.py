@@ -33,12 +33,14 @@ class Candidate:
         way: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
         width: Its width between the fingers [m].
         opening: How far apart they are at rest [m].
+        raised: It was moved once already, so that the closing hand clears the table.
     """
 
     pose: FloatArray
     way: FloatArray
     width: float
     opening: float
+    raised: bool = False
 
 
 @dataclass(slots=True)

@@ -9,10 +9,11 @@ from typing import Final
 from rtee.actions.library import ActionLibrary, load_actions
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
+from rtee.objects.table import Table
 from rtee.planning.composition import composed_for
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.planner import FRICTION, Planner
-from rtee.planning.result import Ranking
+from rtee.planning.result import GraspPlan, Ranking
 
 GOOD: Final = 0.6
 """Score of a grasp that is good enough: above, nothing is composed for the object."""
@@ -25,6 +26,7 @@ def grasp_plan(
     mass: float = 0.1,
     friction: float = FRICTION,
     weight_axis: Sequence[float] | None = None,
+    table: Table | None = None,
 ) -> Ranking:
     """Rank the stored actions of a hand for an object; see `plan_grasps`.
 
@@ -34,13 +36,16 @@ def grasp_plan(
         mass: Mass of an object that is given as text [kg].
         friction: Coefficient of friction between hand and object.
         weight_axis: Where the object's weight pulls, a vector of the hand's base frame.
+        table: The table on which the object stands.
 
     Raises:
         UserError: if the hand, its actions, the object or an argument can't be used.
     """
     library = load_actions(hand)
     found = read_object(object, mass) if isinstance(object, str) else object
-    return plan_grasps(library.hand, library, found, friction=friction, weight_axis=weight_axis)
+    return plan_grasps(
+        library.hand, library, found, friction=friction, weight_axis=weight_axis, table=table
+    )
 
 
 def plan_grasps(
@@ -50,6 +55,7 @@ def plan_grasps(
     *,
     friction: float = FRICTION,
     weight_axis: Sequence[float] | None = None,
+    table: Table | None = None,
     compose: bool = True,
 ) -> Ranking:
     """Rank the actions of a hand for an object.
@@ -63,27 +69,40 @@ def plan_grasps(
         friction: Coefficient of friction between hand and object.
         weight_axis: Where the object's weight pulls, a vector of the hand's base frame; along its
             reach, as of a hand that reaches down, unless given.
+        table: The table on which the object stands: the hand keeps clear of it on its way, and as
+            it closes and opens. What can't be grasped there has to stand out over its edge.
         compose: Compose an action of primitives where no single one is good.
 
     Raises:
         ConfigError: if the object fits into no opening of the hand, or an argument makes no sense.
         ModelError: if a mesh of the hand cannot be read.
     """
-    planner = Planner(hand, thing, friction, weight_axis)
+    planner = Planner(hand, thing, friction, weight_axis, table)
     if not len(library):
         raise ConfigError(
             f"hand '{hand.name}' has no actions; find its primitives first: "
             f"rtee extract {hand.name} --save"
         )
-    plans, rejected = planner.plan(library)
-    # Composing takes about as long again, so only where no stored action is good enough.
-    if compose and (not plans or plans[0].score < GOOD):
-        made = composed_for(planner, library)
-        if made is not None and (not plans or made.score > plans[0].score):
-            plans.insert(0, made)
+    plans, rejected = _planned(planner, library, compose)
+    if planner.ground is not None and not plans:
+        planner.ground.edge = True
+        plans, rejected = _planned(planner, library, compose)
     if not plans and planner.too_wide:
         raise ConfigError(
             f"'{thing.name}' does not fit: width {planner.narrowest * 1e3:.0f} mm, the hand opens "
             f"to {planner.widest * 1e3:.0f} mm"
         )
     return planner.ranking(plans, rejected)
+
+
+def _planned(
+    planner: Planner, library: ActionLibrary, compose: bool
+) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
+    """Return the grasps, the best first, and why the other actions can't be used."""
+    plans, rejected = planner.plan(library)
+    # Composing takes about as long again, so only where no stored action is good enough.
+    if compose and (not plans or plans[0].score < GOOD):
+        made = composed_for(planner, library)
+        if made is not None and (not plans or made.score > plans[0].score):
+            plans.insert(0, made)
+    return plans, rejected

@@ -15,6 +15,7 @@ from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.flange import base_in_flange, flange_with
 from rtee.hand.model import Hand
+from rtee.objects.table import Table
 from rtee.planning.approaches import GAP, Candidate
 from rtee.planning.closing import ActionWay, Closing, Closure
 from rtee.planning.distance_bounds import DistanceBounds
@@ -23,6 +24,7 @@ from rtee.planning.poses import Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
 from rtee.planning.scene import GraspScene
 from rtee.planning.search import Grasp, Search, search_together
+from rtee.planning.table import Ground
 from rtee.planning.wrench import EDGES, GRAVITY, balanced, load, quality, wrenches
 from rtee.sample import BoolArray, FloatArray
 from rtee.types import ActuatorSpec, JointKind
@@ -90,7 +92,8 @@ class Task:
 
     Attributes:
         friction: Coefficient of friction between hand and object.
-        weight_axis: Where the weight pulls, a unit vector ``(3,)`` of the hand's base frame.
+        weight_axis: Where the weight pulls, a unit vector ``(3,)`` of the hand's base frame; on a
+            table with a normal of its own, against that.
     """
 
     friction: float
@@ -108,6 +111,7 @@ class Planner:
         narrowest: The object's least width there [m].
         out: The axis ``(3,)`` of the base frame along which the hand reaches out.
         turns: The turns ``(3, 3)`` of the object that look different.
+        ground: The table on which it stands, if there is one.
     """
 
     def __init__(
@@ -116,6 +120,7 @@ class Planner:
         thing: GraspObject,
         friction: float = FRICTION,
         weight_axis: Sequence[float] | None = None,
+        table: Table | None = None,
     ) -> None:
         """Read the geometry; see `plan_grasps`."""
         if not (math.isfinite(friction) and 0.0 < friction <= 10.0):
@@ -128,7 +133,14 @@ class Planner:
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
             raise ConfigError("a weight axis is three finite numbers, not all of them 0")
         self.task = Task(friction, axis / np.linalg.norm(axis))
-        self.turns = orientations(thing)
+        self.ground: Ground | None = None
+        if table is not None:
+            if table.up is not None and weight_axis is not None:
+                raise ConfigError(
+                    "a table with a normal says where the weight pulls: give it or a weight axis"
+                )
+            self.ground = Ground(self.scene, table, self.task.weight_axis)
+        self.turns = orientations(thing, None if self.ground is None else self.ground.up)
         self.too_wide, self.widest, self.narrowest = True, 0.0, math.inf
 
     def plan(self, actions: Iterable[Action]) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
@@ -207,9 +219,13 @@ class Planner:
     def _search(self, action: Action, most: int) -> Search:
         """Return the search for poses at which an action holds the object."""
         closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
-        poses = Poses(self.scene, closing, action, self.out) if closing.way.moving.any() else None
+        poses = None
+        if closing.way.moving.any():
+            poses = Poses(self.scene, closing, action, self.out, self.ground)
         candidates = iter(()) if poses is None else poses.search(self.turns, most)
-        return Search(action, closing, poses, candidates, max(_ENOUGH, most // 2))
+        return Search(
+            action, closing, poses, candidates, max(_ENOUGH, most // 2), ground=self.ground
+        )
 
     def _found(self, search: Search) -> list[Grasp] | str:
         """Return the most promising grasps that a search has found, or why there is none."""
@@ -222,6 +238,8 @@ class Planner:
         if not search.tried and narrowest > opening - 2.0 * GAP:
             return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
         self.too_wide = False
+        if not search.grasps and (search.blocked or search.poses.blocked):
+            return "it meets the table as it comes or closes"
         if not search.tried:
             return "the object can't come between its fingers"
         search.grasps.sort(key=lambda grasp: -grasp.promise)
@@ -296,7 +314,9 @@ class Planner:
             return None
         efforts = self._efforts(closure, contacts, found)
         weights = np.zeros((1 + len(_SHAKEN), 6))
-        weights[:, :3] = self.thing.mass * GRAVITY * self.task.weight_axis
+        top = None if self.ground is None else self.ground.top(candidate.pose, candidate.way)
+        down = self.task.weight_axis if top is None else -top.up
+        weights[:, :3] = self.thing.mass * GRAVITY * down
         weights[1:, :3] += self.thing.mass * _SHAKEN
         score = _score(load(found, efforts, weights, SAFETY * wanted / highest), ball, off)
         if round(score, 4) < least:
@@ -325,6 +345,8 @@ class Planner:
             way=(round(x, 4), round(y, 4), round(z, 4)),
             contacts=contacts,
             reasons=self._reasons(candidate, opening, contacts, times, ball, clearance),
+            table=None if top is None else _rows(_inverse(candidate.pose) @ top.pose),
+            overhang=0.0 if top is None else round(top.overhang, 4),
         )
         return self._mounted(plan, candidate.pose, candidate.way, points)
 

@@ -27,6 +27,7 @@ from rtee.planning.closing import Closing
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
+from rtee.planning.table import STEEP, Ground
 from rtee.sample import FloatArray
 
 _TIPS: Final = 0.008
@@ -96,20 +97,24 @@ def outward(scene: GraspScene) -> FloatArray:
     return axis
 
 
-def orientations(thing: GraspObject) -> list[FloatArray]:
-    """Return the turns ``(3, 3)`` of an object's box that look different, to three axes."""
+def orientations(thing: GraspObject, up: FloatArray | None = None) -> list[FloatArray]:
+    """Return the turns ``(3, 3)`` of an object's box that look different, to three axes.
+
+    An object that stands on a table looks different where its upward axis ``(3,)`` is another.
+    """
     directions = _OUTLOOK / np.linalg.norm(_OUTLOOK, axis=1, keepdims=True)
     middle, _ = thing.box
     limit = _SAME * max(thing.extents)
     found: list[FloatArray] = []
     seen: list[FloatArray] = []
+    stands = np.zeros(3) if up is None else up
     for turn in _TURNS:
         if np.linalg.det(turn) < 0.0:
             continue
         whole = turn @ thing.frame.T
         local = directions @ whole  # the directions in the object's frame
         # From the box's middle: where a mesh has its origin does not change its looks.
-        outline = thing.support(local) - local @ middle
+        outline = np.append(thing.support(local) - local @ middle, whole @ stands)
         if all(np.abs(outline - other).max() > limit for other in seen):
             found.append(whole)
             seen.append(outline)
@@ -120,10 +125,17 @@ class Poses:
     """Finds poses of the object for one action."""
 
     def __init__(
-        self, scene: GraspScene, closing: Closing, action: Action, out: FloatArray
+        self,
+        scene: GraspScene,
+        closing: Closing,
+        action: Action,
+        out: FloatArray,
+        ground: Ground | None = None,
     ) -> None:
         """Look at how the action's fingertips move; the hand reaches out along ``out``."""
-        self._scene, self._closing, self._out = scene, closing, out
+        self._scene, self._closing, self._out, self._ground = scene, closing, out, ground
+        self.blocked = False
+        """Whether a pose was left out because of the table."""
         self._fingers = self._involved(action)
         of_links = scene.geometry.of_links
         self._tips = [
@@ -332,7 +344,7 @@ class Poses:
             # Rounded, so that the last digits do not decide between turns of the same width.
             (round(width, 3), round(deep, 3), number)
             for number, (width, _, deep) in enumerate(self._sizes(turns))
-            if width <= opening - 2.0 * GAP
+            if width <= opening - 2.0 * GAP and self._from_above(turns[number])
         ]
         for width, _, number in sorted(fitting):
             # The last step that leaves room: before the widest one, the tips are still opening.
@@ -369,6 +381,14 @@ class Poses:
             placed = self._placed(3 * STEP_MIDDLE // 2, turns[number], front)
             yield from at_most(placed, _share(most, len(sized)))
 
+    def _from_above(self, turn: FloatArray) -> bool:
+        """Return whether the hand comes to a turned object from no place below the table."""
+        up = None if self._ground is None else self._ground.up
+        if up is None:
+            return True
+        along = self._rotation(self._at(0)[1], turn) @ up
+        return any(float(way @ along) < STEEP for way, _ in self._ways())
+
     def narrowest(self, turns: list[FloatArray]) -> float:
         """Return the object's least width between the fingers [m]."""
         return min(width for width, _, _ in self._sizes(turns))
@@ -395,6 +415,10 @@ class Poses:
         for way, shift in ways:
             begin = pose.copy()
             begin[:3, 3] += shift
+            least = self._stands(begin, way, width)
+            if least is None:
+                self.blocked = True
+                continue
             approach = Approach(begin, way)
             yield approach
             deepest = approach.depth
@@ -403,7 +427,10 @@ class Poses:
             thing = self._scene.object
             out_of_reach = near_side(thing, begin, way, thing.box[0]) - _TIPS
             # The deepest first: the turn's share of poses may be used up before the others.
-            depths = [deepest, 0.0, 0.5 * deepest, out_of_reach]
+            depths = [max(least, d) for d in (deepest, 0.0, 0.5 * deepest, out_of_reach)]
+            if self._ground is not None and self._ground.edge:
+                # Only what stands out over the edge is free.
+                depths = [out_of_reach - more * _TIPS for more in (-0.5, 0.5, 1.5)]
             taken: list[float] = []
             for depth in depths:
                 if depth < deepest or any(abs(depth - other) < _APART for other in taken):
@@ -412,6 +439,31 @@ class Poses:
                 there = begin.copy()
                 there[:3, 3] += depth * way
                 yield Candidate(there, WAY * way, width, opening)
+
+    def _stands(self, begin: FloatArray, way: FloatArray, width: float) -> float | None:
+        """Return the least depth at which the hand stays clear of the table [m].
+
+        A hand that comes from the side is raised as far as it has to be: ``begin`` is changed.
+        ``None`` if it would come from below, or too far above the object.
+        """
+        ground = self._ground
+        if ground is None:
+            return -np.inf
+        up = ground.top(begin, way).up
+        steep = -float(way @ up)
+        if steep < -STEEP:
+            return None
+        if ground.edge:  # where there is room is found by trying
+            return -np.inf
+        steps = int(np.flatnonzero(self.gaps >= width).max(initial=0)) + 1
+        more = ground.missing(self._closing, steps, begin, way)
+        if steep > STEEP:
+            return more / steep
+        if more > 0.0:
+            begin[:3, 3] -= more * up
+        reach = self._scene.object.support((up @ begin[:3, :3])[None])
+        high = float(reach[0] - up @ begin[:3, :3] @ self._scene.object.box[0])
+        return -np.inf if more < high else None
 
     def _ways(self) -> list[tuple[FloatArray, FloatArray]]:
         """Return from where the object may come, as unit vectors, and shifts of it [m]."""

@@ -41,12 +41,14 @@ class Check(Value):
         reason: Why not, in words; empty if it was held.
         slip: How far the object moved in the hand from the grasp to the end [m].
         peak: The largest contact force on a finger while it was lifted and shaken [N].
+        pressed: The largest force of the hand on the table [N]; 0 without one.
     """
 
     held: bool
     reason: str
     slip: float
     peak: float
+    pressed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,10 @@ class GraspPlan(Value):
             closes, row by row [m]; ``None`` where hand.yaml does not say where the hand sits.
         pre_flange_pose: Where the flange comes from, likewise.
         tcp: The middle of the contacts ``(3,)`` in the flange's frame [m], likewise.
+        table: Pose of the table's top ``(4, 4)`` in the object's frame, row by row [m], z up; its
+            origin is below the object, or on the edge over which this stands out, along x.
+            ``None`` without a table.
+        overhang: How far it has to stand out over that edge [m].
     """
 
     action: str
@@ -105,6 +111,8 @@ class GraspPlan(Value):
     flange_pose: Matrix | None = None
     pre_flange_pose: Matrix | None = None
     tcp: Point | None = None
+    table: Matrix | None = None
+    overhang: float = 0.0
 
     @property
     def label(self) -> str:

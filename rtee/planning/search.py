@@ -17,6 +17,7 @@ from rtee.planning.closing import Closing, Closure, close_all
 from rtee.planning.poses import Poses
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
+from rtee.planning.table import Ground
 from rtee.sample import FloatArray
 
 
@@ -33,6 +34,8 @@ class Search:
         grasps: What was found.
         ready: Poses to try next.
         tried: How many poses were tried.
+        ground: The table to keep clear of, if there is one.
+        blocked: Whether a grasp was left out because of it.
     """
 
     action: Action
@@ -43,6 +46,8 @@ class Search:
     grasps: list[Grasp] = field(default_factory=list)
     ready: list[Candidate] = field(default_factory=list)
     tried: int = 0
+    ground: Ground | None = None
+    blocked: bool = False
 
     def next(self) -> Approach | list[Candidate]:
         """Return the poses to try next, or the approach on which these depend.
@@ -101,7 +106,13 @@ def search_together(
     while asked := _next(scene, open_hand, searches):
         closures = close_all([(search.closing, candidate.pose) for search, candidate in asked])
         for (search, candidate), closure in zip(asked, closures, strict=True):
-            if closure is not None:
+            if closure is None:
+                continue
+            ground = search.ground
+            if ground is not None and not ground.clears(search.closing, candidate, closure):
+                search.blocked = True
+                search.ready += ground.raised(search.closing, candidate, closure)
+            else:
                 search.grasps.append(Grasp(search, candidate, closure, promise(closure)))
 
 

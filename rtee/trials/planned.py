@@ -14,7 +14,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.model import compiled
 from rtee.drivers.mujoco.objects import add_object
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import add_carrier, build_hand
+from rtee.drivers.mujoco.scene import add_carrier, add_table, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import binary_stl
@@ -28,6 +28,10 @@ from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial
 from rtee.trials.trial_run import TrialRun
+from rtee.trials.variation import Variation
+
+PRESSED: Final = 20.0
+"""A hand that presses the table harder than this has hit it [N]: a cobot's arm yields at 50 N."""
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 """Where the weight pulls in the world."""
@@ -40,8 +44,12 @@ def check_plan(
     thing: GraspObject,
     ranking: Ranking,
     plan: GraspPlan,
+    variation: Variation | None = None,
 ) -> Check:
     """Try a planned grasp: approach, grasp, lift, hold and shake, as `rtee try` does.
+
+    What stands on a table lies there, and has its weight from the start. A variation moves and
+    turns object and table, and has a friction of its own.
 
     Raises:
         UnknownAction: if the library does not have the action.
@@ -53,16 +61,35 @@ def check_plan(
     # Within the trial, an action that is missing would count as a lost object.
     library.find(name, plan.elements)
     options = SimOptions(
-        object_mass=thing.mass, friction=ranking.friction, support="held", carrier="arm"
+        object_mass=thing.mass,
+        friction=ranking.friction if variation is None else variation.friction,
+        support="held" if plan.table is None else "table",
+        carrier="arm",
     )
+    pose = np.array(plan.pose)
+    if variation is not None:
+        pose = variation.moved(pose)
+    table = None if plan.table is None else pose @ np.array(plan.table)
+    down = np.array(ranking.weight_axis) if table is None else -table[:3, 2]
     simulation = _simulation(
-        hand, options, thing, np.array(plan.pose), np.array(ranking.weight_axis), settings.period
+        hand, options, thing, pose, down, settings.period, table, edge=plan.overhang > 0.0
     )
     trial = Trial(name, plan.elements, thing.name, plan.intensity, thing.mass)
-    place = Place(np.array(plan.pose), plan.touch, np.array(plan.way))
+    place = Place(pose, plan.touch, np.array(plan.way))
     headless = HeadlessHand(hand, library, settings, simulation)
+    pressed = 0.0
+
+    def note(_: float) -> None:
+        nonlocal pressed
+        pressed = max(pressed, simulation.surroundings.pressing())
+
+    if table is not None:
+        headless.before_tick(note)
     result = TrialRun(headless, trial, place).result()
-    return Check(result.held, result.reason, result.slip, result.peak)
+    reason = result.reason
+    if not reason and pressed > PRESSED:
+        reason = f"it pressed the table with {pressed:.0f} N"
+    return Check(not reason, reason, result.slip, result.peak, round(pressed, 3))
 
 
 def checked(
@@ -103,13 +130,21 @@ def _simulation(
     place: FloatArray,
     weight_axis: FloatArray,
     period: float,
+    table: FloatArray | None,
+    *,
+    edge: bool,
 ) -> Simulation:
-    """Build a simulation of a carried hand that holds its weight axis down, with the object."""
+    """Build a simulation of a carried hand that holds its weight axis down, with the object.
+
+    Table and object have poses ``(4, 4)`` in the hand's base frame.
+    """
     built = build_hand(hand, options)
     # Turning the hand instead of gravity leaves the world as a trial has it.
     pose = np.eye(4)
     pose[:3, :3] = _turned(weight_axis)
     add_carrier(built.spec, pose[:3, :3], options)
+    if table is not None:
+        add_table(built.spec, pose @ table, edge=edge)
     with TemporaryDirectory() as folder:
         _add_pieces(built.spec, thing, pose @ place, Path(folder))
         model = compiled(built.spec, hand)

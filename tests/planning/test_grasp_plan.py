@@ -24,6 +24,7 @@ from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
 from rtee.objects.shape import parse_object
+from rtee.objects.table import Table, parse_table
 from rtee.planning.apart import Question, ask
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
@@ -121,6 +122,21 @@ def test_a_weight_along_the_jaws_way_presses_on_one_of_them(library: ActionLibra
     thing = read_object("box:0.03x0.06x0.06", mass=0.5)
     plan = plan_grasps(library.hand, library, thing, weight_axis=(1.0, 0.0, 0.0)).plans[0]
     assert plan.load == pytest.approx(40.0 / (0.5 * 9.81), rel=0.12)
+
+
+def test_on_a_table_the_hand_stays_above_it_and_the_weight_pulls_to_it(
+    library: ActionLibrary,
+) -> None:
+    thing = read_object("box:0.03x0.06x0.02", mass=0.5)
+    plan = plan_grasps(library.hand, library, thing, table=Table((0.0, 0.0, 2.0))).plans[0]
+    assert plan.table is not None
+    top = _pose(plan.pose) @ _pose(plan.table)
+    assert (_pose(plan.table) @ [0.0, 0.0, 0.0, 1.0])[2] == pytest.approx(-0.01)
+    # The jaws' ends are 60 mm before the palm, and 10 mm to either side of it.
+    ends = np.array([[x, y, 0.06] for x in (-0.06, 0.06) for y in (-0.01, 0.01)])
+    assert ((ends - top[:3, 3]) @ top[:3, 2]).min() > 0.004
+    assert plan.load == pytest.approx(20.0 / (0.5 * 9.81), rel=0.12)
+    assert plan.overhang == 0.0
 
 
 def test_what_is_too_heavy_says_so(library: ActionLibrary) -> None:
@@ -415,3 +431,9 @@ def test_planning_runs_as_an_ordinary_program(library: ActionLibrary) -> None:
     assert policy == os.SCHED_OTHER
     assert nice >= 10
     assert cpus >= all_cpus
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "0,0,0", "0,0,inf", "0,0,1,2,3", "up"])
+def test_what_is_no_table_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="a table"):
+        parse_table(text)

@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from rtee.objects.table import Table
 from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
 from rtee.trials.bench import Bench, bench
@@ -32,6 +33,19 @@ def test_a_planned_grasp_holds(gripper: Bench, text: str) -> None:
     assert check.reason == ""
     assert check.slip < 0.01
     assert "held in dynamics" in found.plans[0].reasons[-1]
+
+
+@pytest.mark.samples("*0.012")
+@pytest.mark.parametrize("text", ["box:0.05x0.04x0.03", "box:0.16x0.16x0.012"])
+def test_what_stands_on_a_table_is_held_without_pressing_on_it(gripper: Bench, text: str) -> None:
+    # The plate is wider than the jaws open: it has to stand out over the table's edge.
+    thing = read_object(text)
+    ranking = plan_grasps(gripper.hand, gripper.library, thing, table=Table((0.0, 0.0, 1.0)))
+    plan = ranking.plans[0]
+    assert plan.overhang == pytest.approx(0.064 if "0.16" in text else 0.0)
+    check = check_plan(gripper.hand, gripper.library, gripper.settings, thing, ranking, plan)
+    assert check.held
+    assert check.pressed < 1.0
 
 
 def test_pieces_of_a_mesh_are_held(gripper: Bench, repository: Path) -> None:

@@ -166,10 +166,19 @@ def _is_nothing(body: mujoco.MjsBody) -> bool:
     return all(_is_nothing(each) for each in body.bodies if not each.joints)
 
 
-def add_table(spec: mujoco.MjSpec, height: float) -> None:
-    """Add a table whose top is at a height [m]."""
+def add_table(spec: mujoco.MjSpec, top: FloatArray, *, edge: bool = False) -> None:
+    """Add a table.
+
+    Args:
+        spec: The model.
+        top: Pose ``(4, 4)`` of its top in the world, z up.
+        edge: The top ends at its origin, on the side of its x axis.
+    """
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(top[:3, :3]).ravel())
+    middle = top @ [-_TABLE[0] if edge else 0.0, 0.0, -_TABLE[2], 1.0]
     geom = spec.worldbody.add_geom(
-        name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_TABLE, pos=[0.0, 0.0, height - _TABLE[2]]
+        name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_TABLE, pos=middle[:3], quat=quat
     )
     make_hard(geom, TABLE_FRICTION)
 
@@ -367,7 +376,9 @@ def make_simulation(
         pose = pose @ place
         add_object(built.spec, shape, mass=options.object_mass, pose=pose)
         if options.support == "table":
-            add_table(built.spec, shape.lowest(pose))
+            top = np.eye(4)
+            top[2, 3] = shape.lowest(pose)
+            add_table(built.spec, top)
             if container is not None:
                 add_container(built.spec, shape.lowest(pose), container)
     model = compiled(built.spec, hand, _file_of(shape))

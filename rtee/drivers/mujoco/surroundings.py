@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import mujoco
 import numpy as np
 
@@ -123,6 +125,29 @@ class Surroundings:
         ground = np.isin(geoms, self._ground)
         parts = np.isin(self._model.geom_bodyid[geoms], self._parts)
         return bool((ground[:, ::-1] & parts).any())
+
+    def pressing(self, holding: Collection[str] | None = None) -> float:
+        """Return the largest force with which the hand presses what it should not [N].
+
+        Args:
+            holding: The links that may touch the object; all unless given. None may touch the table
+                or the container.
+        """
+        if not self.has_object or not len(self._data.contact.geom):
+            return 0.0
+        forces: dict[tuple[str, bool], float] = {}
+        for number, geoms in enumerate(self._data.contact.geom.tolist()):
+            for one, other in (geoms, geoms[::-1]):
+                link, on_object = self._link[one], self._is_part[other]
+                wrong = other in self._ground or (
+                    on_object and holding is not None and link not in holding
+                )
+                # What is within the margin alone has no force.
+                row = int(self._data.contact.efc_address[number])
+                if link and wrong and row >= 0:
+                    key = link, on_object
+                    forces[key] = forces.get(key, 0.0) + float(self._data.efc_force[row])
+        return max(forces.values(), default=0.0)
 
     @property
     def speed(self) -> float:

@@ -1,0 +1,196 @@
+"""The table on which the object stands: what a hand keeps clear of as it comes, closes and opens.
+
+The table goes with the object, so that it is elsewhere in the hand's base frame for each pose of
+the object. It fills all that is below its top; where a grasp needs room below the object, up to an
+edge over which the object stands out on the hand's side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import coal
+import numpy as np
+
+from rtee.objects.table import Table
+from rtee.planning.approaches import Candidate
+from rtee.planning.closing import Closing, Closure
+from rtee.planning.postures import HandPose
+from rtee.planning.scene import GraspScene
+from rtee.sample import FloatArray
+
+CLEAR: Final = 5e-3
+"""What a hand keeps between itself and the table [m]: an arm and a camera are that exact."""
+
+STEEP: Final = 0.5
+"""A hand comes from above if its way is less than 60 degrees off the table's normal: its cosine."""
+
+_PRESSED: Final = 3e-3
+"""An object that the closing hand pushes deeper into the table is pressed on it [m]."""
+
+_STANDS: Final = 0.2
+"""An object may stand out so far that this share of what is beyond its centre of mass stays on the
+table: it does not tip when it is touched, nor when it stands 10 mm beside its place."""
+
+_LEAST: Final = 0.9
+"""The share of that which is enough: the steps of a closing hand are 6 mm apart."""
+
+_RAISED: Final = 0.02
+"""A hand is raised by no more than this to clear the table [m]: beyond, it is another grasp."""
+
+_SIZE: Final = (1.2, 1.2, 0.6)
+"""Of the block that stands for a table with an edge [m]: larger than hand and way."""
+
+_SHARES: Final = (0.1, 0.3, 0.6, 1.0)
+"""Where on its way the hand is looked at, as shares of it, closer to each other near its end."""
+
+
+@dataclass(frozen=True)
+class Top:
+    """Where a table is in a hand's base frame.
+
+    Attributes:
+        pose: Pose ``(4, 4)`` of its top: z is up, x points out over the edge, and the origin is on
+            the edge; below the object's centre of mass if there is none.
+        overhang: How far the object stands out over the edge [m]; 0 without one.
+    """
+
+    pose: FloatArray
+    overhang: float = 0.0
+
+    @property
+    def up(self) -> FloatArray:
+        """Its upward normal ``(3,)``."""
+        return np.asarray(self.pose[:3, 2])
+
+    def moved(self, way: FloatArray) -> Top:
+        """Return it after it went some way ``(3,)`` [m]."""
+        pose = self.pose.copy()
+        pose[:3, 3] += way
+        return Top(pose, self.overhang)
+
+
+class Ground:
+    """Tells how far a hand is from the table.
+
+    Attributes:
+        up: The table's normal in the object's frame ``(3,)``; ``None``: it is against the weight.
+        edge: The object stands out over the table's edge.
+    """
+
+    def __init__(
+        self, scene: GraspScene, table: Table, weight_axis: FloatArray, *, edge: bool = False
+    ) -> None:
+        """Prepare.
+
+        Args:
+            scene: The hand and the object.
+            table: The table.
+            weight_axis: Where the weight pulls unless the table says it ``(3,)``, in the base
+                frame.
+            edge: The object stands out over the table's edge.
+        """
+        self._scene, self._table, self._axis, self.edge = scene, table, weight_axis, edge
+        up = None if table.up is None else np.array(table.up)
+        self.up: FloatArray | None = None if up is None else up / np.linalg.norm(up)
+        points = [shape.points for shape in scene.geometry.shapes]
+        self._points = np.concatenate(points)
+        self._of = np.repeat(np.arange(len(points)), [len(some) for some in points])
+        self._first = np.cumsum([0, *(len(some) for some in points[:-1])])
+        self._block = coal.Box(*_SIZE)
+
+    def top(self, pose: FloatArray, way: FloatArray) -> Top:
+        """Return where the table is.
+
+        Args:
+            pose: Pose of the object ``(4, 4)`` in the base frame.
+            way: From where it comes, relative to the hand ``(3,)``: an edge is on the other side.
+        """
+        thing, turn = self._scene.object, pose[:3, :3]
+        z = -self._axis if self.up is None else turn @ self.up
+        up = turn.T @ z
+        height = self._table.height
+        if height is None:
+            height = -float(thing.support(-up[None])[0])
+        out = -(way - (way @ z) * z)
+        size = float(np.linalg.norm(out))
+        edge = self.edge and size > STEEP * float(np.linalg.norm(way))
+        if not edge:  # any axis across
+            out = np.eye(3)[int(np.argmin(np.abs(z)))]
+            out = out - (out @ z) * z
+            size = float(np.linalg.norm(out))
+        x = out / size
+        # Below the centre of mass, on the top.
+        origin = turn @ (thing.centre + (height - float(up @ thing.centre)) * up) + pose[:3, 3]
+        overhang = 0.0
+        if edge:
+            along = turn.T @ x
+            beyond = float(thing.support(along[None])[0] - along @ thing.centre)
+            origin = origin + _STANDS * beyond * x
+            overhang = (1.0 - _STANDS) * beyond
+        placed = np.eye(4)
+        placed[:3] = np.column_stack([x, np.cross(z, x), z, origin])
+        return Top(placed, overhang)
+
+    def gap(self, at: HandPose, top: Top) -> float:
+        """Return how far a hand is from the table [m]; negative: it is in there.
+
+        What is farther than `CLEAR` from a table with an edge need not be exact.
+        """
+        normals = at.turns.swapaxes(1, 2) @ top.up
+        heights = np.einsum("ki,ki->k", self._points, normals[self._of])
+        lowest = np.minimum.reduceat(heights, self._first)
+        gaps = lowest + (at.places - top.pose[:3, 3]) @ top.up
+        if not top.overhang:
+            return float(gaps.min())
+        x, _, z = (0.5 * size for size in _SIZE)
+        middle = top.pose[:3, :3] @ np.array([-x, 0.0, -z]) + top.pose[:3, 3]
+        block = coal.Transform3s(top.pose[:3, :3], middle)
+        low = np.flatnonzero(gaps < CLEAR).tolist()
+        apart = self._scene.apart
+        return min((apart(shape, at, self._block, block) for shape in low), default=CLEAR)
+
+    def missing(self, closing: Closing, steps: int, begin: FloatArray, way: FloatArray) -> float:
+        """Return how much farther an object has to be for the closing hand to clear the table [m].
+
+        Args:
+            closing: What closes the hand.
+            steps: Steps of its table until it touches the object.
+            begin: Pose of the object ``(4, 4)``.
+            way: From where it comes, a unit vector.
+        """
+        top = self.top(begin, way)
+        return CLEAR - min(self.gap(at, top) for at in closing.table[: steps + 1])
+
+    def clears(self, closing: Closing, candidate: Candidate, closure: Closure) -> bool:
+        """Return whether a hand keeps clear of the table, from its way on until it has closed."""
+        top = self.top(candidate.pose, candidate.way)
+        # What the fingers push deeper would be pressed on the table.
+        if float((closure.pose[:3, 3] - candidate.pose[:3, 3]) @ top.up) < -_PRESSED:
+            return False
+        return self._least(closing, candidate, closure) >= _LEAST * CLEAR and all(
+            self.gap(closing.table[0], top.moved(share * candidate.way)) >= _LEAST * CLEAR
+            for share in _SHARES
+        )
+
+    def raised(
+        self, closing: Closing, candidate: Candidate, closure: Closure
+    ) -> Iterator[Candidate]:
+        """Yield a candidate at which a hand that did not keep clear of the table may do so."""
+        more = CLEAR - self._least(closing, candidate, closure)
+        if self.edge or candidate.raised or not 0.0 < more < _RAISED:
+            return
+        up, pose = self.top(candidate.pose, candidate.way).up, candidate.pose.copy()
+        unit = candidate.way / np.linalg.norm(candidate.way)
+        steep = -float(unit @ up)
+        pose[:3, 3] += more * (unit / steep if steep > STEEP else -up)
+        yield replace(candidate, pose=pose, raised=True)
+
+    def _least(self, closing: Closing, candidate: Candidate, closure: Closure) -> float:
+        """Return the least gap between a hand that closes and the table [m]."""
+        top = self.top(candidate.pose, candidate.way)
+        steps = np.count_nonzero(closing.grid < closure.first)
+        there = [*closing.table[:steps], self._scene.posed(closure.u)]
+        return min(self.gap(at, top) for at in there)
