@@ -33,6 +33,7 @@ PROVISIONAL = {
     "rtee.log.recording.TouchSeries",
     "rtee.loop.plan.Plan",
     "rtee.objects.description.ObjectPart",
+    "rtee.objects.table.Table",
     "rtee.planning.objects.GraspObject",
     "rtee.planning.reached.Collision",
     "rtee.planning.reached.Residual",
