@@ -94,7 +94,10 @@ READY = re.compile(r"actuators, .*; network ")
 SILENT = ("killed", "hand stands still")
 """Faults during which no answer is the right one."""
 
-MUTE = ("device stands still", "unplugged")
+BUSY = 0.05
+"""Time for which a device gets no processor that counts [s]: a third of what it has to confirm."""
+
+MUTE = ("device stands still", "unplugged", "computer too busy for the device")
 """Faults during which the right answer is that the device has not confirmed."""
 
 SHIFTED = """
@@ -113,8 +116,16 @@ MET = 1e-5
 the same tick."""
 
 LOSSY = """
-import random, signal
+import random, signal, sys, threading, time
 from rtee.drivers import emulator_server
+def watch(path, most):
+    while True:
+        begun = time.monotonic()
+        time.sleep(0.005)
+        if time.monotonic() - begun > most:
+            with open(path, "a") as file:
+                print(begun, time.monotonic(), file=file)
+threading.Thread(target=watch, args=(sys.argv.pop(1), float(sys.argv.pop(1))), daemon=True).start()
 lossy = [False]
 class Player(emulator_server.Player):
     def __init__(self, *given, **named):
@@ -129,7 +140,10 @@ def turn(*_): lossy[0] = not lossy[0]
 signal.signal(signal.SIGUSR1, turn)
 from rtee.cli import main; main()
 """
-"""A device of which every tenth answer gets lost, from one signal to the next."""
+"""A device of which every tenth answer gets lost, from one signal to the next.
+
+It notes in a file when the computer had no time for it (or it stood still): a real one has a
+processor of its own."""
 
 DYING = """
 import anyio, rtee, sys
@@ -227,17 +241,22 @@ class Device:
     computer.
     """
 
-    def __init__(self, driver: str) -> None:
+    def __init__(self, folder: Path, driver: str) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
         self.port = f"socket://127.0.0.1:{port}"
-        self._words = [sys.executable, "-c", LOSSY, "emulate", driver, "--tcp", str(port), "--raw"]
+        self._late = folder / "late.txt"
+        self._words = [sys.executable, "-c", LOSSY, str(self._late), str(BUSY)]
+        self._words += ["emulate", driver, "--tcp", str(port), "--raw"]
         self.plug()
 
     def plug(self) -> None:
         """Start it, and wait for its port."""
         self.process = child(self._words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            # Among equals it would wait while the hand compresses a chunk.
+            os.sched_setscheduler(self.process.pid, os.SCHED_FIFO, os.sched_param(2))
         assert self.process.stdout is not None
         self.process.stdout.readline()
 
@@ -245,6 +264,11 @@ class Device:
         """Take its supply away."""
         self.process.kill()
         self.process.wait()
+
+    def late(self) -> list[tuple[float, float]]:
+        """Return when the computer had no time for it, from and until [s], CLOCK_MONOTONIC."""
+        lines = self._late.read_text().splitlines() if self._late.exists() else []
+        return [(float(begun), float(ended)) for begun, ended in map(str.split, lines)]
 
 
 class Hand:
@@ -497,8 +521,16 @@ class Trouble:
             path = stop_path(running()[self.hand.name].endpoints[0])
             assert path is not None
             return all(stop_at(path, self.hand.name, "benchmark").values())
-        except (KeyError, RteeError):
+        except (KeyError, OSError, RteeError):
             return None
+
+    def find_late(self) -> None:
+        """Add to the faults during stops that the computer had no time for the device."""
+        late = self.device.late()
+        for stop in self.stops:
+            begun = stop.at + self._begun
+            if any(a < begun + stop.took and begun < b for a, b in late):
+                stop.during |= {MUTE[-1]}
 
 
 FLOODS_OF = ("samples", "requests", "clients")
@@ -592,7 +624,7 @@ def print_stops(trouble: Trouble) -> None:
         for name in stop.during or ("nothing",):
             by_fault[name].append(stop)
     table = Table("during", "faults", "stops", "confirmed", "not", "no answer", "median, most [ms]")
-    for name in ("nothing", *trouble.caused):
+    for name in ("nothing", *trouble.caused, MUTE[-1]):
         stops = by_fault[name]
         said = Counter(stop.confirmed for stop in stops)
         times = [1e3 * stop.took for stop in stops if stop.confirmed] or [float("nan")]
@@ -656,13 +688,16 @@ async def troubled(hand: Hand, device: Device) -> AsyncIterator[Trouble]:
 
 
 def prepared(folder: Path, name: str) -> str:
-    """Copy a hand that is driven again as soon as its device is back; return the driver."""
+    """Copy a hand that is driven again as soon as its device is back; return the driver.
+
+    Its old recordings stay, however full the disk: they are read at the end.
+    """
     place = folder / "config" / name
     shutil.copytree(hand_folder(name)[0], place)
     file = place / "hand.yaml"
     text = file.read_text()
     again = re.sub(r"(?m)^(    driver: (\w+))$", r"\1\n    reconnect: active", text, count=1)
-    file.write_text(again)
+    file.write_text(again + "\nlog: {reserve: 0.0}\n")
     found = re.search(r"(?m)^    driver: (\w+)$", text)
     if found is None:
         raise SystemExit(f"{name} has no device")
@@ -680,13 +715,14 @@ async def measure_on(
 ) -> None:
     """Run everything in a folder, and print."""
     model = load_hand(name)
-    device = Device(prepared(folder, name))
+    device = Device(folder, prepared(folder, name))
     hand = Hand(folder, name, device.port, rate, disk=disk)
     own_first = Size.of(device.process.pid)
     async with troubled(hand, device) as trouble:
         await trouble.cause(seconds, kills)
     hand.note()
     hand.end(signal.SIGTERM)
+    trouble.find_late()
     own_last = Size.of(device.process.pid)
     load = ", ".join(f"{each:.1f}" for each in os.getloadavg())
     print(f"Load of the computer at the end: {load}. Disk of its own: {'yes' if disk else 'no'}.\n")
@@ -696,7 +732,9 @@ async def measure_on(
     print_lives(hand.lives, model)
     print(f"\nThe emulated device at the start and end: {own_first}, {own_last}.")
     said = (folder / "said.txt").read_text()
-    print(f"\nTracebacks of the hand: {said.count('Traceback')}.")
+    print(f"\nTracebacks of the hand: {said.count('Traceback')}. Why stops were not confirmed:\n")
+    for why, times in Counter(re.findall(r"did not confirm 'stop': (.*)", said)).items():
+        print(f"- {times} times: {why}")
     if "Traceback" in said:
         print(said[said.index("Traceback") :][:3000], file=sys.stderr)
     device.unplug()

@@ -10,8 +10,8 @@ import asyncio
 import contextlib
 import math
 import os
-from collections.abc import AsyncIterator, Callable, Mapping
-from functools import wraps
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from functools import partial, wraps
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
@@ -23,14 +23,14 @@ from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.messages.requests import Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.find import VARIABLE as CONNECT
-from rtee.remote.find import chosen_here, open_hand
+from rtee.remote.find import Found, chosen_here, open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import Link, introduced
 from rtee.remote.monitoring import Monitoring
 from rtee.remote.reaching import ReachClient
 from rtee.remote.session import close_session
-from rtee.remote.stopping import stop_at, stop_path
+from rtee.remote.stopping import ANSWER_WITHIN, silent, stop_at, stop_path
 from rtee.remote.stream import StreamClient
 
 P = ParamSpec("P")
@@ -39,6 +39,10 @@ T = TypeVar("T")
 
 _RECOVER_WITHIN = 60.0
 """Time to wait until devices have recovered [s]: twice what homing a hand takes."""
+
+_STOP_OPENS_WITHIN = 3.0
+"""Time to open a session for a stop [s]: TCP repeats a lost first packet after 1 s, and over a VPN
+the rest takes up to 1 s. Then somebody has to be told that the hand is out of reach."""
 
 _LEAVE_WITHIN = 1.0
 """Time to wait for the answer when leaving a hand [s], which may be gone already."""
@@ -233,11 +237,13 @@ class RemoteHand:
 
         Returns:
             Whether each device has confirmed the stop.
+
+        Raises:
+            NoHand: if the hand has not answered after a second.
         """
-        if self._stops is not None:
-            with contextlib.suppress(NoHand):
-                return await anyio.to_thread.run_sync(stop_at, self._stops, self.name, self.client)
-        return await _stop(self._link)
+        return await _stopped(
+            self._stops, self.name, self.client, lambda: _asked_to_stop(self._link)
+        )
 
     async def admit_agents(self) -> None:
         """Let agents move the hand again, which any stop shuts out; see `rtee mcp`.
@@ -285,8 +291,29 @@ class RemoteHand:
         await self._link.ask(name, fields)
 
 
-async def _stop(link: Link) -> dict[str, bool]:
-    reply = await link.request("stop")
+async def _stopped(
+    stops: Path | None,
+    hand: str,
+    client: str,
+    otherwise: Callable[[], Awaitable[dict[str, bool]]],
+) -> dict[str, bool]:
+    """Stop a hand by its socket for stops, or otherwise where there is none."""
+    if stops is not None:
+        # A program that cleans temporary files may have removed it. A hand that has it and is
+        # silent would not answer in another way either, and whoever waits should know soon.
+        with contextlib.suppress(OSError):
+            return await anyio.to_thread.run_sync(
+                partial(stop_at, stops, hand, client),
+                limiter=anyio.CapacityLimiter(1),  # other calls may use up the threads of a loop
+            )
+    return await otherwise()
+
+
+async def _asked_to_stop(link: Link) -> dict[str, bool]:
+    try:
+        reply = await link.request("stop", within=ANSWER_WITHIN)
+    except NoHand:
+        raise silent(link.hand) from None
     return dict(zip(reply["device"], reply["confirmed"].tolist(), strict=True))
 
 
@@ -297,17 +324,24 @@ async def stop_hand(
 
     On this computer the stop goes through a socket of its own. Elsewhere it is sent without
     ``hello``, so that no limit of clients and requests stands before it. The arguments and errors
-    are those of `connect`.
+    are those of `connect`; a hand that does not answer within a second, or that cannot be reached
+    within three over a network, raises `NoHand`.
     """
+    name, stops = hand or "", None
     if endpoint is None and not os.environ.get(CONNECT):
         running = chosen_here(hand)
+        name = running.hand
         stops = stop_path(running.endpoints[0]) if running.endpoints else None
-        if stops is not None:
-            with contextlib.suppress(NoHand):
-                done = await anyio.to_thread.run_sync(stop_at, stops, running.hand, client)
-                return running.hand, done
-    async with _linked(hand, endpoint, client, 0.0, None) as (link, _):
-        return link.hand, await _stop(link)
+
+    async def there() -> dict[str, bool]:
+        nonlocal name
+        found = open_hand(hand, endpoint, 0.0, within=_STOP_OPENS_WITHIN)
+        async with _linked(found, client) as (link, _):
+            name = link.hand
+            return await _asked_to_stop(link)
+
+    done = await _stopped(stops, name, client, there)
+    return name, done
 
 
 class Connection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
@@ -400,7 +434,7 @@ async def _connected(
     wait: float | str,
     on_wait: Callable[[str], object] | None,
 ) -> AsyncIterator[RemoteHand]:
-    async with _linked(hand, endpoint, client, wait, on_wait) as (link, stops):
+    async with _linked(open_hand(hand, endpoint, wait, on_wait), client) as (link, stops):
         remote = RemoteHand(link, stops)
         await link.connect()
         yield remote
@@ -409,14 +443,10 @@ async def _connected(
 
 @contextlib.asynccontextmanager
 async def _linked(
-    hand: str | None,
-    endpoint: str | None,
-    client: str,
-    wait: float | str,
-    on_wait: Callable[[str], object] | None,
+    opening: Awaitable[Found], client: str
 ) -> AsyncIterator[tuple[Link, Path | None]]:
     """Open a link to a hand, which does not know this client yet, and find its stop socket."""
-    found = await open_hand(hand, endpoint, wait, on_wait)
+    found = await opening
     try:
         async with introduced(found.session, found.hand, found.way, client) as link:
             yield link, found.stops

@@ -229,7 +229,7 @@ class _Gate:
         self._stops.put(partial(self._stop, query))
 
     def _stop(self, query: zenoh.Query) -> None:
-        with contextlib.suppress(NoHand, zenoh.ZError), query:
+        with contextlib.suppress(NoHand, OSError, zenoh.ZError), query:
             assert self._stop_at is not None  # noqa: S101
             confirmed = stop_at(self._stop_at, self._hand, f"{CERTIFICATE}{self._name}")
             fields = {"device": list(confirmed), "confirmed": list(confirmed.values())}

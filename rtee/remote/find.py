@@ -54,6 +54,7 @@ async def open_hand(
     endpoint: str | None,
     wait: float | str,
     on_wait: Callable[[str], object] | None = None,
+    within: float | None = None,
 ) -> Found:
     """Find a hand and open a session with it.
 
@@ -62,6 +63,7 @@ async def open_hand(
         endpoint: The hand's address; ``None``: that in ``RTEE_CONNECT``, else this computer.
         wait: Time to wait for a hand that does not run yet [s].
         on_wait: Called with the reason for waiting, in words, whenever it changes.
+        within: Time to open the session once the hand is found [s]; by default 10 s.
 
     Raises:
         NoHand: if there is no such hand.
@@ -75,7 +77,11 @@ async def open_hand(
     until, reported = monotonic.now() + longest, ""
     while True:
         try:
-            return await (_elsewhere(hand, endpoint) if endpoint else _here(hand))
+            return await (
+                _elsewhere(hand, endpoint, within)
+                if endpoint
+                else open_here(chosen_here(hand), within)
+            )
         except NoHand as error:
             if monotonic.now() >= until:
                 raise
@@ -91,14 +97,10 @@ def chosen_here(hand: str | None) -> Running:
     return hands[_chosen(hand, hands, "on this computer")]
 
 
-async def _here(hand: str | None) -> Found:
-    return await open_here(chosen_here(hand))
-
-
-async def open_here(there: Running) -> Found:
+async def open_here(there: Running, within: float | None = None) -> Found:
     """Open a session with a hand that runs on this computer; raises `NoHand`."""
     try:
-        session = await anyio.to_thread.run_sync(open_client, there.endpoints)
+        session = await anyio.to_thread.run_sync(open_client, there.endpoints, within)
     except NoHand:
         raise NoHand(
             f"the hand '{there.hand}' does not answer; it runs in process {there.pid}"
@@ -108,8 +110,8 @@ async def open_here(there: Running) -> Found:
     return Found(session, there.hand, way_to(endpoint), stop_path(endpoint))
 
 
-async def _elsewhere(hand: str | None, endpoint: str) -> Found:
-    session = await anyio.to_thread.run_sync(open_client, [endpoint])
+async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> Found:
+    session = await anyio.to_thread.run_sync(open_client, [endpoint], within)
     try:
         names = await anyio.to_thread.run_sync(alive, session)
         return Found(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))

@@ -85,7 +85,7 @@ _MOST_SESSIONS = 128
 _RESERVED = 64
 """Files that connections leave for devices, the recording and stops; a hand has about 25."""
 
-_CONNECT_WITHIN = 10
+_CONNECT_WITHIN = 10.0
 """Time to open a session with a listening endpoint [s]: over a VPN it takes up to 1 s."""
 
 _PROBE_WITHIN = 3.0
@@ -278,10 +278,11 @@ def close_session(session: zenoh.Session) -> None:
         log.warning("a session did not close: %s", str(error).partition(" at ")[0])
 
 
-def open_client(endpoints: Sequence[str]) -> zenoh.Session:
+def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.Session:
     """Open a session that connects to a hand and listens nowhere; blocks for some milliseconds.
 
-    Raises `NoHand` if nobody answers there, `ConfigError` if an endpoint is malformed.
+    Raises `NoHand` if nobody answers there within the time [s], by default 10 s, and `ConfigError`
+    if an endpoint is malformed.
     """
     check_endpoints(endpoints)
     settings: dict[str, Any] = {
@@ -290,7 +291,7 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/exit_on_failure": True,
-        "connect/timeout_ms": _CONNECT_WITHIN * 1000,
+        "connect/timeout_ms": round((within or _CONNECT_WITHIN) * 1000),
     }
     if any(endpoint.startswith(TLS) for endpoint in endpoints):
         settings |= identity().settings()

@@ -54,7 +54,7 @@ _LOOK_EVERY = 1.0
 _AGAIN = 0.05
 """Time after which a client sends its stop again [s]."""
 
-_ANSWER_WITHIN = 1.0
+ANSWER_WITHIN = 1.0
 """Time to wait for the answer [s]: devices confirm within 0.15 s."""
 
 _CREDENTIALS = struct.Struct("3i")
@@ -163,25 +163,27 @@ def stop_path(endpoint: str) -> Path | None:
     return Path(path).with_suffix(SUFFIX) if protocol == "unixsock-stream" else None
 
 
-def stop_at(path: Path, hand: str, client: str, within: float = _ANSWER_WITHIN) -> dict[str, bool]:
+def stop_at(path: Path, hand: str, client: str, within: float = ANSWER_WITHIN) -> dict[str, bool]:
     """Stop the hand with a stop socket; return whether each device has confirmed. Blocks.
 
-    Raises `NoHand` if nobody answers within the time [s].
+    Raises `NoHand` if nobody answers within the time [s], `OSError` if there is no such socket.
     """
     name = secrets.token_hex(8)
-    try:
-        with _client(path) as sender:
-            sender.settimeout(_AGAIN)
-            for _ in range(math.ceil(within / _AGAIN)):
-                # Again and again, since a datagram may be lost while the hand replaces its socket.
-                with contextlib.suppress(TimeoutError):
-                    sender.send(f"{name} {client}".encode())
-                    answer = json.loads(sender.recv(65536))
-                    if answer["to"] == name:
-                        return {str(k): bool(v) for k, v in answer["confirmed"].items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        pass
-    raise NoHand(f"the hand '{hand}' does not answer")
+    with _client(path) as sender:
+        sender.settimeout(_AGAIN)
+        for _ in range(math.ceil(within / _AGAIN)):
+            # Again and again, since a datagram may be lost while the hand replaces its socket.
+            with contextlib.suppress(TimeoutError, ValueError, KeyError, TypeError, AttributeError):
+                sender.send(f"{name} {client}".encode())
+                answer = json.loads(sender.recv(65536))
+                if answer["to"] == name:
+                    return {str(k): bool(v) for k, v in answer["confirmed"].items()}
+    raise silent(hand)
+
+
+def silent(hand: str) -> NoHand:
+    """Return the error of a stop that nobody has answered."""
+    return NoHand(f"the hand '{hand}' does not answer the stop: use the emergency stop")
 
 
 @contextlib.contextmanager

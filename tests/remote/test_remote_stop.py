@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import anyio
@@ -24,7 +25,7 @@ from rtee.errors import NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import HERE
-from rtee.remote import identities
+from rtee.remote import client, identities, stopping
 from rtee.remote.client import stop_hand
 from rtee.remote.stopping import _client, stop_at, stop_path
 
@@ -84,8 +85,24 @@ async def test_a_cleaner_of_files_does_not_keep_a_hand_from_being_stopped(
         await until(path_of(served).exists)
         assert await stops(served) == {"sim": True}
     assert not path_of(served).exists()
-    with pytest.raises(NoHand):
+    with pytest.raises(FileNotFoundError):
         await stops(served)
+
+
+async def test_a_hand_that_is_silent_is_not_waited_for(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stopping, "_LOOK_EVERY", 60.0)
+    monkeypatch.setattr(client, "stop_at", partial(stop_at, within=0.05))
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        path_of(served).unlink()
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as frozen:
+            frozen.bind(str(path_of(served)))
+            for stop in (stop_hand, remote.stop):
+                with pytest.raises(NoHand, match=r"'small' does not answer .* emergency stop"):
+                    await stop()
+            assert frozen.recv(100).endswith(b" python"), "it would stop as soon as it goes on"
+        assert not served.watcher.events
 
 
 @contextmanager
@@ -188,7 +205,6 @@ def hello(link: Intruder, name: str) -> None:
 STRANGER = """
 import os, sys
 from pathlib import Path
-from rtee.errors import NoHand
 from rtee.remote.stopping import stop_at
 path, uid = Path(sys.argv[1]), int(sys.argv[2])
 os.setgroups([])
@@ -196,8 +212,8 @@ os.setgid(uid)
 os.setuid(uid)
 try:
     print(stop_at(path, "small", "stranger", 0.2))
-except NoHand as error:
-    print(error)
+except OSError as error:
+    print(error.strerror)
 """
 
 
@@ -208,7 +224,7 @@ async def test_another_user_stops_nothing(
     async with serving(hand, library) as served:
         words = [sys.executable, "-c", STRANGER, str(path_of(served)), str(NOBODY)]
         for _ in range(2):
-            assert (await ran(words)).stdout == "the hand 'small' does not answer\n"
+            assert (await ran(words)).stdout == "Permission denied\n"
             for folder in (runtime, *runtime.parents):  # as after a mistake
                 if not folder.stat().st_mode & 0o001:
                     folder.chmod(folder.stat().st_mode | 0o001)
