@@ -19,8 +19,9 @@ from rtee.errors import RequestRejected, TooManyRequests, foreign
 from rtee.hand.names import check_name
 from rtee.messages.identity import LONGEST_CLAIM, SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
+from rtee.remote.connections import user_of
 from rtee.remote.incoming_request import Check, IncomingRequest, accepted
-from rtee.remote.rates import CLIENTS_OF_WAY, REFUSALS, RESERVED, TOGETHER, Ignored, Rates
+from rtee.remote.rates import CLIENTS_OF_SHARE, REFUSALS, RESERVED, TOGETHER, Ignored, Rates
 
 _MOST_WAITING = 256
 """Most tokens that wait for their hello, hellos that wait for their token, and clients that may
@@ -55,16 +56,18 @@ class Client:
     Attributes:
         name: The client's unique name.
         way: Its access path to the hand, see `HELLO`.
+        share: Its access path, and the user on this computer (-1: not known), who share limits.
         secret: The key with which the client signs its requests.
         token: Name of its liveliness token.
         rates: Limits the client's requests.
         reserved: What is left to it when others on its access path use up all.
     """
 
-    __slots__ = ("_newest", "name", "rates", "reserved", "role", "secret", "token", "way")
+    __slots__ = ("_newest", "name", "rates", "reserved", "role", "secret", "share", "token", "way")
 
-    def __init__(self, name: str, role: Role, way: str, token: str) -> None:
+    def __init__(self, name: str, role: Role, way: str, token: str, user: int) -> None:
         self.name, self.role, self.way, self.token = name, role, way, token
+        self.share = way, user
         self.secret = secrets.token_bytes(SECRET)
         self.rates, self.reserved = Rates(), Rates(times=RESERVED)
         self._newest: dict[str, int] = {}
@@ -90,7 +93,7 @@ class Identities:
         self._lock = threading.Lock()
         # One allowance for all: a stranger could change its name and so get a new one.
         self._strangers = Rates()
-        self._ways: dict[str, Rates] = {}
+        self._shares: dict[tuple[str, int], Rates] = {}
         self._there: dict[str, Client] = {}
         self._by_token: dict[str, Client] = {}
         self._gone: OrderedDict[str, Client] = OrderedDict()
@@ -125,12 +128,12 @@ class Identities:
             raise RequestRejected("a client's name has a dot after a certificate's person only")
         if _TOKEN.match(token) is None:
             raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
+        client = Client(name, admitted.role, way, token, user_of(token) if way == HERE else -1)
         with self._lock:
             if name in self._there or token in self._by_token:
                 raise RequestRejected(f"there is a client '{name}' already")
-            if sum(client.way == way for client in self._there.values()) >= CLIENTS_OF_WAY:
-                raise RequestRejected(f"there are {CLIENTS_OF_WAY} clients of this kind already")
-            client = Client(name, admitted.role, way, token)
+            if sum(each.share == client.share for each in self._there.values()) >= CLIENTS_OF_SHARE:
+                raise RequestRejected(f"there are {CLIENTS_OF_SHARE} clients of this kind already")
             if token in self._tokens:
                 del self._tokens[token]
                 self._admit(client, request)
@@ -233,7 +236,7 @@ class Identities:
                 f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
                 f" the role {admitted.role.name.lower()}"
             )
-        shares = self._together(client.way), client.reserved
+        shares = self._together(client.share), client.reserved
         if not (rates.allow(request.name) and any(s.allow(request.name) for s in shares)):
             rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
         if request.group == ASK and not (
@@ -242,21 +245,21 @@ class Identities:
             rates.refuse("too many long answers in a short time", TooManyRequests)
         return client.name
 
-    def _together(self, way: str) -> Rates:
-        """Return what limits all clients on an access path together.
+    def _together(self, share: tuple[str, int]) -> Rates:
+        """Return what limits all clients on an access path, of one user there, together.
 
-        A flood on one path keeps nobody out on another.
+        A flood on one path, or by one user, keeps nobody else out.
         """
-        rates = self._ways.get(way)
+        rates = self._shares.get(share)
         if rates is None:
             with self._lock:
-                rates = self._ways.setdefault(way, Rates(times=TOGETHER))
+                rates = self._shares.setdefault(share, Rates(times=TOGETHER))
         return rates
 
     def charge(self, name: str, size: int) -> None:
         """Count the bytes of an answer to a client's question."""
         if (client := self._there.get(name)) is not None:
-            for rates in (client.rates, client.reserved, self._together(client.way)):
+            for rates in (client.rates, client.reserved, self._together(client.share)):
                 rates.charge(size)
 
     def welcome(self, way: str) -> Check:
@@ -264,7 +267,7 @@ class Identities:
 
         def check(request: Request, attachment: bytes | None, question: bytes) -> str:
             known = way if self._admitted(way) is not None else ""
-            if not self._together(known).allow(request.name):
+            if not self._together((known, -1)).allow(request.name):
                 raise Ignored
             return ""
 

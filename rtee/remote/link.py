@@ -41,6 +41,7 @@ from rtee.messages.requests import (
     topic_for,
 )
 from rtee.messages.schema import message_type
+from rtee.remote.connections import vouching
 from rtee.remote.credentials import common_name, person
 from rtee.remote.samples import Samples
 from rtee.remote.session import direct
@@ -98,7 +99,9 @@ class Link:
 
     async def connect(self) -> None:
         """Introduce this client to the hand and wait until requests reach it; raises `NoHand`."""
-        secret, _, role = (await self.request("hello", self._token_name))["text"].partition(" ")
+        with vouching(self._token_name):
+            answer = await self.request("hello", self._token_name)
+        secret, _, role = answer["text"].partition(" ")
         self._signer.secret = bytes.fromhex(secret)
         # An unknown role, of a newer hand, counts as the highest: the hand itself refuses requests.
         self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)

@@ -14,16 +14,17 @@ CONNECTIONS_OF_CERTIFICATE = 32
 CONNECTIONS_OF_USER = 100
 """Most connections of one user of this computer, less than a hand accepts in all."""
 
-CLIENTS_OF_WAY = 64
-"""Most clients on one access path, such as with one certificate: far more than work together."""
+CLIENTS_OF_SHARE = 64
+"""Most clients with one certificate, or of one user on the hand's computer: far more than work
+together."""
 
 TOGETHER = 8.0
-"""What all clients on one access path may use together, in multiples of what one may: as much as
+"""What all clients of one such share may use together, in multiples of what one may: as much as
 eight programs that are busy all the time. Else one person's share would grow with each client."""
 
 RESERVED = 1.0 / 16.0
-"""What no other client on its access path can use up, in multiples of what one may: a client that
-is alone goes on working, slowly. For all of `CLIENTS_OF_WAY` that is half of `TOGETHER` again."""
+"""What no other client of its share can use up, in multiples of what one may: a client that
+is alone goes on working, slowly. For all of `CLIENTS_OF_SHARE` that is half of `TOGETHER` again."""
 
 _BURST = 0.5
 """Burst of requests, in seconds of their rate [s]: a program's first requests come at once."""
@@ -39,7 +40,7 @@ _USUAL = 100.0
 """Default rate of requests of a kind [1/s]: several times that of programs that poll."""
 
 _RATES = {
-    "hello": _USUAL / TOGETHER,  # counted for an access path alone
+    "hello": _USUAL / TOGETHER,  # counted for an access path, before it is known who it is
     "jog": 200.0,  # a dragged slider sends sixty
     "sample": 4000.0,  # `StreamIntake` limits samples by the rate of their stream
     "info": 20.0,  # some milliseconds of work for every new posture

@@ -282,7 +282,8 @@ class Server:
                 # Too many stops: their answers are delayed, but they take effect at once.
                 request.send = answer_later
             request.check()
-            self._commands.stop(request.client, request.answer)
+            # Of a certificate's clients the person alone, which is all that the door can tell.
+            self._commands.stop(request.client.partition(".")[0], request.answer)
 
         check, junk = self._identities.name, self._identities.answers_junk
         handle_request(query, STOP, check, handle, send, answers_junk=junk)

@@ -126,6 +126,7 @@ async def test_two_hands_and_three_clients_with_certificates(
             assert await eve.stop() == {"sim": True}
             async for event in events:
                 if event.kind == "stop":
+                    assert event.text == "left: stopped by eve; confirmed"
                     break
             assert not (await running.result()).reached
             assert [len(each.watcher.goals) for each in (left, right)] == [1, 1]

@@ -27,6 +27,7 @@ from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import HERE
 from rtee.remote import client, identities, stopping
 from rtee.remote.client import stop_hand
+from rtee.remote.connections import user_of, vouching
 from rtee.remote.stopping import _client, stop_at, stop_path
 
 from .serving import Served, serving, until
@@ -136,10 +137,10 @@ async def test_a_flood_of_stops_keeps_no_stop_away(hand: Hand, library: ActionLi
                 assert await stops(served) == {"sim": True}
 
 
-async def test_64_clients_of_one_way_keep_no_stop_away(
+async def test_64_clients_of_one_user_keep_no_stop_away_and_no_client_of_another_user(
     hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identities, "CLIENTS_OF_WAY", 2)
+    monkeypatch.setattr(identities, "CLIENTS_OF_SHARE", 2)
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small"):
         with pytest.raises(RequestRejected, match="clients of this kind"):
             async with rtee.connect("small"):
@@ -148,6 +149,26 @@ async def test_64_clients_of_one_way_keep_no_stop_away(
         # Nor one that goes through the network: it needs no hello.
         one._stops = None
         assert await one.stop() == {"sim": True}
+        monkeypatch.setattr(identities, "user_of", lambda token: NOBODY)
+        async with rtee.connect("small") as other:
+            assert (await other.do("fist", intensity=0.1)).reached
+
+
+def test_a_client_shows_whose_it_is_and_hides_its_token() -> None:
+    token = "0" * 32
+    assert user_of(token) == -1
+    with vouching(token):
+        assert user_of(token) == os.getuid()
+        assert token not in Path("/proc/net/unix").read_text()
+    program = "import os, sys; from rtee.remote.connections import vouching\nos.setuid(65534)\n"
+    program += f"with vouching('{token}'): print(flush=True); sys.stdin.read()"
+    if os.geteuid() == 0:  # only root can act as another user
+        words, pipe = [sys.executable, "-c", program], subprocess.PIPE
+        with subprocess.Popen(words, stdin=pipe, stdout=pipe) as other:
+            assert other.stdout is not None
+            other.stdout.readline()
+            assert user_of(token) == NOBODY
+            other.communicate()
 
 
 async def test_samples_without_lease_take_none_of_the_stream(
