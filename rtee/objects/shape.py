@@ -140,6 +140,36 @@ def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
     return ObjectShape("mesh", path=path)
 
 
+MOST_PARTS: Final = 64
+"""Parts of a mesh; more are likely loose triangles."""
+
+
+def mesh_parts(faces: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+    """Return the faces ``(f, 3)`` of each part of a mesh that hangs together by shared corners.
+
+    Planner and simulation take the convex hull of each part for a solid.
+
+    Labels of corners spread along the faces, to the least of each face, until none changes.
+    """
+    label = np.arange(count)
+    while True:
+        least = label[faces].min(axis=1)
+        spread = label.copy()
+        np.minimum.at(spread, faces.ravel(), np.repeat(least, 3))
+        spread = spread[spread]  # a label's own label is nearer to the least one
+        if (spread == label).all():
+            break
+        label = spread
+    of_face = label[faces[:, 0]]
+    return [faces[of_face == one] for one in np.unique(of_face)]
+
+
+def signed_volume(triangles: FloatArray) -> float:
+    """Return the volume that closed triangles ``(t, 3, 3)`` enclose [m³]."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return float((a * np.cross(b, c)).sum() / 6.0)
+
+
 _LOOKED_AT: Final = 1000
 """Faces and corners of a mesh of which some show that it has hollows."""
 

@@ -23,19 +23,19 @@ from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (
     DRILL,
     LARGEST,
+    MOST_PARTS,
     NUMBERS,
     SMALLEST,
     drill_parts,
+    mesh_parts,
     open_mesh,
     parse_object,
+    signed_volume,
 )
 from rtee.sample import FloatArray
 
 _MOST_TRIANGLES: Final = 300_000
 """Triangles of a mesh that is no binary STL file; more take longer to read than to plan for."""
-
-_MOST_PIECES: Final = 64
-"""Pieces of a mesh; more are likely loose triangles."""
 
 _AROUND: Final = 64
 """Corners of a circle; the polygon is 0.03 mm inside a circle of 25 mm."""
@@ -231,16 +231,16 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
         raise ModelError(
             f"the mesh is {extent:g} m in size, no object for a hand; {hint}", path=path
         )
-    parts = _parts(faces, len(corners))
-    if len(parts) > _MOST_PIECES:
+    parts = mesh_parts(faces, len(corners))
+    if len(parts) > MOST_PARTS:
         raise ModelError(
-            f"the mesh is of {len(parts)} loose parts; at most {_MOST_PIECES} can be planned for",
+            f"the mesh is of {len(parts)} loose parts; at most {MOST_PARTS} can be planned for",
             path=path,
         )
     pieces, hollow = [], 0
     for part in parts:
         shape = hull_of(corners[np.unique(part)])
-        filled = abs(_signed_volume(corners[part]))
+        filled = abs(signed_volume(corners[part]))
         hollow += filled < _HOLLOW * shape.computeVolume()
         pieces.append(Piece("mesh", (), shape, np.array(shape.points())))
     notes = [note] if (note := open_mesh(corners, faces)) else []
@@ -283,27 +283,3 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
         raise ModelError("the mesh has a corner that is not finite", path=path)
     found = (mesh.tri_indices(i) for i in range(mesh.num_tris))
     return corners, np.array([(t[0], t[1], t[2]) for t in found], dtype=np.int64)
-
-
-def _parts(faces: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Return the faces of each part of a mesh that hangs together by shared corners.
-
-    Labels of corners spread along the faces, to the least of each face, until none changes.
-    """
-    label = np.arange(count)
-    while True:
-        least = label[faces].min(axis=1)
-        spread = label.copy()
-        np.minimum.at(spread, faces.ravel(), np.repeat(least, 3))
-        spread = spread[spread]  # a label's own label is nearer to the least one
-        if (spread == label).all():
-            break
-        label = spread
-    of_face = label[faces[:, 0]]
-    return [faces[of_face == one] for one in np.unique(of_face)]
-
-
-def _signed_volume(triangles: FloatArray) -> float:
-    """Return the volume that closed triangles ``(t, 3, 3)`` enclose [m³]."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return float((a * np.cross(b, c)).sum() / 6.0)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import mujoco
@@ -12,16 +10,15 @@ import numpy as np
 
 from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.model import compiled
-from rtee.drivers.mujoco.objects import add_object
+from rtee.drivers.mujoco.objects import add_body, add_hulls, add_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, add_table, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import binary_stl
 from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
-from rtee.planning.objects import GraspObject, Piece
+from rtee.planning.objects import GraspObject
 from rtee.planning.result import Check, GraspPlan, Ranking
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Place
@@ -145,9 +142,8 @@ def _simulation(
     add_carrier(built.spec, pose[:3, :3], options)
     if table is not None:
         add_table(built.spec, pose @ table, edge=edge)
-    with TemporaryDirectory() as folder:
-        _add_pieces(built.spec, thing, pose @ place, Path(folder))
-        model = compiled(built.spec, hand)
+    _add_object(built.spec, thing, pose @ place)
+    model = compiled(built.spec, hand)
     return Simulation(
         model,
         hand,
@@ -172,29 +168,12 @@ def _turned(axis: FloatArray) -> FloatArray:
     return rotation
 
 
-def _add_pieces(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray, folder: Path) -> None:
-    """Add an object: one body, one geom for each convex piece, the mass shared by volume."""
+def _add_object(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray) -> None:
+    """Add an object as it was planned for: the mass shared by the volumes of its pieces."""
+    first = thing.pieces[0]
+    if first.kind in NUMBERS:
+        add_object(spec, ObjectShape(first.kind, first.size), mass=thing.mass, pose=pose)
+        return
     volumes = np.array([piece.shape.computeVolume() for piece in thing.pieces])
-    masses = thing.mass * volumes / volumes.sum()
-    first = add_object(spec, _shape(thing.pieces[0], folder, 0), mass=masses[0], pose=pose)
-    model = first.geoms[0]
-    # As the first one in all that decides a contact.
-    for number, piece in enumerate(thing.pieces[1:], 1):
-        file = _shape(piece, folder, number).path
-        mesh = spec.add_mesh(name=f"{model.name}/{number}", file=str(file))
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        geom = first.add_geom(name=mesh.name, type=mujoco.mjtGeom.mjGEOM_MESH, mass=masses[number])
-        geom.meshname = mesh.name
-        for name in ("friction", "solref", "solimp", "condim", "priority", "margin", "rgba"):
-            setattr(geom, name, getattr(model, name))
-
-
-def _shape(piece: Piece, folder: Path, number: int) -> ObjectShape:
-    """Return a piece as MuJoCo takes it; a hull as a mesh file."""
-    if piece.kind in NUMBERS:
-        return ObjectShape(piece.kind, piece.size)
-    path = folder / f"piece-{number}.stl"
-    # Any triangles that hold all points will do, since MuJoCo takes the corners alone.
-    corners = np.stack([np.roll(piece.points, -i, axis=0) for i in range(3)], axis=1)
-    path.write_bytes(binary_stl(corners))
-    return ObjectShape("mesh", path=path)
+    points = [piece.points for piece in thing.pieces]
+    add_hulls(spec, add_body(spec, pose), points, thing.mass * volumes / volumes.sum())

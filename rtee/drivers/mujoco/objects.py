@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.drivers.mujoco.contacts import make_object
 from rtee.hand.coarse import welded
 from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (
     HANDLE,
+    MOST_PARTS,
     MOTOR,
     PLATE,
     TRIGGER_TRAVEL,
     ObjectShape,
+    mesh_parts,
     motor_place,
+    signed_volume,
     trigger_place,
 )
 from rtee.sample import FloatArray
@@ -54,13 +59,12 @@ def add_object(
         mass: Its mass [kg].
         pose: Where it is ``(4, 4)``, in the world's frame.
     """
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
-    body = spec.worldbody.add_body(name=OBJECT, pos=pose[:3, 3], quat=quat)
-    body.add_freejoint(name=OBJECT)
-    body.gravcomp = 1.0  # what is 0 at compilation cannot be changed later
+    body = add_body(spec, pose)
     if shape.kind == "drill":
         _add_drill(body, mass, shape.scale)
+        return body
+    if shape.path is not None:
+        _add_mesh(spec, body, shape, mass)
         return body
     geom = _geom(body, OBJECT, mass)
     match shape.kind:
@@ -73,14 +77,22 @@ def add_object(
         case "sphere":
             geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
             _set_size(geom, shape.size[0])
-        case "capsule":
+        case _:
             radius, length = shape.size
             geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
             _set_size(geom, radius)
             # MuJoCo counts without the caps, which alone get smaller.
             geom.size[1] = 0.5 * length - radius
-        case _:
-            _add_mesh(spec, geom, shape)
+    return body
+
+
+def add_body(spec: mujoco.MjSpec, pose: FloatArray) -> mujoco.MjsBody:
+    """Add a free object without any shape at a pose ``(4, 4)`` in the world; return its body."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
+    body = spec.worldbody.add_body(name=OBJECT, pos=pose[:3, 3], quat=quat)
+    body.add_freejoint(name=OBJECT)
+    body.gravcomp = 1.0  # what is 0 at compilation cannot be changed later
     return body
 
 
@@ -94,21 +106,49 @@ def _set_size(geom: mujoco.MjsGeom, *half_extents: float) -> None:
     geom.size = [half - skin for half in half_extents] + [0.0] * (3 - len(half_extents))
 
 
-def _add_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: ObjectShape) -> None:
-    """Give a geom the mesh of a shape, made smaller by its skin about its middle."""
-    mesh = _read_mesh(spec, str(shape.path))
-    geom.type = mujoco.mjtGeom.mjGEOM_MESH
-    geom.meshname = OBJECT
-    mesh.scale = [shape.scale] * 3
-    bounds = _bounds(str(shape.path))
-    if bounds is None:  # the compilation of the whole says what is wrong with it
+def _add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: ObjectShape, mass: float) -> None:
+    """Add a mesh: the convex hull of each of its parts."""
+    parts = solid_parts(str(shape.path))
+    if len(parts) < 2:
+        geom = _geom(body, OBJECT, mass)
+        mesh = _read_mesh(spec, str(shape.path))
+        geom.type = mujoco.mjtGeom.mjGEOM_MESH
+        geom.meshname = OBJECT
+        mesh.scale = [shape.scale] * 3
+        if parts:  # else the compilation of the whole says what is wrong with it
+            smaller, geom.pos = _shrunk(geom, shape.scale * parts[0][0])
+            mesh.scale = shape.scale * smaller
         return
-    least, most = (shape.scale * corner for corner in bounds)
+    volumes = np.array([abs(signed_volume(corners[faces])) for corners, faces in parts])
+    # An open part may enclose nothing, and MuJoCo wants some mass of each.
+    volumes += 1e-3 * volumes.max() + 1e-12
+    add_hulls(spec, body, [shape.scale * c for c, _ in parts], mass * volumes / volumes.sum())
+
+
+def add_hulls(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, hulls: Sequence[FloatArray], masses: FloatArray
+) -> None:
+    """Add the convex hulls of points ``(k, 3)`` to an object, with their masses ``(n,)`` [kg]."""
+    for number, (points, mass) in enumerate(zip(hulls, masses.tolist(), strict=True)):
+        geom = _geom(body, f"{OBJECT}/{number}" if number else OBJECT, mass)
+        mesh = spec.add_mesh(name=geom.name)
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        geom.type = mujoco.mjtGeom.mjGEOM_MESH
+        geom.meshname = mesh.name
+        smaller, geom.pos = _shrunk(geom, points)
+        mesh.uservert = (points * smaller).ravel()
+
+
+def _shrunk(geom: mujoco.MjsGeom, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Give a mesh of points ``(k, 3)`` its contact; return by how much it is made smaller.
+
+    Returns:
+        The factor along each axis ``(3,)``, and where the geom is then ``(3,)`` [m].
+    """
+    least, most = points.min(axis=0), points.max(axis=0)
     half = 0.5 * (most - least)
-    skin = make_object(geom, half.tolist())
-    smaller = 1.0 - skin / half
-    mesh.scale = shape.scale * smaller
-    geom.pos = 0.5 * (least + most) * (1.0 - smaller)
+    smaller = 1.0 - make_object(geom, half.tolist()) / half
+    return smaller, 0.5 * (least + most) * (1.0 - smaller)
 
 
 def _read_mesh(spec: mujoco.MjSpec, path: str) -> mujoco.MjsMesh:
@@ -129,20 +169,33 @@ def _corners(path: str) -> FloatArray | None:
 
 
 @lru_cache(maxsize=4)
-def _bounds(path: str) -> tuple[FloatArray, FloatArray] | None:
-    """Return the least and the largest coordinates ``(3,)`` of a mesh; ``None``: it is no solid."""
+def solid_parts(path: str) -> tuple[tuple[FloatArray, NDArray[np.int64]], ...]:
+    """Return corners ``(v, 3)`` and faces ``(f, 3)`` of each part of a mesh file.
+
+    A mesh of more than `MOST_PARTS` is one; there is none if it is no solid.
+    """
     probe = mujoco.MjSpec()
     _read_mesh(probe, path)
     probe.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=OBJECT)
     try:
         model = probe.compile()
     except ValueError:
-        return None
+        return ()
     # MuJoCo keeps the corners in the frame of the mesh's inertia.
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.mesh_quat[0])
     corners = model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0]
-    return corners.min(axis=0), corners.max(axis=0)
+    faces = model.mesh_face.astype(np.int64)
+    _, place = np.unique(model.mesh_vert, axis=0, return_inverse=True)
+    parts = mesh_parts(place.reshape(-1)[faces], len(corners))
+    if not 1 < len(parts) <= MOST_PARTS:
+        return ((corners, faces),)
+    first = np.unique(place, return_index=True)[1]
+    found = []
+    for part in parts:
+        used, local = np.unique(part, return_inverse=True)
+        found.append((corners[first[used]], local.reshape(-1, 3)))
+    return tuple(found)
 
 
 def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:

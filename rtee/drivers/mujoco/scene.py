@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtee.actions.types import Action, Primitive
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
 from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, copied, set_tiny
-from rtee.drivers.mujoco.objects import MESHES, OBJECT, add_object
+from rtee.drivers.mujoco.objects import MESHES, OBJECT, add_object, solid_parts
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.simulation import Simulation
@@ -298,17 +298,13 @@ def _file_of(shape: ObjectShape | None) -> tuple[str, Path] | None:
     return None if shape is None or shape.path is None else (OBJECT, shape.path)
 
 
-def _notes_on(model: mujoco.MjModel, shape: ObjectShape | None) -> list[str]:
+def _notes_on(shape: ObjectShape | None) -> list[str]:
     """Return what is to be known about the mesh of an object, if it has one."""
     if shape is None or shape.path is None:
         return []
-    mesh = model.mesh(OBJECT)
-    begin, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-    corners = model.mesh_vert[begin : begin + count]
-    begin, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
-    faces = model.mesh_face[begin : begin + count]
-    notes = open_mesh(corners, faces), hollow_mesh(corners, faces)
-    return [f"{shape.path.name}: {note}" for note in notes if note]
+    parts = solid_parts(str(shape.path))
+    found = [note(*part) for note in (open_mesh, hollow_mesh) for part in parts]
+    return [f"{shape.path.name}: {note}" for note in dict.fromkeys(found) if note]
 
 
 def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
@@ -382,5 +378,5 @@ def make_simulation(
             if container is not None:
                 add_container(built.spec, shape.lowest(pose), container)
     model = compiled(built.spec, hand, _file_of(shape))
-    notes = (*built.notes, *built.following, *_notes_on(model, shape))
+    notes = (*built.notes, *built.following, *_notes_on(shape))
     return Simulation(model, hand, options, actuators, period, built.servos, notes)

@@ -19,6 +19,7 @@ from rtee.hand.frames import pose_in_hand, pose_matrix
 from rtee.hand.load import load_hand
 from rtee.messages.convert import OBJECT
 from rtee.objects.description import BASE_POSE, CONTACTS, MOST_CONTACTS, OBJECT_POSE, contact_rows
+from rtee.planning.objects import read_object
 
 GRIPPER = "robotiq_2f_85"
 PERIOD = 0.005
@@ -75,6 +76,20 @@ def test_a_mesh_is_described_where_its_file_puts_it(tmp_path: Path) -> None:
     corners = part.vertices[part.faces].reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
     assert corners.min(axis=0) == pytest.approx(mesh.bounds[0], abs=1e-5)
     assert corners.max(axis=0) == pytest.approx(mesh.bounds[1], abs=1e-5)
+
+
+def test_the_parts_of_a_mesh_are_solids_of_their_own(repository: Path) -> None:
+    """What is between a mug and its handle stays free, as the planner has it."""
+    file = str(repository / "experiments/objects/mug.stl")
+    simulation = simulated(object=file, object_mass=0.3)
+    thing = simulation.object_description
+    assert thing is not None
+    assert thing.mass == pytest.approx(0.3)
+    assert not [note for note in simulation.notes if "mug.stl" in note]
+    corners = [part.vertices @ pose_matrix(part.pose)[:3, :3].T for part in thing.parts]
+    sizes = [np.ptp(points, axis=0) for points in corners]
+    wanted = [np.ptp(piece.points, axis=0) for piece in read_object(file).pieces]
+    assert np.sort(sizes, axis=0) == pytest.approx(np.sort(wanted, axis=0), abs=1e-4)
 
 
 def test_an_open_mesh_is_noted(tmp_path: Path) -> None:
