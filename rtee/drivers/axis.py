@@ -172,9 +172,17 @@ class Axis:
         if dt <= 0.0:
             return
         steps = min(max(1, math.ceil(dt / _STEP)), _MOST_STEPS)
+        dt /= steps
+        # The exact solution over a step, which is stable for steps of any length.
+        share, limit = -math.expm1(-dt / self.time_constant), self.max_velocity * self.pace * dt
         # Several, since contact force and heat change the motion and are computed after each.
-        for _ in range(steps):
-            self._advance(dt / steps)
+        for step in range(1, steps + 1):
+            self._advance(dt, share, limit)
+            self._warm(dt)
+            if self.velocity == 0.0 and not self._due:  # nothing but the heat goes on
+                self._age += dt * (steps - step)
+                self._warm(dt, steps - step)
+                return
 
     def _follow(self, dt: float) -> None:
         """Determine the target that it follows by now."""
@@ -189,16 +197,14 @@ class Axis:
         while self._due and self._due[0][0] <= self._age:
             self._followed = self._due.popleft()[1]
 
-    def _advance(self, dt: float) -> None:
+    def _advance(self, dt: float, share: float, limit: float) -> None:
+        """Move by one step: a share of the error, at most by a limit."""
         self._follow(dt)
         if self.enabled and not self.stuck:
             lower, upper = self._bounds()
             goal = min(max(self._followed, lower), upper)
             error = goal - self.position
-            # The exact solution over a step, which is stable for steps of any length.
-            approach = error * -math.expm1(-dt / self.time_constant)
-            limit = self.max_velocity * self.pace * dt
-            change = min(max(approach, -limit), limit)
+            change = min(max(error * share, -limit), limit)
             if abs(error) <= self.resolution:
                 # An exponential never arrives, so the last bit is covered at once.
                 change = error
@@ -207,10 +213,15 @@ class Axis:
         else:
             self.velocity = 0.0
         self._exert()
+
+    def _warm(self, dt: float, steps: int = 1) -> None:
         # Heating grows with the square of the effort, as losses do with the current.
         rated = self.rating if self.rating > 0.0 else 1.0
         warming = self.heating * (self.effort / rated) ** 2
-        self.temperature += dt * (warming - self.cooling * (self.temperature - self.ambient))
+        cooling, ambient, temperature = self.cooling, self.ambient, self.temperature
+        for _ in range(steps):
+            temperature += dt * (warming - cooling * (temperature - ambient))
+        self.temperature = temperature
 
     def _exert(self) -> None:
         if not self.enabled:

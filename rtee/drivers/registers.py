@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import field, fields
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, ClassVar, NamedTuple, Self, cast
 
 from rtee.errors import FrameError
@@ -41,7 +41,7 @@ class Field(NamedTuple):
 
     def put(self, words: list[int], value: Any) -> None:
         """Set the value."""
-        words[self.word] |= int(value) << self.bit & self.mask
+        words[self.word] |= (int(value) & (1 << self.width) - 1) << self.bit
 
 
 class Group(NamedTuple):
@@ -120,15 +120,19 @@ class Registers:
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
         """Read it; raises `FrameError` for what it cannot hold, with the name of the bus."""
-        kind = cast("Any", cls)
         try:
-            known = _known(kind) if cls.STRICT else ()
-            if len(registers) < cls.COUNT or any(registers[i] & ~k for i, k in enumerate(known)):
-                raise ValueError
-            return cls(**{name: place.get(registers) for name, place in _layout(kind)})
+            return cast("Self", _read(cast("Any", cls), tuple(registers)))
         except ValueError:
             raw = b"".join(register.to_bytes(2, "big") for register in registers)
             raise FrameError(bus, f"no {cls.WHAT}: {raw.hex(' ')}", raw) from None
+
+
+@lru_cache(maxsize=64)  # a device at rest repeats itself
+def _read(block: Any, registers: tuple[int, ...]) -> Any:
+    known = _known(block) if block.STRICT else ()
+    if len(registers) < block.COUNT or any(registers[i] & ~k for i, k in enumerate(known)):
+        raise ValueError
+    return block(**{name: place.get(registers) for name, place in _layout(block)})
 
 
 @cache

@@ -91,9 +91,9 @@ class Finger:
         return tuple(dict.fromkeys((*self.links, *self.tip_links, *self.bars)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hand:
-    """A robotic hand, gripper or any other end-effector.
+    """A robotic hand, gripper or any other end-effector; equal to itself alone.
 
     Attributes:
         name: Its name.

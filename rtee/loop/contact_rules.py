@@ -63,10 +63,9 @@ def both_sides_touch(sides: Iterable[Sequence[float]], least: float) -> bool | N
     return all(max(side) >= least for side in felt)
 
 
-def one_touches(fingers: Iterable[bool | None]) -> bool | None:
+def one_touches(fingers: Sequence[bool | None]) -> bool | None:
     """Return whether one of some fingers touches; ``None`` if one of them might, unmeasured."""
-    known = set(fingers)
-    return True if True in known else None if None in known or not known else False
+    return True if True in fingers else None if None in fingers or not fingers else False
 
 
 def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:

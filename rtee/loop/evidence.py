@@ -348,7 +348,7 @@ class Evidence:
         """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
         if not self._felt:
             return None
-        return rules.one_touches(self._touches(finger) for finger in self._actuators[i].fingers)
+        return rules.one_touches([self._touches(finger) for finger in self._actuators[i].fingers])
 
     def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
         """Return the actuators that have been blocked for longer than a time [s]."""

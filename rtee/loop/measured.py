@@ -72,4 +72,5 @@ def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
         if other.shape == merged.shape:
             # `fmax` prefers a number to NaN: each device knows only the fingers it measures.
             merged = np.fmax(merged, other)
-    return [float(force) for force in merged]
+    forces: list[float] = merged.tolist()
+    return forces

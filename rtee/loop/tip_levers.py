@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -32,15 +33,8 @@ class TipLevers:
 
     def __init__(self, hand: Hand) -> None:
         self._hand = hand
-        self._points = {
-            finger.name: (finger.tip, _point(hand, finger))
-            for finger in hand.fingers
-            if finger.tip is not None
-        }
         # Computed at rest before the loop runs: all at once would take several ticks.
-        self._known = {
-            i: (self._lever(i, hand.rest), -math.inf) for i in range(len(hand.actuators))
-        }
+        self._known = dict(enumerate((lever, -math.inf) for lever in _at_rest(hand)))
         self._renewed = -math.inf
 
     def of(self, i: int, stamp: float, position: Sequence[float]) -> float:
@@ -60,24 +54,33 @@ class TipLevers:
         self._renewed = stamp
         # Unmeasured actuators count as at rest: a finger's other joints change the lever little.
         u = np.where(np.isfinite(position), position, self._hand.rest)
-        self._known[i] = self._lever(i, u), stamp
+        self._known[i] = _lever(self._hand, i, u), stamp
         return self._known[i][0]
 
-    def _lever(self, i: int, u: FloatArray) -> float:
-        """Return an actuator's lever at positions ``(n,)`` [m/rad | 1]; ``NaN``: no fingertip."""
-        fingers = self._hand.actuators[i].fingers
-        levers = [self._at(finger, i, u) for finger in fingers if finger in self._points]
-        most = max(levers, default=math.nan)
-        return most if most > 0.0 else math.nan
 
-    def _at(self, finger: str, i: int, u: FloatArray) -> float:
-        link, point = self._points[finger]
-        pose, jacobian = tip_pose_and_jacobian(self._hand, link, u)
-        # From the link's origin to the point, at the velocity v + ω × r.
-        arm = pose[:3, :3] @ point
-        return float(np.linalg.norm(jacobian[:3, i] + np.cross(jacobian[3:, i], arm)))
+@lru_cache(maxsize=8)
+def _at_rest(hand: Hand) -> list[float]:
+    """Return the levers of all actuators at rest; trials make many controllers of a hand."""
+    return [_lever(hand, i, hand.rest) for i in range(len(hand.actuators))]
 
 
+def _lever(hand: Hand, i: int, u: FloatArray) -> float:
+    """Return an actuator's lever at positions ``(n,)`` [m/rad | 1]; ``NaN``: no fingertip."""
+    names = hand.actuators[i].fingers
+    fingers = [f for f in hand.fingers if f.name in names and f.tip is not None]
+    levers = [_at(hand, finger, i, u) for finger in fingers]
+    most = max(levers, default=math.nan)
+    return most if most > 0.0 else math.nan
+
+
+def _at(hand: Hand, finger: Finger, i: int, u: FloatArray) -> float:
+    pose, jacobian = tip_pose_and_jacobian(hand, str(finger.tip), u)
+    # From the link's origin to the point, at the velocity v + ω × r.
+    arm = pose[:3, :3] @ _point(hand, finger)
+    return float(np.linalg.norm(jacobian[:3, i] + np.cross(jacobian[3:, i], arm)))
+
+
+@lru_cache(maxsize=64)
 def _point(hand: Hand, finger: Finger) -> FloatArray:
     """Return the point of a fingertip that is likely to touch, in its link's frame ``(3,)`` [m]."""
     tip = np.linalg.inv(tip_pose_and_jacobian(hand, str(finger.tip), hand.rest)[0])

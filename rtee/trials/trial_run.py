@@ -108,6 +108,7 @@ class TrialRun:
             return self._ended("", str(error), outcome="")
         before = len(headless.events)
         headless.wait(_SETTLE)
+        self._gone_below = around.lowest - _OUT_OF_REACH
         # One that fewer than two links touch is still presented: it has to fall now.
         around.remove_support()
         headless.wait(_SETTLE)
@@ -125,7 +126,6 @@ class TrialRun:
         if not around.touching() or moved > _FALLEN + _PUSHED:
             return self._ended("it was not grasped", "", outcome, moved, forces)
         headless.before_tick(self._note_force)
-        self._gone_below = around.lowest - _OUT_OF_REACH
         self._script.move(2, _LIFT, 1.0)
         headless.wait(_HOLD)
         self._tell("lift")
@@ -170,7 +170,7 @@ class TrialRun:
         return ""
 
     def _note_force(self, _: float) -> None:
-        self._peak = max(self._peak, float(self._headless.forces.max()))
+        self._peak = max([self._peak, *self._headless.forces.tolist()])
 
     def _look_whether_gone(self, _: float) -> None:
         if self._around.height < self._gone_below:

@@ -46,25 +46,26 @@ class FingerForces:
     def read(self, data: mujoco.MjData) -> FloatArray:
         """Return the sum of the forces on the links of each finger ``(fingers,)`` [N]."""
         felt = self._felt(data) if data.ncon else []
+        if not felt:
+            return np.zeros(len(self._belongs))
         sizes = np.zeros(self._rows)
-        if felt:
-            # Plain numbers: for so few contacts, in every cycle, numpy takes several times as long.
-            forces: dict[int, list[float]] = {}
-            for row, _, (x, y, z) in felt:
-                if row >= 0:
-                    total = forces.setdefault(row, [0.0, 0.0, 0.0])
-                    total[0] -= x
-                    total[1] -= y
-                    total[2] -= z
-            for _, row, (x, y, z) in felt:
-                if row >= 0:
-                    total = forces.setdefault(row, [0.0, 0.0, 0.0])
-                    total[0] += x
-                    total[1] += y
-                    total[2] += z
-            for row, (x, y, z) in forces.items():
-                sizes[row] = math.sqrt(x * x + y * y + z * z)
-        return np.asarray(self._belongs @ sizes, dtype=np.float64)
+        # Plain numbers: for so few contacts, in every cycle, numpy takes several times as long.
+        forces: dict[int, list[float]] = {}
+        for row, _, (x, y, z) in felt:
+            if row >= 0:
+                total = forces.setdefault(row, [0.0, 0.0, 0.0])
+                total[0] -= x
+                total[1] -= y
+                total[2] -= z
+        for _, row, (x, y, z) in felt:
+            if row >= 0:
+                total = forces.setdefault(row, [0.0, 0.0, 0.0])
+                total[0] += x
+                total[1] += y
+                total[2] += z
+        for row, (x, y, z) in forces.items():
+            sizes[row] = math.sqrt(x * x + y * y + z * z)
+        return np.asarray(self._belongs @ sizes)
 
     def _felt(self, data: mujoco.MjData) -> list[tuple[int, int, tuple[float, float, float]]]:
         """Return the rows of the two sides of each contact that counts, and its force [N].

@@ -58,6 +58,10 @@ class Simulation:
         self.model = model
         self.notes = tuple(notes)
         self.data = mujoco.MjData(model)
+        # Views of the state, since MuJoCo makes one each time that it is asked for it.
+        self._positions: FloatArray = self.data.qpos
+        self._control: FloatArray = self.data.ctrl
+        self._efforts: FloatArray = self.data.actuator_force
         self.actuators = tuple(actuators)
         self._hand = hand
         # The step is shortened so that a whole number of steps makes one period exactly; the small
@@ -124,27 +128,10 @@ class Simulation:
                 finite or beyond all bounds.
         """
         # Before the step: the tangents belong to the positions from which it starts.
-        positions = self.data.qpos
-        self._couplings.renew(positions)
-        control = self.data.ctrl
-        references = control[self._motor].tolist()
-        # Plain numbers: for so few, at every exchange, numpy takes several times as long.
-        for index, (reference, position, target, step) in enumerate(
-            zip(
-                references,
-                positions[self._qpos].tolist(),
-                self._target.tolist(),
-                (self._speed * self._period).tolist(),
-                strict=True,
-            )
-        ):
-            # A reference that has run ahead into an object turns back from the actuator's position.
-            # It does not travel back to it first, so the actuator reverses as fast as a real servo.
-            start = position if (reference - position) * (target - position) < 0.0 else reference
-            way = target - start
-            # Written so that NaN stays NaN.
-            references[index] = start + (step if way > step else -step if way < -step else way)
-        control[self._motor] = references
+        self._couplings.renew(self._positions)
+        references, targets = self._control.take(self._motor).tolist(), self._target.tolist()
+        if references != targets:
+            self._follow(references, targets)
         if self._integrates:
             self._integrate()
         before = self.data.time
@@ -153,6 +140,22 @@ class Simulation:
         if self.data.time < before + 0.5 * self._period:
             raise SimulationUnstable
         self.surroundings.watch(self.time)
+
+    def _follow(self, references: list[float], targets: list[float]) -> None:
+        """Move the references that count towards the given ones."""
+        positions = self._positions.take(self._qpos).tolist()
+        steps = (self._speed * self._period).tolist()
+        # Plain numbers: for so few, at every exchange, numpy takes several times as long.
+        for index, (reference, position, target, step) in enumerate(
+            zip(references, positions, targets, steps, strict=True)
+        ):
+            # A reference that has run ahead into an object turns back from the actuator's position.
+            # It does not travel back to it first, so the actuator reverses as fast as a real servo.
+            start = position if (reference - position) * (target - position) < 0.0 else reference
+            way = target - start
+            # Written so that NaN stays NaN.
+            references[index] = start + (step if way > step else -step if way < -step else way)
+        self._control[self._motor] = references
 
     def _integrate(self) -> None:
         """Integrate the position errors; the sum stays within the effort limits."""
@@ -171,7 +174,7 @@ class Simulation:
     @property
     def position(self) -> FloatArray:
         """Actuator positions ``(n,)`` [rad | m]."""
-        return np.asarray(self.data.qpos[self._qpos], dtype=np.float64)
+        return self._positions.take(self._qpos)
 
     @property
     def velocity(self) -> FloatArray:
@@ -181,7 +184,7 @@ class Simulation:
     @property
     def effort(self) -> FloatArray:
         """Actuator efforts ``(n,)`` [N·m | N]."""
-        return np.asarray(self.data.actuator_force[self._motor], dtype=np.float64)
+        return self._efforts.take(self._motor)
 
     @property
     def hand_position(self) -> FloatArray:
