@@ -7,6 +7,7 @@ import gc
 import io
 import os
 import warnings
+from functools import partial
 from typing import Final
 
 import anyio
@@ -270,7 +271,9 @@ class App:
             if page.session is not None:
                 page.session.fold()
         elif page is not None and page.session is not None:
-            page.bridge.call(page.session.live, always=True)
+            _, _, time = button.partition(" ")
+            show = partial(page.session.scrub, float(time)) if time else page.session.live
+            page.bridge.call(show, always=True)
 
     async def _stop(self, page: Page | None) -> None:
         truth = Truth(self._wanted or "") if page is None else page.watch.truth

@@ -24,6 +24,8 @@
     else say("doing", "STOP did not leave this page: use the emergency stop", "bad");
   };
   at("stop").onclick = stop;
+  // What a plot says: the time to which somebody has pointed.
+  addEventListener("rtee-say", (event) => line?.readyState === WebSocket.OPEN && line.send(event.detail));
   at("live").onclick = () => line.send("live");
 
   const show = (words) => {

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import gzip
 import json
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, Protocol
@@ -28,9 +29,12 @@ _PERIOD: Final = 0.2
 _BEAT: Final = 3
 """Every third message is sent even if nothing has changed, so that the page knows it is alive."""
 
+_BUTTONS: Final = re.compile(r"stop|live|narrow|time [0-9]{1,9}\.[0-9]{3}")
+"""What a page says; the time is that of a recording to which somebody has pointed [s]."""
+
 _PARTS: Final = "".join(
     f"<{tag}>{Path(__file__).with_name(name).read_text(encoding='utf-8')}</{tag}>"
-    for tag, name in (("style", "bar.css"), ("script", "bar.js"))
+    for tag, name in (("style", "bar.css"), ("script", "bar.js"), ("script", "plots.js"))
 )
 
 
@@ -42,7 +46,7 @@ class Desk(Protocol):
         ...
 
     def press(self, button: str, window: int | None) -> None:
-        """Do what a button says: ``stop`` the hand, show it ``live`` here; or ``narrow``."""
+        """Do what a page says: ``stop`` the hand, show it ``live`` or a ``time``; ``narrow``."""
         ...
 
 
@@ -70,9 +74,10 @@ async def handle(connection: ServerConnection, desk: Desk) -> None:
         nonlocal window
         with contextlib.suppress(ConnectionClosed):  # the page has gone without a word
             async for message in connection:
-                if message in ("stop", "live", "narrow"):
-                    desk.press(str(message), window)
-                elif isinstance(message, str) and message.isdecimal() and len(message) < 10:
+                message = str(message)
+                if _BUTTONS.fullmatch(message):
+                    desk.press(message, window)
+                elif message.isdecimal() and len(message) < 10:
                     window = int(message)
 
     listening = asyncio.ensure_future(listen())

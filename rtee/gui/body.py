@@ -40,8 +40,6 @@ class HandBody:
         self._frame = scene.add_frame(root, show_axes=False, visible=visible)
         self._moving: list[tuple[viser.FrameHandle, FloatArray, bool]] = []
         self._last = np.full(len(hand.joints), np.nan)
-        self._shapes: dict[str, list[Any]] = {}
-        self._colours: dict[str, Colour] = {}
         self.frames: dict[str, str] = {}
         self._build(hand, triangles, colours)
 
@@ -71,30 +69,25 @@ class HandBody:
     def _add_shapes(
         self, urdf: Urdf, link: str, path: str, triangles: LinkTriangles, colour: Colour
     ) -> None:
-        handles: list[Any] = []
         shapes = urdf.links[link].collisions
         # The browser draws simple shapes from their sizes; only meshes are sent as triangles.
         if not any(shape.kind == "mesh" for shape in shapes):
             for index, shape in enumerate(shapes):
-                handles.append(self._add_shape(f"{path}/shape{index}", shape, colour))
+                self._add_shape(f"{path}/shape{index}", shape, colour)
         else:
             vertices, faces = triangles(link)
-            handles.append(
-                self._scene.add_mesh_simple(
-                    f"{path}/mesh",
-                    np.asarray(vertices, dtype=np.float32),
-                    np.asarray(faces, dtype=np.uint32),
-                    color=colour,
-                    opacity=self._opacity,
-                    flat_shading=True,
-                    side="double",
-                    cast_shadow=self._opacity is None,
-                )
+            self._scene.add_mesh_simple(
+                f"{path}/mesh",
+                np.asarray(vertices, dtype=np.float32),
+                np.asarray(faces, dtype=np.uint32),
+                color=colour,
+                opacity=self._opacity,
+                flat_shading=True,
+                side="double",
+                cast_shadow=self._opacity is None,
             )
-        self._shapes[link] = handles
-        self._colours[link] = colour
 
-    def _add_shape(self, name: str, shape: UrdfGeometry, colour: Colour) -> Any:
+    def _add_shape(self, name: str, shape: UrdfGeometry, colour: Colour) -> None:
         at: dict[str, Any] = {
             "wxyz": quaternion(shape.rpy),
             "position": shape.xyz,
@@ -102,10 +95,11 @@ class HandBody:
             "cast_shadow": self._opacity is None,
         }
         if shape.kind == "box":
-            return self._scene.add_box(name, color=colour, dimensions=shape.size, **at)
-        if shape.kind == "sphere":
-            return self._scene.add_icosphere(name, shape.radius, colour, **at)
-        return self._scene.add_cylinder(name, shape.radius, shape.length, colour, **at)
+            self._scene.add_box(name, color=colour, dimensions=shape.size, **at)
+        elif shape.kind == "sphere":
+            self._scene.add_icosphere(name, shape.radius, colour, **at)
+        else:
+            self._scene.add_cylinder(name, shape.radius, shape.length, colour, **at)
 
     @property
     def visible(self) -> bool:
@@ -135,14 +129,6 @@ class HandBody:
                 frame.position = value * axis
             else:
                 frame.wxyz = turn(axis, value)
-
-    def set_colour(self, link: str, colour: Colour) -> None:
-        """Colour a link."""
-        if self._colours[link] == colour:
-            return
-        self._colours[link] = colour
-        for handle in self._shapes[link]:
-            handle.color = colour
 
     def remove(self) -> None:
         """Remove the body from the scene."""

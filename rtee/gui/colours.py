@@ -29,9 +29,6 @@ OBJECT: Final[Colour] = (189, 153, 112)
 FORCE: Final = rgb("#a3195b")
 """Contact forces: unlike any other colour of the scene."""
 
-STRAINED: Final[Colour] = (75, 0, 20)
-"""A finger at its effort limit: dark, which people with any colour vision can see."""
-
 STOP: Final[Colour] = (201, 42, 42)
 BAR: Final = rgb("#0072b2")
 

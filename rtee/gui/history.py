@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
 
+from rtee.log import Span
 from rtee.messages.state import State
-from rtee.sample import MEASURED, FloatArray
+from rtee.sample import MEASURED, BoolArray, FloatArray
 from rtee.touch import TouchSensor, TouchState
+from rtee.types import Result
 
 QUANTITIES: Final = tuple(MEASURED)
 """Quantities measured per actuator; ``reference`` positions come in addition."""
@@ -26,11 +29,25 @@ POINTS: Final = 200
 """Most points of a line: as many as a plot is wide in every second pixel."""
 
 
+_SPANS: Final = 100
+"""Actions that are kept: more in a minute could not be told apart."""
+
+
 class Source(Protocol):
-    """Source of the lines of the plots."""
+    """Source of the lines of the plots, on a time axis of its own [s]."""
+
+    @property
+    def pose(self) -> float | None:
+        """The time of the pose in the 3D view; ``None``: the newest."""
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
-        """Return times relative to now [s] and the columns of a quantity, thinned for display."""
+        """Return times and the columns of a quantity, thinned for display."""
+
+    def measured(self, name: str) -> BoolArray:
+        """Return of which columns of a quantity a value is known at any time."""
+
+    def spans(self, length: float) -> Sequence[Span]:
+        """Return the actions in the window of a length [s]."""
 
 
 def stride(count: int) -> int:
@@ -39,7 +56,9 @@ def stride(count: int) -> int:
 
 
 class History:
-    """Ring buffer of the newest states."""
+    """Ring buffer of the newest states, and the actions meanwhile; times are relative to now."""
+
+    pose: float | None = None
 
     def __init__(self, actuators: int, joints: int, rate: float = 100.0) -> None:
         """Allocate memory for the longest time that plots can show, at a rate of states [Hz]."""
@@ -52,18 +71,50 @@ class History:
             name: np.full((self._capacity, size), np.nan, dtype=np.float32)
             for name, size in sizes.items()
         }
+        self._measured = {name: np.zeros(size, dtype=bool) for name, size in sizes.items()}
+        self._spans: deque[Span] = deque(maxlen=_SPANS)
+        self._running: Span | None = None
+        self._now = 0.0
         self._count = 0
 
     def add(self, state: State, joint_velocity: FloatArray) -> None:
         """Add a state and the joint velocities ``(m,)`` computed from it [rad/s | m/s]."""
         row = self._count % self._capacity
-        self._time[row] = state.stamp
-        for name in QUANTITIES:
-            self._values[name][row] = getattr(state, name)
-        self._values["reference"][row] = state.reference_position
-        self._values["joint_position"][row] = state.joint_position
-        self._values["joint_velocity"][row] = joint_velocity
+        self._time[row] = self._now = state.stamp
+        values = {name: getattr(state, name) for name in QUANTITIES}
+        values["reference"] = state.reference_position
+        values |= {"joint_position": state.joint_position, "joint_velocity": joint_velocity}
+        for name, value in values.items():
+            self._values[name][row] = value
+            self._measured[name] |= np.isfinite(value)
         self._count += 1
+
+    def measured(self, name: str) -> BoolArray:
+        """Return of which columns of a quantity a value was ever known."""
+        return self._measured[name]
+
+    def on_goal(self, goal_id: str, action: str) -> None:
+        """Take the goal that runs now; an empty one stands for none."""
+        if not goal_id or any(span.goal_id == goal_id for span in self._spans):
+            self._running = None
+        elif self._running is None or self._running.goal_id != goal_id:
+            self._running = Span(action, self._now, self._now, "running", goal_id)
+
+    def on_result(self, result: Result) -> None:
+        """Take the end of a goal."""
+        name = " ".join((result.action, *result.elements))
+        begin = self._now - result.duration
+        self._spans.append(Span(name, begin, self._now, result.outcome, result.goal_id))
+        self.on_goal(result.goal_id, "")  # which ends what runs
+
+    def spans(self, length: float) -> list[Span]:
+        """Return the actions of the last seconds, and the running one."""
+        running = [] if self._running is None else [replace(self._running, end=self._now)]
+        return [
+            replace(span, start=max(span.start - self._now, -length), end=span.end - self._now)
+            for span in (*self._spans, *running)
+            if span.end > self._now - length
+        ]
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times relative to now [s] and the columns of a quantity, thinned for display."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from html import escape
 
@@ -13,7 +14,7 @@ from rtee.hand.model import Hand
 from rtee.log import Recording, Span
 from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.objects.description import ObjectDescription
-from rtee.sample import FloatArray
+from rtee.sample import BoolArray, FloatArray
 from rtee.touch import TouchSensor, TouchState
 from rtee.types import Outcome
 
@@ -27,6 +28,9 @@ _OUTCOMES: dict[str, str] = {
 
 _OTHER = "#e69f00"
 """Colour of any other outcome."""
+
+_LOOKED_AT = 10_000
+"""States of a long recording that are searched for a measured value: within milliseconds."""
 
 
 class Playback:
@@ -44,6 +48,7 @@ class Playback:
             raise LogError(f"is a recording of '{recording.hand}', not of '{hand.name}'")
         if not len(states):
             raise LogError("nothing was measured in this recording")
+        self._measured: dict[str, BoolArray] = {}
         self._order = [states.names.index(name) for name in hand.actuator_names]
         self._sent = (
             [recording.reference.names.index(name) for name in hand.actuator_names]
@@ -56,6 +61,29 @@ class Playback:
             if name in recording.joint_states.names
         ]
         self.time = 0.0
+
+    @property
+    def pose(self) -> float:
+        """The time shown, to which the plots' time axis leads [s]."""
+        return self.time
+
+    def measured(self, name: str) -> BoolArray:
+        """Return of which columns of a quantity a value is known in the recording."""
+        if name not in self._measured:
+            columns = range(len(self._hand.joints if name in JOINT_QUANTITIES else self._order))
+            step = max(1, len(self.recording.actuator_states) // _LOOKED_AT)
+            lines = self._lines(name, columns, slice(None, None, step))
+            self._measured[name] = np.array([np.isfinite(line).any() for line in lines])
+        return self._measured[name]
+
+    def spans(self, length: float) -> Sequence[Span]:
+        """Return the actions of the recording."""
+        return self.recording.spans
+
+    def _page(self, length: float) -> tuple[float, float]:
+        """Return begin and end of the window with the time shown, which turns like a page [s]."""
+        begin = length * (min(self.time, math.nextafter(self.duration, 0.0)) // length)
+        return begin, begin + length
 
     @property
     def object_description(self) -> ObjectDescription | None:
@@ -124,30 +152,33 @@ class Playback:
     ) -> dict[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]:
         """Return the sums of touch sensors by device, thinned; see `TouchPanel`.
 
-        The window of this length [s] ends at the time shown.
+        The window of this length [s] has the time shown in it.
         """
         windows = {}
         for device, each in self.recording.touch.items():
-            begin, end = np.searchsorted(each.t, [self.time - length, self.time], side="right")
+            begin, end = np.searchsorted(each.t, self._page(length), side="right")
             rows = np.arange(begin, end, stride(int(end - begin)))
-            windows[device] = (each.sensors, each.t[rows] - self.time, each.totals[rows])
+            windows[device] = (each.sensors, each.t[rows], each.totals[rows])
         return windows
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
-        """Return times relative to the time shown [s] and the columns of a quantity, thinned."""
+        """Return times in the recording [s] and the columns of a quantity, thinned.
+
+        The window of this length [s] has the time shown in it.
+        """
+        time = self.recording.actuator_states.t
+        start, end = np.searchsorted(time, self._page(length)).tolist()
+        rows = slice(start, end, stride(end - start))
+        return (time[rows], *self._lines(name, columns, rows))
+
+    def _lines(self, name: str, columns: Sequence[int], rows: slice) -> list[FloatArray]:
         states = self.recording.actuator_states
-        end = self._row(states.t, self.time) + 1
-        start = int(np.searchsorted(states.t, self.time - length))
-        step = stride(end - start)
-        # Multiples of the step, counted from the first state, so that the lines do not flicker.
-        rows = np.arange(start + (-start) % step, end, step)
-        time = states.t[rows] - self.time
         if name == "reference":
             if not self._sent:
-                return (time, *(np.full(len(rows), np.nan) for _ in columns))
+                return [np.full(len(states.t[rows]), np.nan) for _ in columns]
             sent = self.recording.reference
             at = np.maximum(np.searchsorted(sent.t, states.t[rows], side="right") - 1, 0)
-            return (time, *(sent.position[at, self._sent[c]] for c in columns))
+            return [sent.position[at, self._sent[c]] for c in columns]
         if name in JOINT_QUANTITIES:
             transmission = self._hand.transmission
             position, velocity = (
@@ -158,18 +189,22 @@ class Playback:
                 if name == "joint_position"
                 else transmission.velocities(position, velocity)
             )
-            return (time, *(lines[:, c] for c in columns))
+            return [lines[:, c] for c in columns]
         values = getattr(states, name)
-        return (time, *(values[rows, self._order[c]] for c in columns))
+        return [values[rows, self._order[c]] for c in columns]
+
+
+def span_colour(span: Span) -> str:
+    """Return the colour ``#rrggbb`` of an action by how it ended."""
+    return _OUTCOMES.get(span.outcome, _OTHER)
 
 
 def _bar(span: Span, duration: float, top: int, height: int) -> str:
     x, width = 100.0 * span.start / duration, 100.0 * (span.end - span.start) / duration
-    text = f"{span.name}: {span.start:.1f} s to {span.end:.1f} s, {span.outcome}"
-    colour = _OUTCOMES.get(span.outcome, _OTHER)
+    text = escape(f"{span.name}: {span.start:.1f} s to {span.end:.1f} s, {span.outcome}")
     return (
         f'<rect x="{x:.2f}%" y="{top}" width="{max(width, 0.4):.2f}%" height="{height}" '
-        f'fill="{colour}" stroke="#fff" stroke-width="0.5"><title>{escape(text)}</title></rect>'
+        f'fill="{span_colour(span)}" stroke="#fff" stroke-width="0.5"><title>{text}</title></rect>'
     )
 
 

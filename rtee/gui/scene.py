@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,11 +11,8 @@ from rtee.gui.body import HandBody
 from rtee.gui.bridge import Stage
 from rtee.gui.colours import (
     CONTACT,
-    PALM,
     PREVIEW,
     REFERENCE,
-    STRAINED,
-    blend,
     link_colours,
     ramp,
 )
@@ -43,13 +39,12 @@ class HandScene:
         self._stage = stage
         scene = stage.scene
         self._triangles = link_triangles(hand)
-        self._colours = link_colours(hand)
         ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
         preview = dict.fromkeys(hand.urdf.links, PREVIEW)
         scene.set_up_direction("+z")
         # Without a graphics card, shadows would cost most of the frame rate.
         scene.configure_default_lights(cast_shadow=False)
-        self._body = HandBody(scene, "/hand", hand, self._triangles, self._colours)
+        self._body = HandBody(scene, "/hand", hand, self._triangles, link_colours(hand))
         self._reference = HandBody(
             scene, "/reference", hand, self._triangles, ghost, opacity=_GHOST, visible=False
         )
@@ -61,7 +56,7 @@ class HandScene:
             body.set_joints(rest)
         self._contacts: list[viser.IcosphereHandle | viser.ArrowsHandle] = []
         self._pressures: dict[str, viser.IcosphereHandle] = {}
-        self._strained: dict[str, float] = {}
+        self._labels: dict[str, viser.LabelHandle] = {}
         self._size = self._aim()
         self.seen = ObjectView(scene, self._size)
         self.taxels = TaxelView(scene, hand, self._body.frames, self._size)
@@ -117,20 +112,23 @@ class HandScene:
         body.set_joints(self.hand.transmission.joints(actuators))
         body.visible = True
 
-    def show_effort(self, share: Mapping[str, float]) -> None:
-        """Darken fingers by their effort, given by finger name as a share of its limit."""
-        for finger in self.hand.fingers:
-            strength = share.get(finger.name, 0.0)
-            # Ten steps, since each change of colour is sent to the browser.
-            strength = 0.0 if not math.isfinite(strength) else round(min(abs(strength), 1.0), 1)
-            if strength == self._strained.get(finger.name, 0.0):
-                continue
-            self._strained[finger.name] = strength
-            for link in finger.body:
-                own = self._colours[link]
-                # A link in the palm's colour belongs to no single finger with an effort to show.
-                if own != PALM:
-                    self._body.set_colour(link, blend(own, STRAINED, strength))
+    def show_fingers(self, said: Mapping[str, str]) -> None:
+        """Write something at the tips of fingers, by their names; at the others, nothing."""
+        for number, finger in enumerate(self.hand.fingers):
+            text, label = said.get(finger.name, ""), self._labels.get(finger.name)
+            if label is None and text:
+                # Below the link's frame, with which it moves.
+                place = f"{self._body.frames[finger.tip or finger.body[-1]]}/label"
+                # To the left and the right in turn, so that neighbours cover less of each other.
+                label = self._stage.scene.add_label(
+                    place,
+                    text,
+                    font_screen_scale=0.85,
+                    anchor="bottom-left" if number % 2 else "bottom-right",
+                )
+                self._labels[finger.name] = label
+            if label is not None and (label.text, label.visible) != (text, bool(text)):
+                label.text, label.visible = text, bool(text)
 
     def show_contacts(self, contacts: Sequence[Contact]) -> None:
         """Mark contact points with their normals [m], in the hand's base frame."""

@@ -32,7 +32,7 @@ from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.gui.trial_results import key_of, tried_in
 from rtee.gui.watch import Watch
-from rtee.gui.wording import put, small
+from rtee.gui.wording import effort_bar, put, small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.planning.result import GraspPlan
@@ -58,7 +58,8 @@ _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
 
 _VIEWS = {
     "Reference": (False, "Show the set-points sent as a grey ghost"),
-    "Effort": (True, "Darken fingers by the effort they exert, in percent of their limits"),
+    "Names": (True, "Name the fingers at their tips, with the forces measured there"),
+    "Effort": (True, "Show by bars at the tips how near fingers are to their effort limits"),
     "Contacts": (True, "Mark where the tips of the current action touch"),
     "Pressure": (True, "Show the pressure at the tips, where the hand measures it"),
     "Touch": (True, "Colour the taxels on the hand by what they measure"),
@@ -67,6 +68,12 @@ _VIEWS = {
 }
 """Check boxes of the 3D view: by label, whether ticked at first, and the hint."""
 
+
+_FELT: Final = 0.05
+"""Least force written at a fingertip [N]: below the lightest touch."""
+
+_STRAINED: Final = 0.1
+"""Least effort shown at a fingertip, as a share of its limit: friction alone takes less."""
 
 _PAST: Final = "this window shows a recording; go back to live first"
 
@@ -245,6 +252,7 @@ class Session:
 
     def _show_numbers(self, state: State) -> None:
         self._table.show_state(state)
+        self._scene.show_fingers(self._said_of_fingers(state))
         self._touch_panel.show(self._touch_now())
         contacts = self._scene.seen.summary(tuple(self._hand.urdf.links))
         put(self._forces, small(escape(contacts)))
@@ -255,7 +263,6 @@ class Session:
         view = {label: box.value for label, box in self._views.items()}
         self._scene.show(state.joint_position)
         self._scene.show_reference(state.reference_position if view["Reference"] else None)
-        self._scene.show_effort(self._efforts(state) if view["Effort"] else {})
         self._scene.taxels.show(self._touch_now() if view["Touch"] else ())
         pressure = self._pressures(state) if view["Pressure"] else {}
         if pressure or self._pressed:  # once more after the last contact, to hide the spheres
@@ -266,6 +273,21 @@ class Session:
         held = self._watch.described if playback is None else playback.object_description
         self._scene.seen.describe(held if view["Object"] else None)
         self._scene.seen.show(state.channels, forces=view["Contact forces"])
+
+    def _said_of_fingers(self, state: State) -> dict[str, str]:
+        """Return each finger's name with its measured force, and its effort as a bar."""
+        names, bars = self._views["Names"].value, self._views["Effort"].value
+        fingers, efforts = self._hand.finger_names, self._efforts(state) if bars else {}
+        forces = dict.fromkeys(fingers, 0.0)
+        for name, values in state.channels.items():
+            if name.endswith("/contact_force") and len(values) == len(fingers):
+                forces = dict(zip(fingers, values.tolist(), strict=True))
+        said = {}
+        for finger in fingers:
+            force, share = forces[finger], efforts.get(finger, 0.0)
+            words = [finger] * names + [f"{force:.1f} N"] * (names and force >= _FELT)
+            said[finger] = " ".join(words + [effort_bar(share)] * (share >= _STRAINED))
+        return said
 
     def _efforts(self, state: State) -> dict[str, float]:
         """Return the largest effort of each finger's actuators, as a share of their limits."""
@@ -304,6 +326,10 @@ class Session:
     async def live(self) -> None:
         """Show the running hand again, instead of a recording."""
         await self._recordings.live()
+
+    async def scrub(self, time: float) -> None:
+        """Show another time of the recording [s]."""
+        self._recordings.scrub(time)
 
     async def stop(self) -> dict[str, bool]:
         """Stop the hand; return whether each device has confirmed."""

@@ -96,7 +96,11 @@ class Watch:
 
     async def _follow(self, remote: RemoteHand) -> None:
         hand = await model_of(remote)
-        if self.hand is None or self.hand.actuator_names != hand.actuator_names:
+        if (
+            self.history is None
+            or self.hand is None
+            or self.hand.actuator_names != hand.actuator_names
+        ):
             self.history = History(len(hand.actuators), len(hand.joints))
         self.hand, self.described = hand, None
         self.truth.hand = remote.name
@@ -106,12 +110,16 @@ class Watch:
                 tasks.start_soon(work, remote)
             self._connected.set()
             while True:
-                self.truth.on_status(await remote.status())
+                status = await remote.status()
+                self.truth.on_status(status)
+                self.history.on_goal(status.goal_id, status.action)
                 await anyio.sleep(_STATUS_PERIOD)
 
     async def _results(self, remote: RemoteHand) -> None:
         async for result in remote.results():
             self.truth.on_result(result)
+            if self.history is not None:
+                self.history.on_result(result)
 
     async def _events(self, remote: RemoteHand) -> None:
         async for event in remote.events():

@@ -31,6 +31,11 @@ def described(use: ActionReference) -> str:
     return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
 
+def effort_bar(share: float) -> str:
+    """Return an effort as a bar of five parts, given as a share of its limit."""
+    return f"{'▰' * min(max(round(5.0 * share), 1), 5):▱<5}"
+
+
 WRAPS: Final = "overflow-wrap:anywhere"
 """CSS of a line that may hold names of files and clients: a long word must not widen the panel."""
 

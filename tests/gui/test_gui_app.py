@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import math
 import re
 import signal
 import subprocess
@@ -332,9 +333,18 @@ def test_what_is_not_measured_leaves_the_other_lines_their_scale(
     server: viser.ViserServer, tmp_path: Path
 ) -> None:
     """The browser takes a line with NaN into a scale that holds nothing."""
-    panel = PlotsPanel(server.gui, *_past(make_hand(tmp_path)))
+    hand, history = _past(make_hand(tmp_path))
+    panel = PlotsPanel(server.gui, hand, history)
     panel.draw()
-    assert panel._plots
+    assert not panel._plots
+    state = _measured(hand, 0.25, 0.5)
+    effort = state.effort.copy()
+    effort[0] = math.nan
+    history.add(dataclasses.replace(state, effort=effort), np.zeros(len(hand.joints)))
+    panel.draw()
+    assert set(panel._plots) == {"position", "velocity", "effort"}
+    labels = [[s["label"] for s in plot.series] for plot in panel._plots.values()]
+    assert len(labels[2]) == len(labels[1]) - 1
     for plot in panel._plots.values():
         _, *lines, low, high = plot.series
         assert lines
@@ -348,12 +358,9 @@ def test_joints_have_plots_of_their_own_with_their_units(
     hand = make_hand(tmp_path)
     _, history = _past(hand)
     panel = PlotsPanel(server.gui, hand, history)
-    panel.draw()
-    assert set(panel._plots) == {"position", "velocity", "effort"}
     panel._chosen_joints[-1].value = True
     for box in panel._chosen:
         box.value = False
-    panel._changed()
     state = _measured(hand, 0.25, 0.5)
     history.add(state, hand.transmission.velocities(state.position, state.velocity))
     panel.draw()

@@ -175,6 +175,20 @@ def test_history_keeps_the_newest_and_thins() -> None:
     assert np.array_equal(speed, 2.0 * joint)
 
 
+def test_actions_are_spans_of_the_time_in_the_plots() -> None:
+    history = History(1, 1)
+    history.add(_state(10.0, 0.0, 1, 1), np.zeros(1))
+    history.on_goal("a", "Grasp")
+    history.add(_state(12.0, 0.0, 1, 1), np.zeros(1))
+    assert [(s.name, s.start, s.end) for s in history.spans(10.0)] == [("Grasp", -2.0, 0.0)]
+    history.on_result(Result("a", "Grasp", reached=True, duration=1.5))
+    history.on_goal("a", "Grasp")  # asked for before it ended
+    history.add(_state(13.0, 0.0, 1, 1), np.zeros(1))
+    history.on_goal("", "")
+    assert [(s.start, s.end, s.outcome) for s in history.spans(10.0)] == [(-2.5, -1.0, "reached")]
+    assert history.spans(1.0) == []
+
+
 def test_thinning_keeps_the_same_points_as_time_goes_on() -> None:
     history = History(1, 1, rate=100.0)
     for i in range(1000):

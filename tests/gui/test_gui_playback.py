@@ -63,11 +63,15 @@ def test_the_state_is_that_of_the_time(playback: Playback, hand: Hand) -> None:
     assert last.reference_position[0] == pytest.approx(last.position[0], abs=0.02)
 
 
-def test_lines_end_at_the_present(playback: Playback, hand: Hand) -> None:
-    playback.time = 0.5 * playback.duration
+def test_lines_are_those_around_the_time_shown(playback: Playback, hand: Hand) -> None:
+    playback.time = playback.duration
+    part = playback.duration / 2.0
+    assert playback.window("position", (0,), part)[0][0] >= part
+    playback.time = 0.5 * part
     time, position = playback.window("position", (0,), 10.0)
-    assert time[-1] <= 0.0
-    assert time[0] >= -10.0
+    assert time[0] == 0.0 <= playback.pose <= time[-1]
+    assert playback.measured("position").all()
+    assert not playback.measured("temperature").any()
     states = playback.recording.actuator_states
     assert set(position.tolist()) <= set(states.position[:, 0].tolist())
     for name in ("reference", "joint_position", "joint_velocity", "effort"):

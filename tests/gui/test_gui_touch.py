@@ -114,5 +114,5 @@ def test_a_recording_tells_what_was_felt_at_its_time(hand: Hand) -> None:
     [last] = playback.touch()
     assert (last.of("pad").tolist(), last.stale) == ([1.0, 1.0], True)
     sensors, times, sums = playback.touch_windows(10.0)["board"]
-    assert (sensors, times.tolist()) == (SENSORS, [-1.0, 0.0])
+    assert (sensors, times.tolist()) == (SENSORS, [1.0, 2.0])
     assert sums.tolist() == [[0.0, 1.0], [2.0, 2.0]]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from html import escape
 
 import numpy as np
 import viser
@@ -16,7 +18,8 @@ from rtee.gui.history import (
     Source,
     nice_range,
 )
-from rtee.gui.wording import legend, short_names, units
+from rtee.gui.playback import span_colour
+from rtee.gui.wording import legend, put, short_names, units
 from rtee.hand.colours import finger_of_link
 from rtee.hand.model import Hand
 from rtee.sample import MEASURED, FloatArray
@@ -42,6 +45,22 @@ def _units(actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
     }
 
 
+def line(number: int, label: str, width: float = 1.75, alpha: float = 1.0) -> uplot.Series:
+    """Return the style of a line by its number, see `line_numbers`; a faint one is commanded."""
+    kind = "commanded" if alpha < 1.0 else "measured"
+    return uplot.Series(
+        {
+            "label": label,
+            "stroke": line_colour(number),
+            "width": width,
+            "dash": line_dash(number),
+            "alpha": alpha,
+            "auto": False,  # NaN, where nothing is measured, would break the scale
+            "class": f"rtee-{kind}{'-dashed' * bool(line_dash(number))}",
+        }
+    )
+
+
 def chart(
     gui: viser.GuiApi,
     data: Sequence[FloatArray],
@@ -52,29 +71,42 @@ def chart(
     """Add a plot of a height [pixels] to the current container.
 
     The data are the times, the lines, and last the lower and the upper end of the axis, ``(k,)``
-    each; the series are the styles of the time axis and of each line. The title has the unit.
+    each; the series are the styles of the time axis and of each line. The title ends with the unit.
     """
+    unit = title.rpartition("[")[2].rstrip("]")
     # Invisible lines set the range, since a change of the scales would rebuild the plot.
-    ends = [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
+    ends = [
+        uplot.Series({"label": end, "stroke": "#0000", "width": 0, "class": "rtee-end"})
+        for end in ("low", "high")
+    ]
     return gui.add_uplot(
         tuple(data),
         (*series, *ends),
         title=title,
         scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
         axes=(
-            uplot.Axis(font=_SMALL, size=28, space=50),
-            uplot.Axis(font=_SMALL, size=48, space=24),
+            uplot.Axis(font=_SMALL, size=24, space=50, label="s", labelFont=_SMALL, labelSize=12),
+            uplot.Axis(font=_SMALL, size=42, space=24, label=unit, labelFont=_SMALL, labelSize=14),
         ),
-        legend=uplot.Legend(show=False),
-        cursor=uplot.Cursor(sync={"key": "time"}),  # one cursor for all plots
+        legend=uplot.Legend(show=True, live=True),  # shown over the plots while they are pointed at
+        cursor=uplot.Cursor(sync={"key": "time"}),  # one cursor and one zoom for all plots
         height=height,
         padding=(10, 12, 0, 0),
     )
 
 
-def _differs(new: FloatArray, old: FloatArray) -> bool:
-    """Return whether a line would look another way: each is sent to the browser as a whole."""
-    return new.shape != old.shape or not np.allclose(new, old, atol=1e-4, equal_nan=True)
+def _times(pose: float | None, spans: Sequence[tuple[float, float, str, str]]) -> str:
+    """Return what the page draws into all plots: the time of the pose, and actions."""
+    return f'<i data-rtee-times="{escape(json.dumps({"pose": pose, "spans": spans}))}"></i>'
+
+
+def _differs(new: Sequence[FloatArray], old: Sequence[FloatArray]) -> bool:
+    """Return whether a plot would look another way: it is sent to the browser as a whole."""
+    return any(
+        a.shape != b.shape or not np.allclose(a, b, atol=tolerance, equal_nan=True)
+        # The times of thinned states are never the same; those of another page are far off.
+        for a, b, tolerance in zip(new, old, (0.5, *[1e-4] * len(old)), strict=False)
+    )
 
 
 class PlotsPanel:
@@ -91,6 +123,7 @@ class PlotsPanel:
         self._lines = line_numbers(hand, ["".join(a.fingers[:1]) for a in hand.actuators])
         self._joint_lines = line_numbers(hand, [owner.get(j.child, "") for j in hand.joints])
         self._legend = gui.add_html("")
+        self._times = gui.add_html("")
         self._folder = gui.add_folder(None)
         self._pause = gui.add_checkbox("Pause", False, hint="Freeze the plots; nothing is lost")
         self._window = gui.add_slider(
@@ -107,11 +140,8 @@ class PlotsPanel:
             }
         self._chosen = self._boxes("Actuators", self._names, _FOLD)
         self._chosen_joints = self._boxes("Joints", self._joints, 0)
-        for box in (*self._quantities.values(), *self._chosen, *self._chosen_joints):
-            box.on_update(lambda _: self._changed())
         self._plots: dict[str, viser.GuiUplotHandle] = {}
-        # Rebuilt at the next drawing, once even if many boxes change together.
-        self._stale = True
+        self._shown: dict[str, list[int]] | None = None
 
     def _title(self, name: str) -> str:
         return f"{name.replace('_', ' ')} [{self._units[name]}]"
@@ -133,68 +163,56 @@ class PlotsPanel:
         every.on_click(choose)
         return boxes
 
-    def _changed(self) -> None:
-        self._stale = True
-
     def follow(self, source: Source | None) -> None:
         """Plot another source; ``None`` stands for the live hand."""
         self._source = self._live if source is None else source
 
-    @property
-    def _columns(self) -> list[int]:
-        return [index for index, box in enumerate(self._chosen) if box.value]
+    def _wanted(self) -> dict[str, list[int]]:
+        """Return the columns of each quantity that are chosen and measured."""
+        wanted = {}
+        for name in ("reference", *self._quantities):
+            joints = name in JOINT_QUANTITIES
+            known = self._source.measured(name)
+            if self._quantities["position" if name == "reference" else name].value:
+                boxes = enumerate(self._chosen_joints if joints else self._chosen)
+                wanted[name] = [index for index, box in boxes if box.value and known[index]]
+        return {name: columns for name, columns in wanted.items() if columns}
 
-    @property
-    def _joint_columns(self) -> list[int]:
-        return [index for index, box in enumerate(self._chosen_joints) if box.value]
-
-    def _rebuild(self) -> None:
+    def _rebuild(self, shown: dict[str, list[int]]) -> None:
         for plot in self._plots.values():
             plot.remove()
         self._plots.clear()
-        columns, joints = self._columns, self._joint_columns
-        names = [(self._lines[index], self._names[index]) for index in columns]
-        names += [(self._joint_lines[index], self._joints[index]) for index in joints]
-        self._legend.content = legend(
-            names,
-            "thin&nbsp;line:&nbsp;commanded" if columns else "choose actuators or joints below",
-        )
+        self._shown = shown
+        joints = {i for name in JOINT_QUANTITIES for i in shown.get(name, ())}
+        columns = {i for name in shown if name not in JOINT_QUANTITIES for i in shown[name]}
+        names = [(self._lines[index], self._names[index]) for index in sorted(columns)]
+        names += [(self._joint_lines[index], self._joints[index]) for index in sorted(joints)]
+        hint = "" if names else "choose actuators or joints below"
+        hint = "thin&nbsp;line:&nbsp;commanded" if "reference" in shown else hint
+        self._legend.content = legend(names, hint)
         with self._folder:
-            for name, box in self._quantities.items():
-                chosen = joints if name in JOINT_QUANTITIES else columns
-                if box.value and chosen:
-                    self._plots[name] = self._add_plot(name, chosen)
+            for name in self._quantities:
+                if name in shown:
+                    self._plots[name] = self._add_plot(name, shown)
 
-    def _add_plot(self, name: str, columns: Sequence[int]) -> viser.GuiUplotHandle:
+    def _add_plot(self, name: str, shown: dict[str, list[int]]) -> viser.GuiUplotHandle:
         series = [uplot.Series(label="t [s]")]
-
-        def add(number: int, label: str, width: float, alpha: float = 1.0) -> None:
-            series.append(
-                uplot.Series(
-                    label=label,
-                    stroke=line_colour(number),
-                    width=width,
-                    dash=line_dash(number),
-                    alpha=alpha,
-                    auto=False,  # NaN, where nothing is measured, would break the scale
-                )
-            )
 
         joints = name in JOINT_QUANTITIES
         lines, names = (self._joint_lines, self._joints) if joints else (self._lines, self._names)
-        for index in columns:
-            add(lines[index], names[index], 1.75)
+        series += [line(lines[index], names[index]) for index in shown[name]]
         if name == "position":
-            for index in columns:
-                add(lines[index], f"{names[index]} commanded", 0.75, 0.7)
-        return chart(self._gui, self._data(name), series, self._title(name), _HEIGHT)
+            series += [
+                line(lines[index], f"{names[index]} commanded", 0.75, 0.7)
+                for index in shown.get("reference", ())
+            ]
+        return chart(self._gui, self._data(name, shown), series, self._title(name), _HEIGHT)
 
-    def _data(self, name: str) -> tuple[FloatArray, ...]:
+    def _data(self, name: str, shown: dict[str, list[int]]) -> tuple[FloatArray, ...]:
         length = float(self._window.value)
-        columns = self._joint_columns if name in JOINT_QUANTITIES else self._columns
-        data = self._source.window(name, columns, length)
-        if name == "position":
-            data += self._source.window("reference", columns, length)[1:]
+        data = self._source.window(name, shown[name], length)
+        if name == "position" and "reference" in shown:
+            data += self._source.window("reference", shown["reference"], length)[1:]
         ends = nice_range(data[1:], MEASURED[name.removeprefix("joint_")].span)
         # Single precision is far finer than a pixel, and half to send.
         return tuple(
@@ -204,15 +222,17 @@ class PlotsPanel:
 
     def draw(self) -> None:
         """Update the plots; called a few times a second."""
-        if self._stale:
-            self._stale = False
-            self._rebuild()
+        if (shown := self._wanted()) != self._shown:
+            self._rebuild(shown)
         if self._pause.value:
             return
+        source = self._source
+        spans = [
+            (round(span.start, 3), round(span.end, 3), span.name, span_colour(span))
+            for span in source.spans(float(self._window.value))
+        ]
+        put(self._times, _times(source.pose, spans))
         for name, plot in self._plots.items():
-            data = self._data(name)
-            if len(data) != len(plot.data):  # a box changed meanwhile: another number of lines
-                self._stale = True
-                return
-            if any(map(_differs, data[1:], plot.data[1:])):
+            data = self._data(name, shown)
+            if _differs(data, plot.data):
                 plot.data = data

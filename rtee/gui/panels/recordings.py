@@ -190,6 +190,11 @@ class RecordingsPanel:
         if not self._quiet and self._span.value in self._places:
             self._time.value = self._places[str(self._span.value)]
 
+    def scrub(self, time: float) -> None:
+        """Show another time of the recording [s]."""
+        if self._playback is not None:
+            self._time.value = min(time, self._playback.duration)
+
     def _scrubbed(self) -> None:
         playback = self._playback
         if playback is not None and not self._quiet:

@@ -10,9 +10,8 @@ import numpy as np
 import viser
 from viser import uplot
 
-from rtee.gui.colours import line_colour, line_dash
 from rtee.gui.history import LONGEST, Windows, nice_range
-from rtee.gui.panels.plots import chart
+from rtee.gui.panels.plots import chart, line
 from rtee.gui.panels.table import table
 from rtee.gui.wording import legend, put, small
 from rtee.sample import FloatArray
@@ -91,15 +90,7 @@ class TouchPanel:
         series = [uplot.Series(label="t [s]")]
         for number, (name, its_unit) in enumerate(self._shown):
             if its_unit == unit:
-                series.append(
-                    uplot.Series(
-                        label=name,
-                        stroke=line_colour(number),
-                        dash=line_dash(number),
-                        width=1.75,
-                        auto=False,
-                    )
-                )
+                series.append(line(number, name))
         # Placeholders for the times, the lines and the ends of the axis, until the first update.
         nothing = [np.zeros(1)] * (len(series) + 2)
         return chart(self._gui, nothing, series, f"touch, sum over taxels [{unit}]", _HEIGHT)

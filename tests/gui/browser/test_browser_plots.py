@@ -37,6 +37,12 @@ def test_velocities_and_joints_have_plots(window: Window, other: BlockingHand) -
     window.tab("Plots")
     for title in ("position [rad]", "velocity [rad/s]", "effort"):
         window.says(title)
+    # Pointed at, all tell their values there, each line once.
+    window.page.locator(".uplot:visible .u-over").first.hover()
+    shown = window.page.locator(".uplot:visible .u-legend:visible")
+    window.until(lambda: not any("--" in text for text in shown.all_inner_texts()))
+    assert shown.count() == window.page.locator(".uplot:visible").count()
+    assert [len(text.split("\n")) for text in shown.all_inner_texts()] == [3, 2, 2], "t, lines"
     panel = window.folder("Joints", unfold=True)
     before = window.page.locator(".uplot:visible").count()
     window.field(FOLLOWING, panel).click()

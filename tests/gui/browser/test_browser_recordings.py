@@ -61,6 +61,14 @@ def test_a_recording_is_marked_ended_and_looked_at(
     second.locator("#rtee-mode", has_text="control: free").wait_for()
     second.close()
     window.page.bring_to_front()
+    # Pointing into a plot moves the pose there, below the actions of that time.
+    times = window.page.locator("[data-rtee-times]")
+    window.until(lambda: "PinchTight" in (times.get_attribute("data-rtee-times") or ""))
+    over = window.page.locator(".uplot:visible .u-over").first
+    size = over.bounding_box()
+    assert size is not None
+    over.click(position={"x": 0.9 * size["width"], "y": 20.0})
+    window.until(lambda: float(window.field("Time [s]", panel).input_value()) > 0.0)
     window.button("Open hand").click()
     window.told("this window shows a recording; go back to live first")
     said = line.locator("title").all_text_contents()
