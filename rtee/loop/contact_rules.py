@@ -10,7 +10,9 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-VERSION: Final = 6
+from rtee.loop.free_motion import FREELY
+
+VERSION: Final = 7
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made by others."""
 
@@ -78,6 +80,21 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
             known, or its device says that it holds something.
     """
     return pushes or blocked if felt is None else felt
+
+
+def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) -> bool:
+    """Return whether an actuator that hardly moves does so as slowly as its reference.
+
+    Args:
+        moved: Its way since it was last known to move [rad | m].
+        wanted: The reference's way since then [rad | m].
+        left: What is left of the reference's way [rad | m].
+        tolerance: Position error that counts as none [rad | m].
+    """
+    # At rest a reference has no pace, though what gives way to the finger creeps on.
+    if left <= tolerance:
+        return False
+    return moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
 
 
 def holds(
@@ -217,7 +234,7 @@ def enough_touch(
     """
     if not touching:
         return False
-    # With one finger on either side, nothing is pushed away.
+    # With one finger on either side, nothing is pushed away; a fixed jaw waits for the object.
     if sides:
-        return all(touching.intersection(side) for side in sides)
+        return all(touching & side for side in sides if fingers & side)
     return len(touching) >= min(least, len(fingers))

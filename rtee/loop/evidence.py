@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from rtee.hand.config_schema import GraspSettings, StallSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.free_motion import FREELY, SURELY_FREE, FreeMotion, LearnedMotion, Stretches
+from rtee.loop.free_motion import SURELY_FREE, FreeMotion, LearnedMotion, Stretches
 from rtee.loop.measured import Measured
 from rtee.loop.tip_levers import TipLevers
 
@@ -397,7 +397,12 @@ class Evidence:
                 watched.grasping = False
                 watched.led_from = reference[i]
             stalled = behind and stamp - watched.since >= self._stall.time
-            if stalled and self._keeps_up(watched, position, reference[i]):
+            if stalled and rules.keeps_pace(
+                moved=position - watched.anchor,
+                wanted=reference[i] - watched.led_from,
+                left=abs(watched.target - reference[i]),
+                tolerance=tolerance,
+            ):
                 watched.anchor, watched.since, watched.led_from = position, stamp, reference[i]
                 stalled = False
             # Skipped in nearly every tick: this runs for each actuator at each tick.
@@ -411,11 +416,6 @@ class Evidence:
             watched.new = False
             if stalled or own_report:
                 self._block(i, watched, measured, limits[i], own_report, away, ahead, stamp)
-
-    def _keeps_up(self, watched: _Watched, position: float, reference: float) -> bool:
-        """Return whether an actuator that hardly moves does so as slowly as its reference."""
-        wanted, moved = reference - watched.led_from, position - watched.anchor
-        return moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
 
     def _own_report(
         self, i: int, watched: _Watched, position: float, report: int, ahead: float, stalled: bool

@@ -56,6 +56,20 @@ def test_forces_come_before_efforts_and_stalls() -> None:
 
 
 @pytest.mark.parametrize(
+    ("moved", "wanted", "left", "expected"),
+    [
+        (0.004, 0.005, 0.5, True),
+        (0.001, 0.005, 0.5, False),
+        (-0.004, 0.005, 0.5, False),
+        (0.004, 0.0, 0.0, False),
+        (0.004, 0.0002, 0.001, False),  # the reference has arrived, and the ball gives way
+    ],
+)
+def test_keeping_pace(moved: float, wanted: float, left: float, expected: bool) -> None:
+    assert rules.keeps_pace(moved=moved, wanted=wanted, left=left, tolerance=0.0045) is expected
+
+
+@pytest.mark.parametrize(
     ("felt", "change", "expected"),
     [
         (None, {}, True),
@@ -140,4 +154,5 @@ def test_enough_fingers_are_one_on_each_side_or_so_many() -> None:
     assert rules.enough_touch({"index", "thumb"}, sides, everyone, 2)
     assert rules.enough_touch({"index", "middle"}, (), everyone, 2)
     assert rules.enough_touch({"index"}, (), {"index"}, 2)
+    assert rules.enough_touch({"claw"}, [frozenset({"jaw"}), frozenset({"claw"})], {"claw"}, 2)
     assert not rules.enough_touch(set(), (), everyone, 0)
