@@ -9,6 +9,7 @@ from typing import Final
 
 import coal
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape, hull_of
 from rtee.hand.linalg import rotated
@@ -42,6 +43,9 @@ _ROUNDED: Final = 2e-9
 
 _ROUNDS: Final = 12
 """Most rounds of adding vertices, each of which about halves the error."""
+
+_AT_ONCE: Final = 2**20
+"""Most projections computed at once: hulls of fine meshes have millions, 8 byte each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,18 +98,16 @@ def _simplified(part: coal.ConvexBase) -> Draft:
     """
     points = np.array(part.points())
     # Each once, since several directions may have the same outermost vertex.
-    chosen = np.unique(_along(points, _DIRECTIONS).argmax(axis=0))
+    chosen = np.unique(_farthest(points, _DIRECTIONS)[1])
     for _ in range(_ROUNDS):
         hull = hull_of(points[chosen])
         normals, corners = np.array(hull.normals()), np.array(hull.points())
-        levels = _along(corners, normals).max(axis=0)
-        beyond = _along(points, normals) - levels
+        beyond, which = _farthest(points, normals, _farthest(corners, normals)[0])
         worst = float(beyond.max())
         if worst <= SLACK:
             return Draft(hull, max(0.0, worst))
-        far = beyond.max(axis=0) > SLACK
         # One vertex for each face that is not good enough, so that few rounds suffice.
-        chosen = np.unique(np.concatenate([chosen, beyond.argmax(axis=0)[far]]))
+        chosen = np.unique(np.concatenate([chosen, which[beyond > SLACK]]))
     return Draft(part, 0.0)
 
 
@@ -122,14 +124,14 @@ def outer(
         if not isinstance(body, coal.ConvexBase):
             continue
         normals = np.array(body.normals())
-        levels = _along(np.array(body.points()), normals).max(axis=0)
+        levels = _farthest(np.array(body.points()), normals)[0]
         # A dropped shape may contain others, too, as it lies inside a kept one.
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
             corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
             local = rotated(corners - holder.translation, holder.rotation.T)
             # All corners inside all faces, so that the whole shape is inside: both are convex.
-            if (_along(local, normals) <= levels).all():
+            if (_farthest(local, normals)[0] <= levels).all():
                 kept.remove(i)
     return tuple(kept)
 
@@ -149,6 +151,24 @@ def least_width(shape: Shape, draft: coal.ShapeBase) -> float:
         return float((high - low).min()) / 2.0
     heights = _along(np.array(draft.points()), np.array(draft.normals()))
     return float((heights.max(axis=0) - heights.min(axis=0)).min()) / 3.0
+
+
+def _farthest(
+    points: FloatArray, directions: FloatArray, levels: FloatArray | None = None
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return how far points ``(p, 3)`` reach along directions ``(d, 3)``, and which do.
+
+    The distances ``(d,)`` are counted from levels ``(d,)``, by default from the origin [m].
+    """
+    count = max(1, _AT_ONCE // len(points))
+    found = []
+    for i in range(0, len(directions), count):
+        heights = _along(points, directions[i : i + count])
+        if levels is not None:
+            heights -= levels[i : i + count]
+        found.append((heights.max(axis=0), heights.argmax(axis=0)))
+    distances, which = zip(*found, strict=True)
+    return np.concatenate(distances), np.concatenate(which)
 
 
 def _along(points: FloatArray, directions: FloatArray) -> FloatArray:
