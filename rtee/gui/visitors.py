@@ -21,6 +21,7 @@ import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from rtee.errors import LoopError
 from rtee.gui import bar, headset
@@ -147,6 +148,32 @@ def _is_like(value: object, present: object) -> bool:
     return False
 
 
+class _NoRefusals(logging.Filter):
+    """Drops the log records that websockets writes for each request refused before a WebSocket."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        return not record.getMessage().startswith(
+            ("opening handshake failed", "connection rejected")
+        )
+
+
+_LOGGER: Final = logging.getLogger("websockets.server")
+_LOGGER.addFilter(_NoRefusals())
+
+
+class _Serve(websockets.asyncio.server.serve):
+    """A server that does not wait at its end for connections that have asked for nothing yet.
+
+    A browser opens some for later, and websockets gives each 10 s to send its request.
+    """
+
+    async def __aexit__(self, *raised: Any) -> None:
+        for connection in tuple(self.server.handlers):
+            if connection.protocol.state is State.CONNECTING:
+                connection.transport.abort()
+        await super().__aexit__(*raised)
+
+
 class Visitors:
     """The people who have the page open, and their permissions.
 
@@ -182,7 +209,7 @@ class Visitors:
             options |= {"max_size": _LARGEST, "ssl": self._access.tls}
             options |= {"ping_interval": PING_PERIOD, "ping_timeout": PONG_WITHIN}
             options["close_timeout"] = _CLOSE_WITHIN
-            return serve(
+            return _Serve(
                 self._in_role(handler),
                 *args,
                 process_request=self._judged(process_request),
@@ -256,7 +283,6 @@ class Visitors:
 
     def _judged(self, process: Process | None) -> Process:
         def judge(connection: ServerConnection, request: Request) -> Response | None:
-            _be_quiet(connection)
             judged = self._access.judge(request, connection.local_address[1])
             if isinstance(judged, Response):
                 return judged
@@ -317,21 +343,3 @@ class Visitor(ServerConnection):
             message = await super().recv(decode)
             if self.headset or self.bar or self.visitors.admits(self.role, message, self.window):
                 return message
-
-
-class _NoRefusals(logging.Filter):
-    """Drops the log records that websockets writes for each request refused before a WebSocket."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        return not record.getMessage().startswith(
-            ("opening handshake failed", "connection rejected")
-        )
-
-
-_NO_REFUSALS: Final = _NoRefusals()
-
-
-def _be_quiet(connection: ServerConnection) -> None:
-    logger = connection.logger
-    # Called for every request, but a logger keeps the same filter only once.
-    (logger.logger if isinstance(logger, logging.LoggerAdapter) else logger).addFilter(_NO_REFUSALS)

@@ -154,6 +154,21 @@ def test_any_bytes_are_refused_as_what_they_are(head: bytes) -> None:
     assert b"X-Frame-Options: DENY" in answer
 
 
+def test_a_connection_that_asks_for_nothing_does_not_delay_the_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    server = Visitors(Access()).open_server(0)
+    place = ("127.0.0.1", server.get_port())
+    with stdlib_socket.create_connection(place), stdlib_socket.create_connection(place) as asks:
+        asks.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert asks.recv(20).startswith(b"HTTP/1.1 403 ")  # so that the other one is accepted, too
+        server.stop()
+        thread = server._websock_server._server_thread
+        assert thread is not None
+        assert not thread.is_alive()
+    assert not caplog.records
+
+
 def test_without_observers_there_is_no_token_for_them() -> None:
     assert list(Access().links(PORT)) == [Role.OPERATOR]
 
