@@ -3,6 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 TEST_PROCESSES ?= 3
 
+SELDOM := /(tests?|pip|setuptools|pkg_resources|mypyc?|docutils|OpenGL|plotly/(graph_objs|validators))/
+
 # Where it is set, each process of the tests would compile them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
@@ -15,8 +17,8 @@ export PYTHONDONTWRITEBYTECODE :=
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable ".[all]" --group dev
-	@# pip compiles on one processor, and the packages' own tests, too.
-	$(BIN)/python -m compileall -qq -j 0 -x '/tests?/' .venv/lib || true  # not all of it is for this Python
+	@# pip compiles on one processor, and what is hardly ever imported, too. Not all is for this Python.
+	$(BIN)/python -m compileall -qq -j 0 -x '$(SELDOM)' .venv/lib || true
 	$(BIN)/python -m compileall -q rtee
 	@touch $@
 

@@ -197,3 +197,10 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("no folder 'shared' with real models beside the checkout")
     return folder
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say why tests had to run once more."""
+    for report in terminalreporter.stats.get("rerun", ()):
+        terminalreporter.write_sep("_", report.nodeid)
+        terminalreporter.write_line(report.longreprtext[-3000:])
