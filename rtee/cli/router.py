@@ -37,24 +37,27 @@ def router(
 
     from rtee.loop.shutdown_signals import receive_signals, wait_for_end
     from rtee.remote.credentials import Credentials, secure_folder
-    from rtee.remote.router import router_settings
-    from rtee.remote.session import listening, open_listening
+    from rtee.remote.router import route, router_settings
+    from rtee.remote.session import listening
 
     check_files()
     if (site is None) is not insecure:
         raise ConfigError("name the site of 'rtee secure init SITE', or give --insecure")
     credentials = None if site is None else Credentials(secure_folder(site))
     endpoints = listen or ["tcp/0.0.0.0:7447" if insecure else "tls/0.0.0.0:7447"]
-    settings = router_settings(credentials, endpoints)
     if zenohd:
-        print(listening(endpoints, (), settings))
+        print(listening(endpoints, (), router_settings(credentials, endpoints)))
         return
+
+    def tell(admitted: str) -> None:
+        where = ", ".join(endpoints)
+        print(f"router: {site or 'without certificates'}; {where}; hands: {admitted}", flush=True)
 
     async def run() -> None:
         with receive_signals() as signals:
-            session = open_listening(endpoints, (), settings)
-            print(f"router: {site or 'without certificates'}; {', '.join(endpoints)}", flush=True)
-            await wait_for_end(None, anyio.Event(), signals)
-            session.close()  # type: ignore[no-untyped-call]
+            async with anyio.create_task_group() as group:
+                group.start_soon(route, credentials, endpoints, tell)
+                await wait_for_end(None, anyio.Event(), signals)
+                group.cancel_scope.cancel()
 
     anyio.run(run)

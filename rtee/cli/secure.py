@@ -118,7 +118,7 @@ def add_hand(
     print(f"made the certificates of {hand} at {site} in {folder}")
     print("Bring the folder to the hand's computer in a safe way, and delete it here. hand.yaml:")
     print("  remote:\n    connect: [tls/ROUTER:7447]\n    security: {folder: THE FOLDER THERE}")
-    print(f"The router admits it from its next start on: rtee router {site}")
+    print(f"A running 'rtee router {site}' admits it as soon as no client is connected.")
 
 
 @app.command()

@@ -7,16 +7,67 @@ as that of a hand that listens itself, and the list names hands besides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
+import anyio
+import zenoh
+from anyio import to_thread
+
 from rtee.errors import ConfigError
+from rtee.messages import network_key
+from rtee.messages.requests import CLIENTS
 from rtee.remote.access import router_access_control
 from rtee.remote.credentials import Credentials, router_certificates
-from rtee.remote.session import check_endpoints, is_safe
+from rtee.remote.session import check_endpoints, is_safe, open_listening
 
 _MOST_SESSIONS = 1000
 """Most connections: Zenoh's own limit for routers, 200 hands with four clients each."""
+
+_LOOK_EVERY = 1.0
+"""Interval at which the list of hands is looked at [s], as hands look at theirs of people."""
+
+
+async def route(
+    site: Credentials | None, listen: Sequence[str], tell: Callable[[str], object]
+) -> None:
+    """Be the router of a site until cancelled; errors as for `router_settings`.
+
+    Zenoh reads its rules once, so the router begins anew when hands are added: once no client is
+    connected, since hands stop what clients asked for that are lost.
+
+    Args:
+        site: The site's certificates; ``None``: whoever reaches the router can move the hands.
+        listen: Its endpoints.
+        tell: Told, in words, whom it admits, or who waits for that.
+    """
+    while True:
+        settings = router_settings(site, listen)
+        hands = {} if site is None else site.hands
+        session = open_listening(listen, (), settings)
+        try:
+            tell(_names(hands) if site else "all")
+            before = hands
+            while site is None or site.hands == hands or await to_thread.run_sync(_busy, session):
+                if site is not None and site.hands != before:
+                    before = site.hands
+                    tell(f"{_names(before)}, once no client is connected")
+                await anyio.sleep(_LOOK_EVERY)
+                # A list that cannot be read now may be on its way; the rules stay as they are.
+                with suppress(ConfigError):
+                    _ = site and site.read()
+        finally:
+            session.close()  # type: ignore[no-untyped-call]
+
+
+def _names(hands: Mapping[str, str]) -> str:
+    return ", ".join(sorted(set(hands.values())))
+
+
+def _busy(session: zenoh.Session) -> bool:
+    """Return whether a client of a hand is connected."""
+    return any(reply.ok for reply in session.liveliness().get(network_key("*", f"{CLIENTS}/*")))
 
 
 def router_settings(site: Credentials | None, listen: Sequence[str]) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterator
-from contextlib import AsyncExitStack, asynccontextmanager, closing, contextmanager
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
 import anyio
@@ -17,8 +17,7 @@ from rtee.messages.requests import Role
 from rtee.remote import credentials
 from rtee.remote.credentials import Credentials
 from rtee.remote.fleet import following
-from rtee.remote.router import router_settings
-from rtee.remote.session import open_listening
+from rtee.remote.router import route, router_settings
 
 from .serving import (
     LASTING,
@@ -35,11 +34,15 @@ from .serving import (
 pytestmark = pytest.mark.anyio
 
 
-@contextmanager
-def routing(endpoint: str, site: Credentials | None) -> Iterator[None]:
-    """Run a router for as long as the context lasts."""
-    with closing(open_listening([endpoint], (), router_settings(site, [endpoint]))):
-        yield
+@asynccontextmanager
+async def routing(endpoint: str, site: Credentials | None) -> AsyncIterator[list[str]]:
+    """Run a router for as long as the context lasts; yields the hands that it has admitted."""
+    told: list[str] = []
+    async with anyio.create_task_group() as group:
+        group.start_soon(route, site, [endpoint], told.append)
+        await until(lambda: bool(told))
+        yield told
+        group.cancel_scope.cancel()
 
 
 @asynccontextmanager
@@ -60,30 +63,30 @@ async def behind(
 
 async def test_a_router_as_it_comes_passes_on_all(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    with routing(endpoint, None):
-        async with (
-            behind(endpoint, tmp_path, False, "left"),
-            rtee.connect(endpoint=endpoint, wait=60.0) as remote,
-        ):
-            assert (await remote.do("Trig", "index", intensity=0.2)).reached
-            assert (await anext(remote.states(50.0))).names
-            assert await remote.stop() == {"sim": True}
-            # Who watches many sees it through the router, and on its own computer.
-            nobody = free_endpoint()
-            async with following([endpoint, nobody]) as fleet:
-                await fleet.known()
-                looks = await fleet.look()
-                places = [(look.place.hand, look.place.endpoint) for look in looks]
-                assert places == [("", nobody), ("left", ""), ("left", endpoint)]
-                assert [look.condition for look in looks] == ["absent", "ready", "ready"]
-                assert looks[2].status is not None
-                counts = looks[2].status.counts
-                assert (counts.goals, counts.stops, counts.clients) == ({"reached": 1}, 1, 3)
-                assert counts.lateness == tuple(sorted(counts.lateness))
-                assert 0 < counts.busy[-1] <= looks[2].status.statistics.ticks
-                lines = fleet_table(looks).lines()
-                assert "nobody answers" in lines[1]
-                assert "reached" in lines[3]
+    async with (
+        routing(endpoint, None),
+        behind(endpoint, tmp_path, False, "left"),
+        rtee.connect(endpoint=endpoint, wait=60.0) as remote,
+    ):
+        assert (await remote.do("Trig", "index", intensity=0.2)).reached
+        assert (await anext(remote.states(50.0))).names
+        assert await remote.stop() == {"sim": True}
+        # Who watches many sees it through the router, and on its own computer.
+        nobody = free_endpoint()
+        async with following([endpoint, nobody]) as fleet:
+            await fleet.known()
+            looks = await fleet.look()
+            places = [(look.place.hand, look.place.endpoint) for look in looks]
+            assert places == [("", nobody), ("left", ""), ("left", endpoint)]
+            assert [look.condition for look in looks] == ["absent", "ready", "ready"]
+            assert looks[2].status is not None
+            counts = looks[2].status.counts
+            assert (counts.goals, counts.stops, counts.clients) == ({"reached": 1}, 1, 3)
+            assert counts.lateness == tuple(sorted(counts.lateness))
+            assert 0 < counts.busy[-1] <= looks[2].status.statistics.ticks
+            lines = fleet_table(looks).lines()
+            assert "nobody answers" in lines[1]
+            assert "reached" in lines[3]
 
 
 async def test_two_hands_and_three_clients_with_certificates(
@@ -105,9 +108,12 @@ async def test_two_hands_and_three_clients_with_certificates(
         async with rtee.connect(hand, endpoint=endpoint, wait=60.0) as remote:
             yield remote
 
-    with routing(endpoint, Credentials(site)):
+    async with (
+        routing(endpoint, Credentials(site)) as told,
+        behind(endpoint, tmp_path, True, "left", "right") as (left, right),
+    ):
+        assert told == ["left, right"]
         async with (
-            behind(endpoint, tmp_path, True, "left", "right") as (left, right),
             client("ann", "left") as ann,
             client("bob", "right") as bob,
             client("eve", "left") as eve,
@@ -136,6 +142,17 @@ async def test_two_hands_and_three_clients_with_certificates(
             await until(lambda: left.server._identities._admitted(way) is None)
             with pytest.raises(RemoteError):
                 await ann.status()
+            # Another hand waits until nobody would be interrupted.
+            authority.add_hand(site, "third", tmp_path / "third")
+            await until(lambda: told[1:] == ["left, right, third, once no client is connected"])
+        await until(lambda: told[2:] == ["left, right, third"])
+        async with (
+            behind(endpoint, tmp_path, True, "third"),
+            client("ann", "third") as ann,
+            client("bob", "right") as bob,
+        ):
+            for each in (ann, bob):
+                assert (await each.do("Trig", "index", intensity=0.3)).reached
 
 
 def test_what_cannot_be_secured_is_refused(tmp_path: Path) -> None:
