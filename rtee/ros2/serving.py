@@ -16,7 +16,7 @@ from rtee.hand.config_schema import Distro, Ros2Settings, ThermalSettings
 from rtee.hand.model import Hand
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.model import model_of
-from rtee.remote.session import TLS, is_safe
+from rtee.remote.session import LOCAL, TLS, is_safe
 from rtee.ros2.diagnostics import Diagnostics
 from rtee.ros2.face import Face, Part
 from rtee.ros2.grasp_action import Grasp
@@ -76,7 +76,7 @@ class Shown:
 
 def _others(router: str) -> str:
     """Return a reminder that ports on this computer are open to all of its users."""
-    here = is_safe(router) and not router.startswith(TLS)
+    here = is_safe(router) and not router.startswith((TLS, LOCAL))
     return ", which is every user of this computer," if here else ""
 
 

@@ -18,7 +18,7 @@ from rtee.errors import ConfigError, NoRouter
 from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.remote import session as remote_session
 from rtee.remote.credentials import identity
-from rtee.remote.session import TLS, check_endpoints, close_session, is_safe
+from rtee.remote.session import LOCAL, TLS, check_endpoints, close_session, is_safe
 
 # Environment variables of ROS 2 and rmw_zenoh.
 DOMAIN = "ROS_DOMAIN_ID"
@@ -79,7 +79,8 @@ _CLIENT: dict[str, Any] = {
     "connect/exit_on_failure": True,
 }
 """Settings of sessions whose messages all pass through the router: those of another computer, since
-a router does not forward messages between peers, and those with certificates, which it checks."""
+a router does not forward messages between peers, and those whose router does not let everybody in:
+with certificates, or on a Unix socket."""
 
 
 def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
@@ -170,8 +171,9 @@ def configuration(
                 " remote.security",
                 key="ros2.router",
             )
-        # With certificates, all messages must pass through the router, which checks them.
-        near = is_safe(router) and not router.startswith(TLS)
+        # Who must show a certificate, or open a file, to reach the router must not reach a node's
+        # own port beside it.
+        near = is_safe(router) and not router.startswith((TLS, LOCAL))
         entries = _SETTINGS | (_PEER if near else _CLIENT) | {"connect/endpoints": [router]}
         if router.startswith(TLS):
             entries |= identity().settings()

@@ -24,7 +24,7 @@ from rtee.ros2.diagnostics import Diagnostics, Level, health
 from rtee.ros2.keys import Kind
 from rtee.ros2.qos import LATCHED
 from rtee.ros2.serving import Shown, shown, warnings
-from rtee.ros2.session import overridden
+from rtee.ros2.session import configuration, overridden
 from rtee.ros2.topics import description, ros_name
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading, TouchSensor
@@ -258,6 +258,10 @@ async def test_namespaces_and_names() -> None:
     assert "every user of this computer" in warnings([one])[0]
     elsewhere = Shown("one", Ros2Settings(router="tls/robot:7447"))
     assert "every user" not in warnings([elsewhere])[0]
+    # Nobody comes to the node itself beside a router that only its user reaches.
+    private = Ros2Settings(router="unixsock-stream//run/user/1/ros2.sock")
+    assert "every user" not in warnings([Shown("one", private)])[0]
+    assert configuration(private, {}).get_json("listen/endpoints") == "[]"
     parted = Shown("two", Ros2Settings(namespace="right"))
     assert len(warnings([one, parted])) == 1
     with pytest.raises(ConfigError, match="both be the node /a_b"):
