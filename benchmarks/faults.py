@@ -57,8 +57,7 @@ from rtee.hand.load import hand_folder, load_hand
 from rtee.hand.model import Hand as Model
 from rtee.log import Recording, read
 from rtee.log.recover import recover
-from rtee.remote.directory import running
-from rtee.remote.stopping import stop_at, stop_path
+from rtee.remote.client import stop_hand
 
 PAUSE = (1.5, 3.5)
 """Time between two faults [s]."""
@@ -510,18 +509,15 @@ class Trouble:
             await anyio.sleep(self.random.uniform(*STOP_EVERY))
             self._lately = set(self._now)
             began = time.monotonic()
-            confirmed = await anyio.to_thread.run_sync(self._stop)
+            confirmed = await self._stop()
             during = frozenset(self._lately)
             took = time.monotonic() - began
             self.stops.append(Stop(began - self._begun, during, confirmed, took))
 
-    def _stop(self) -> bool | None:
-        # Where it listens as long as it lives; a killed one is not announced any more.
+    async def _stop(self) -> bool | None:
         try:
-            path = stop_path(running()[self.hand.name].endpoints[0])
-            assert path is not None
-            return all(stop_at(path, self.hand.name, "benchmark").values())
-        except (KeyError, OSError, RteeError):
+            return all((await stop_hand(self.hand.name, client="benchmark"))[1].values())
+        except RteeError:
             return None
 
     def find_late(self) -> None:

@@ -33,6 +33,14 @@ MOST: Final = 1e6
 """Largest limit, angle [rad | m] or factor accepted: larger ones are slips, such as a misplaced
 decimal point."""
 
+MOST_LINKS: Final = 300
+"""Most links of a model; hands have up to 50, and whole robots 200. The work on pairs of links
+grows with the square."""
+
+MOST_SHAPES: Final = 1000
+"""Most shapes for collisions; hands whose links are decomposed into convex parts have up to 500. So
+does the work on them."""
+
 _NO_AXIS: Final = 1e-9
 """Length below which an axis has no direction, since rounding errors would determine it."""
 
@@ -111,8 +119,10 @@ def _links(root: Element) -> dict[str, UrdfLink]:
             inertia=None if inertial is None else _inertia(inertial),
             friction=_friction(element, for_gazebo.get(name)),
         )
-    if not links:
-        raise root.error("has no links")
+    if not 0 < len(links) <= MOST_LINKS:
+        raise root.error(f"has {len(links)} links instead of 1 to {MOST_LINKS}")
+    if (shapes := sum(len(link.collisions) for link in links.values())) > MOST_SHAPES:
+        raise root.error(f"has {shapes} shapes for collisions, more than {MOST_SHAPES}")
     return links
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 import anyio
 import anyio.to_thread
 
+from rtee import monotonic
 from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.messages.requests import Role
 from rtee.remote.action_client import ActionClient
@@ -43,6 +44,9 @@ _RECOVER_WITHIN = 60.0
 _STOP_OPENS_WITHIN = 3.0
 """Time to open a session for a stop [s]: TCP repeats a lost first packet after 1 s, and over a VPN
 the rest takes up to 1 s. Then somebody has to be told that the hand is out of reach."""
+
+_CONFIRMED_WITHIN = 0.5
+"""Time in which devices that have not confirmed are stopped again [s]: then they count as lost."""
 
 _LEAVE_WITHIN = 1.0
 """Time to wait for the answer when leaving a hand [s], which may be gone already."""
@@ -236,7 +240,7 @@ class RemoteHand:
         """Stop all devices now, even if another client holds the lease.
 
         Returns:
-            Whether each device has confirmed the stop.
+            Whether each device has confirmed the stop, after up to half a second.
 
         Raises:
             NoHand: if the hand has not answered after a second.
@@ -297,7 +301,24 @@ async def _stopped(
     client: str,
     otherwise: Callable[[], Awaitable[dict[str, bool]]],
 ) -> dict[str, bool]:
-    """Stop a hand by its socket for stops, or otherwise where there is none."""
+    """Stop a hand by its socket for stops, or otherwise where there is none.
+
+    A device that has not confirmed is stopped again: its answer was lost, or it had to wait.
+    """
+    until = monotonic.now() + _CONFIRMED_WITHIN
+    while True:
+        confirmed = await _stopped_once(stops, hand, client, otherwise)
+        if all(confirmed.values()) or monotonic.now() > until:
+            return confirmed
+        await anyio.sleep(_CONFIRMED_WITHIN / 10.0)
+
+
+async def _stopped_once(
+    stops: Path | None,
+    hand: str,
+    client: str,
+    otherwise: Callable[[], Awaitable[dict[str, bool]]],
+) -> dict[str, bool]:
     if stops is not None:
         # A program that cleans temporary files may have removed it. A hand that has it and is
         # silent would not answer in another way either, and whoever waits should know soon.

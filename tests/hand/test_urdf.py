@@ -182,13 +182,19 @@ def test_no_joint_is_an_actuator(load: Load) -> None:
         load('<robot name="brick"><link name="brick"/></robot>', None)
 
 
+LINKS = "".join(f"<link name='{number}'/>" for number in range(301))
+BOX = "<collision><geometry><box size='1 1 1'/></geometry></collision>"
+
+
 @pytest.mark.parametrize(
     ("root", "message"),
     [
         ("<sdf/>", "is an SDF, not a URDF"),
         ("<mujoco/>", "is a MuJoCo model, not a URDF"),
         ("<html/>", "is <html>, not a URDF"),
-        ("<robot/>", "has no links"),
+        ("<robot/>", "has 0 links instead of 1 to 300"),
+        (f"<robot>{LINKS}</robot>", "has 301 links instead of 1 to 300"),
+        (f"<robot><link name='a'>{BOX * 1001}</link></robot>", "has 1001 shapes for collisions"),
         ("", "URDF is not XML: no element found"),
         ("not xml", "URDF is not XML: syntax error"),
         ("<robot>\x00</robot>", "URDF is not XML"),

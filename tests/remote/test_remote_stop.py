@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import socket
@@ -88,6 +89,22 @@ async def test_a_cleaner_of_files_does_not_keep_a_hand_from_being_stopped(
     assert not path_of(served).exists()
     with pytest.raises(FileNotFoundError):
         await stops(served)
+
+
+async def test_a_device_that_has_not_confirmed_is_stopped_again(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as hand:
+        hand.bind(str(tmp_path / "stop"))
+
+        def answer() -> None:
+            for done in (False, False, True):
+                data, sender = hand.recvfrom(100)
+                name = data.decode().partition(" ")[0]
+                hand.sendto(json.dumps({"to": name, "confirmed": {"sim": done}}).encode(), sender)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(anyio.to_thread.run_sync, answer)
+            stopped = client._stopped(tmp_path / "stop", "small", "test", anyio.sleep_forever)
+            assert await stopped == {"sim": True}
 
 
 async def test_a_hand_that_is_silent_is_not_waited_for(
