@@ -1,5 +1,11 @@
 "use strict";
 (() => {
+  // viser takes the dark colours from the address, and only once.
+  const address = new URL(location);
+  if (matchMedia("(prefers-color-scheme: dark)").matches && !address.searchParams.has("darkMode")) {
+    address.searchParams.set("darkMode", "");
+    history.replaceState(history.state, "", address);
+  }
   const SILENT = 1500; // time without a message after which this page has lost its GUI [ms]
   const NARROW = 1000; // width below which the plots leave the hand no room [CSS px]
   const AGAIN = 1000; // time between two attempts to reach it [ms]
@@ -116,10 +122,14 @@
     for (const icon of document.querySelectorAll("[class*=tabler-icon-chevron-]")) {
       const label = icon.closest("div.mantine-Paper-root > div.mantine-Paper-root");
       if (!label) continue;
-      label.tabIndex = 0;
-      label.role = "button";
-      label.ariaExpanded = String(icon.classList.contains("tabler-icon-chevron-up"));
-      label.onkeydown = (event) => ["Enter", " "].includes(event.key) && label.click();
+      // A heading with its button, which is the sign that the whole label is one for the mouse.
+      label.role = "heading";
+      label.ariaLevel = "2";
+      icon.tabIndex = 0;
+      icon.role = "button";
+      icon.ariaLabel = label.textContent;
+      icon.ariaExpanded = String(icon.classList.contains("tabler-icon-chevron-up"));
+      icon.onkeydown = (event) => ["Enter", " "].includes(event.key) && label.click();
     }
   };
 

@@ -31,11 +31,12 @@ FORCE: Final = rgb("#a3195b")
 
 STOP: Final[Colour] = (201, 42, 42)
 BAR: Final = rgb("#0072b2")
+APPROVE: Final = rgb("#00795c")
 
-GOOD: Final = "#00795c"
-WARN: Final = "#a35200"
-BAD: Final = "#c92a2a"
-"""Colours of text; the words alone carry the meaning, too."""
+GOOD: Final = "var(--rtee-good)"
+WARN: Final = "var(--rtee-warn)"
+BAD: Final = "var(--rtee-bad)"
+"""Colours of text, light or dark as the page; the words alone carry the meaning, too."""
 
 # Five samples of the colour map viridis, which is uniform to the eye and safe for colour blindness.
 _RAMP: Final[tuple[Colour, ...]] = (
@@ -70,6 +71,15 @@ def line_numbers(hand: Hand, owners: Iterable[str]) -> list[int]:
         numbers.append(finger + len(colours.PALETTE) * count[finger])
         count[finger] += 1
     return numbers
+
+
+def lines_of(hand: Hand) -> tuple[list[int], list[int]]:
+    """Return the indices of the lines of all actuators, and of all joints; see `line_numbers`."""
+    owner = colours.finger_of_link(hand)
+    return (
+        line_numbers(hand, ["".join(actuator.fingers[:1]) for actuator in hand.actuators]),
+        line_numbers(hand, [owner.get(joint.child, "") for joint in hand.joints]),
+    )
 
 
 def link_colours(hand: Hand) -> dict[str, Colour]:

@@ -84,8 +84,8 @@ class HandScene:
             height=4.0 * size,
             cell_size=0.02 if size < 1.0 else 0.2,
             section_size=0.1 if size < 1.0 else 1.0,
-            cell_color=(232, 234, 237),
-            section_color=(205, 209, 214),
+            cell_color=(190, 194, 200),  # to be seen on light and on dark pages
+            section_color=(150, 156, 164),
             position=(float(middle[0]), float(middle[1]), float(low[2])),
             plane="xy",
         )

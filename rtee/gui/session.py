@@ -32,7 +32,7 @@ from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.gui.trial_results import key_of, tried_in
 from rtee.gui.watch import Watch
-from rtee.gui.wording import effort_bar, put, small
+from rtee.gui.wording import Angles, effort_bar, put, small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.planning.result import GraspPlan
@@ -58,6 +58,7 @@ _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
 
 _VIEWS = {
     "Reference": (False, "Show the set-points sent as a grey ghost"),
+    "Degrees": (False, "Show angles in degrees instead of radians: in plots and tables"),
     "Names": (True, "Name the fingers at their tips, with the forces measured there"),
     "Effort": (True, "Show by bars at the tips how near fingers are to their effort limits"),
     "Contacts": (True, "Mark where the tips of the current action touch"),
@@ -100,7 +101,7 @@ class Session:
         self._bridge, self._remote, self._watch, self._hand = bridge, remote, watch, hand
         gui = bridge.stage.gui
         self._scene = HandScene(bridge.stage, hand)
-        self._pressed = False
+        self._angles, self._pressed = Angles(), False
         self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
         self._known: list[Action] = []
@@ -123,9 +124,9 @@ class Session:
             self._forces = gui.add_html("")
         self._panel = gui.add_panel()
         with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
-            self._plots = PlotsPanel(gui, hand, watch.history)
+            self._plots = PlotsPanel(gui, hand, watch.history, self._angles)
         with self._panel.add_tab("Joints", viser.Icon.TABLE):
-            self._table = TablePanel(gui, hand)
+            self._table = TablePanel(gui, hand, self._angles)
         with self._panel.add_tab("Touch", viser.Icon.HAND_FINGER):
             self._touch_panel = TouchPanel(gui)
         self._panel.dock_left()
@@ -227,6 +228,7 @@ class Session:
 
     def _draw(self, now: float) -> None:
         watch, playback = self._watch, self._playback
+        self._angles.degrees = self._views["Degrees"].value
         self._recordings.advance()
         state = watch.truth.state if playback is None else playback.state()
         if state is None or (playback is None and watch.truth.stale):

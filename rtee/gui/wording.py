@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Sequence
 from html import escape
 from typing import Final
@@ -50,21 +51,27 @@ def coloured(text: str, colour: str) -> str:
     return small(f'<span style="color:{colour}">{escape(text)}</span>')
 
 
+def swatch(number: int) -> str:
+    """Return the HTML of a piece of a line, whose number selects colour and dashes."""
+    style = f"3px {'dashed' if line_dash(number) else 'solid'} {line_colour(number)}"
+    return (
+        '<span style="display:inline-block;width:1.3em;vertical-align:middle;'
+        f'border-top:{style}"></span>'
+    )
+
+
 def legend(names: Iterable[tuple[int, str]], hint: str = "") -> str:
     """Return the HTML legend of the lines of a plot, whose index selects colour and dashes.
 
     A hint in HTML may follow.
     """
     items = "".join(
-        '<span style="white-space:nowrap;margin-right:0.8em">'
-        '<span style="display:inline-block;width:1.3em;vertical-align:middle;'
-        f'border-top:3px {"dashed" if line_dash(i) else "solid"} {line_colour(i)}"></span> '
-        f"{escape(name)}</span>"
+        f'<span style="white-space:nowrap;margin-right:0.8em">{swatch(i)} {escape(name)}</span>'
         for i, name in names
     )
     return (
         f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
-        f'<span style="color:#5f6570">{hint}</span></div>'
+        f'<span style="color:var(--rtee-faint)">{hint}</span></div>'
     )
 
 
@@ -77,6 +84,39 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
 def units(quantity: str, kinds: Collection[str]) -> str:
     """Return the unit of a quantity for actuators or joints of these kinds."""
     return MEASURED[quantity].unit_for(kinds)
+
+
+_DIGITS: Final = {"rad": 3, "rad/s": 2, "°": 1, "°/s": 1, "m": 4, "m/s": 3, "N·m": 2, "N": 1}
+"""Digits after the point, by unit: about as fine as devices measure."""
+
+
+def number(value: float, unit: str) -> str:
+    """Return a number with the digits of its unit; – if it is not known."""
+    digits = _DIGITS.get(unit, 0)
+    if math.isnan(value):
+        return "–"
+    # Adding 0.0 turns -0 into 0.
+    return "∞" if math.isinf(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+class Angles:
+    """The unit of angles in a window: radians, or degrees where a person has chosen them."""
+
+    degrees = False
+
+    def factor(self, quantity: str, kind: str) -> float:
+        """Return by what a quantity of an actuator or joint of a kind is multiplied."""
+        turns = units(quantity, (kind,)).startswith("rad")
+        return 180.0 / math.pi if self.degrees and turns else 1.0
+
+    def unit(self, quantity: str, kinds: Collection[str]) -> str:
+        """Return the unit in which a quantity of these kinds is shown."""
+        unit = units(quantity, kinds)
+        return unit.replace("rad", "°") if self.degrees else unit
+
+    def text(self, value: float, quantity: str, kind: str) -> str:
+        """Return a value in the unit shown, with its digits."""
+        return number(value * self.factor(quantity, kind), self.unit(quantity, (kind,)))
 
 
 def put(place: viser.GuiHtmlHandle, html: str) -> None:

@@ -40,7 +40,7 @@ from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
-from rtee.gui.wording import NOTHING
+from rtee.gui.wording import NOTHING, Angles, number, units
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
@@ -334,7 +334,7 @@ def test_what_is_not_measured_leaves_the_other_lines_their_scale(
 ) -> None:
     """The browser takes a line with NaN into a scale that holds nothing."""
     hand, history = _past(make_hand(tmp_path))
-    panel = PlotsPanel(server.gui, hand, history)
+    panel = PlotsPanel(server.gui, hand, history, Angles())
     panel.draw()
     assert not panel._plots
     state = _measured(hand, 0.25, 0.5)
@@ -357,7 +357,7 @@ def test_joints_have_plots_of_their_own_with_their_units(
 ) -> None:
     hand = make_hand(tmp_path)
     _, history = _past(hand)
-    panel = PlotsPanel(server.gui, hand, history)
+    panel = PlotsPanel(server.gui, hand, history, Angles())
     panel._chosen_joints[-1].value = True
     for box in panel._chosen:
         box.value = False
@@ -381,14 +381,22 @@ def test_the_table_tells_how_fast_every_joint_moves(
     server: viser.ViserServer, tmp_path: Path
 ) -> None:
     hand = make_hand(tmp_path)
-    panel = TablePanel(server.gui, hand)
+    angles = Angles()
+    panel = TablePanel(server.gui, hand, angles)
     state = _measured(hand, 0.25, 0.5)
     panel.show_state(state)
     shown = panel._joints.content
     assert "vel [rad/s | m/s]" in shown
     speeds = hand.transmission.velocities(state.position, state.velocity)
     rows = re.findall(r"<tr><td>.*?</tr>", shown)
-    assert [re.findall(r">([^<>]*)</td>", row)[2] for row in rows] == [f"{v:.2f}" for v in speeds]
+    assert [re.findall(r">([^<>]*)</td>", row)[2] for row in rows] == [
+        number(v, units("velocity", [joint.kind]))
+        for v, joint in zip(speeds.tolist(), hand.joints, strict=True)
+    ]
+    angles.degrees = True
+    panel.show_state(state)
+    assert "joint [° | m]" in panel._joints.content
+    assert f">{math.degrees(0.25):.1f}<" in panel._actuators.content
     lost = dataclasses.replace(state, velocity=np.full(len(hand.actuators), np.nan))
     panel.show_state(lost)
     assert panel._joints.content.count("<td") == shown.count("<td")

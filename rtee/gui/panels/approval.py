@@ -10,7 +10,7 @@ import anyio
 
 from rtee.errors import ConfigError
 from rtee.gui.bridge import Bridge
-from rtee.gui.colours import GOOD, rgb
+from rtee.gui.colours import APPROVE
 from rtee.gui.wording import WRAPS
 from rtee.remote.approval import answer_all, listening
 
@@ -63,7 +63,7 @@ class Approval:
         with folder:
             style = f"padding:0 0.75em;{WRAPS}"
             gui.add_html(f'<div role="alert" style="{style}">{escape(question)}</div>')
-            yes = gui.add_button("Do it", color=rgb(GOOD), hint="Let the agent do this, once")
+            yes = gui.add_button("Do it", color=APPROVE, hint="Let the agent do this, once")
             no = gui.add_button("No", hint="The agent is told that a person has said no")
         yes.on_click(self._bridge.clicked(lambda: answer(True)))
         no.on_click(self._bridge.clicked(lambda: answer(False)))

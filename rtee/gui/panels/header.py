@@ -103,7 +103,7 @@ class Header:
             return
         lines = [device_line(device) for device in status.devices]
         if truth.stale:
-            lines = [f'<span style="color:#a35200">old:</span> {line}' for line in lines]
+            lines = [f'<span style="color:var(--rtee-warn)">old:</span> {line}' for line in lines]
         if jogs:  # in sight while any tab is open
             lines.append("<b>Jog is on</b> (tab Teach): nobody else can move the hand")
         if not self._bridge.may(Role.MAINTAINER):

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from rtee.gui.colours import line_colour, line_dash, line_numbers
+from rtee.gui.colours import line_colour, line_dash, lines_of
 from rtee.gui.history import (
     JOINT_QUANTITIES,
     LONGEST,
@@ -19,8 +19,7 @@ from rtee.gui.history import (
     nice_range,
 )
 from rtee.gui.playback import span_colour
-from rtee.gui.wording import legend, put, short_names, units
-from rtee.hand.colours import finger_of_link
+from rtee.gui.wording import Angles, legend, put, short_names
 from rtee.hand.model import Hand
 from rtee.sample import MEASURED, FloatArray
 
@@ -34,15 +33,6 @@ _HEIGHT = 140
 """Height of a plot [pixels]: four fit on a laptop's screen."""
 
 _SMALL = "10px system-ui, sans-serif"
-
-
-def _units(actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
-    """Return the unit of each quantity, for actuators and joints of these kinds."""
-    return {
-        name: units(name.removeprefix("joint_"), kinds)
-        for names, kinds in ((QUANTITIES, actuators), (JOINT_QUANTITIES, joints))
-        for name in names
-    }
 
 
 def line(number: int, label: str, width: float = 1.75, alpha: float = 1.0) -> uplot.Series:
@@ -112,16 +102,17 @@ def _differs(new: Sequence[FloatArray], old: Sequence[FloatArray]) -> bool:
 class PlotsPanel:
     """Plots of the chosen actuators and joints."""
 
-    def __init__(self, gui: viser.GuiApi, hand: Hand, history: Source) -> None:
+    def __init__(self, gui: viser.GuiApi, hand: Hand, history: Source, angles: Angles) -> None:
         """Add the panel to the current container; the history is that of the live hand."""
         self._gui = gui
-        self._units = _units([a.kind for a in hand.actuators], [j.kind for j in hand.joints])
+        self._angles = angles
+        actuators = tuple(actuator.kind for actuator in hand.actuators)
+        joints = tuple(joint.kind for joint in hand.joints)
+        self._kinds = dict.fromkeys(QUANTITIES, actuators) | dict.fromkeys(JOINT_QUANTITIES, joints)
         self._names = short_names(hand.actuator_names)
         self._joints = short_names(hand.joint_names)
         self._live = self._source = history
-        owner = finger_of_link(hand)
-        self._lines = line_numbers(hand, ["".join(a.fingers[:1]) for a in hand.actuators])
-        self._joint_lines = line_numbers(hand, [owner.get(j.child, "") for j in hand.joints])
+        self._lines, self._joint_lines = lines_of(hand)
         self._legend = gui.add_html("")
         self._times = gui.add_html("")
         self._folder = gui.add_folder(None)
@@ -132,19 +123,20 @@ class PlotsPanel:
         with gui.add_folder("Quantities", expand_by_default=False):
             self._quantities = {
                 name: gui.add_checkbox(
-                    self._title(name),
+                    name.replace("_", " "),
                     name in _SHOWN,
-                    hint=f"Plot the {self._title(name)} of what is chosen below",
+                    hint=f"Plot the {name.replace('_', ' ')} of what is chosen below",
                 )
-                for name in self._units
+                for name in self._kinds
             }
         self._chosen = self._boxes("Actuators", self._names, _FOLD)
         self._chosen_joints = self._boxes("Joints", self._joints, 0)
         self._plots: dict[str, viser.GuiUplotHandle] = {}
-        self._shown: dict[str, list[int]] | None = None
+        self._shown: tuple[dict[str, list[int]], bool] | None = None
 
     def _title(self, name: str) -> str:
-        return f"{name.replace('_', ' ')} [{self._units[name]}]"
+        unit = self._angles.unit(name.removeprefix("joint_"), self._kinds[name])
+        return f"{name.replace('_', ' ')} [{unit}]"
 
     def _boxes(self, title: str, names: Sequence[str], shown: int) -> list[viser.GuiCheckboxHandle]:
         with self._gui.add_folder(title, expand_by_default=False):
@@ -182,7 +174,7 @@ class PlotsPanel:
         for plot in self._plots.values():
             plot.remove()
         self._plots.clear()
-        self._shown = shown
+        self._shown = shown, self._angles.degrees
         joints = {i for name in JOINT_QUANTITIES for i in shown.get(name, ())}
         columns = {i for name in shown if name not in JOINT_QUANTITIES for i in shown[name]}
         names = [(self._lines[index], self._names[index]) for index in sorted(columns)]
@@ -209,11 +201,15 @@ class PlotsPanel:
         return chart(self._gui, self._data(name, shown), series, self._title(name), _HEIGHT)
 
     def _data(self, name: str, shown: dict[str, list[int]]) -> tuple[FloatArray, ...]:
-        length = float(self._window.value)
-        data = self._source.window(name, shown[name], length)
+        length, quantity = float(self._window.value), name.removeprefix("joint_")
+        columns = list(shown[name])
+        data = self._source.window(name, columns, length)
         if name == "position" and "reference" in shown:
             data += self._source.window("reference", shown["reference"], length)[1:]
-        ends = nice_range(data[1:], MEASURED[name.removeprefix("joint_")].span)
+            columns += shown["reference"]
+        factors = [self._angles.factor(quantity, self._kinds[name][c]) for c in columns]
+        data = (data[0], *(f * each for f, each in zip(factors, data[1:], strict=True)))
+        ends = nice_range(data[1:], max(factors) * MEASURED[quantity].span)
         # Single precision is far finer than a pixel, and half to send.
         return tuple(
             line.astype(np.float32)
@@ -222,7 +218,8 @@ class PlotsPanel:
 
     def draw(self) -> None:
         """Update the plots; called a few times a second."""
-        if (shown := self._wanted()) != self._shown:
+        shown = self._wanted()
+        if (shown, self._angles.degrees) != self._shown:
             self._rebuild(shown)
         if self._pause.value:
             return

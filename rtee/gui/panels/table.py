@@ -6,12 +6,15 @@ import math
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
 import viser
 
-from rtee.gui.wording import put, short_names, units
+from rtee.gui.colours import lines_of
+from rtee.gui.wording import Angles, put, short_names, swatch, units
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
+from rtee.sample import MEASURED
 
 # Digits of equal width keep the columns from jumping as the numbers change.
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
@@ -19,40 +22,36 @@ _HEAD = "text-align:right;padding-left:0.6em;vertical-align:bottom"
 _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 
 
-def _number(value: float, digits: int = 3) -> str:
-    if math.isnan(value):
-        return "–"
-    # Adding 0.0 turns -0 into 0.
-    return "∞" if math.isinf(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[int] = ()) -> str:
+    """Return an HTML table whose cells after the first of each row are numbers.
 
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return an HTML table whose cells after the first of each row are numbers."""
-    cells = "".join(f'<th style="{_HEAD}">{h}</th>' for h in head[1:])
-    lines = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
-    for row in rows:
+    The rows may have the colours of lines, see `rtee.gui.colours.line_numbers`.
+    """
+    swatches = [f"{swatch(number)} " for number in lines] or [""] * len(rows)
+    # A heading without text would be one to hear.
+    cells = "".join(f'<th style="{_HEAD}">{h}</th>' if h else "<td></td>" for h in head[1:])
+    text = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
+    for row, mark in zip(rows, swatches, strict=True):
         numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
         # Long names may break where they are joined, so that the last column has its room.
         name = escape(row[0]).replace("_", "_<wbr>")
-        lines.append(f"<tr><td>{name}</td>{numbers}</tr>")
+        text.append(f"<tr><td>{mark}{name}</td>{numbers}</tr>")
     return (
         f'<div style="padding:0 0.5em;overflow-x:auto"><table style="{_STYLE}">'
-        f"{''.join(lines)}</table></div>"
+        f"{''.join(text)}</table></div>"
     )
 
 
 class TablePanel:
     """Tables of fingertips, actuators, joints, loop and buses."""
 
-    def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
+    def __init__(self, gui: viser.GuiApi, hand: Hand, angles: Angles) -> None:
         """Add the panel to the current container."""
-        self._hand = hand
+        self._hand, self._angles = hand, angles
+        self._lines, self._joint_lines = lines_of(hand)
+        self._known: set[str] = set()
         self._names = short_names(hand.actuator_names)
         self._joint_names = short_names(hand.joint_names)
-        kinds = {actuator.kind for actuator in hand.actuators}
-        self._unit, self._force = units("position", kinds), units("effort", kinds)
-        kinds = {joint.kind for joint in hand.joints}
-        self._joint_unit, self._joint_speed = units("position", kinds), units("velocity", kinds)
         self._grip = gui.add_html("", visible=False)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
@@ -73,33 +72,40 @@ class TablePanel:
         width = f"{1e3 * (state.opening or 0.0):.1f}"
         grip = ["fingertips", width, force, state.force_source or "–"]
         put(self._grip, table(("", "opening [mm]", "force [N]", "by"), [grip]))
+        actuators, show = self._hand.actuators, self._angles.text
+        # What the hand has measured at any time has a column.
+        self._known |= {name for name in MEASURED if np.isfinite(getattr(state, name)).any()}
+        kinds = {actuator.kind for actuator in actuators}
+        extras = [name for name in ("effort", "temperature") if name in self._known]
         rows = [
             [
                 self._names[i],
-                _number(state.position[i]),
-                _number(state.reference_position[i]),
-                _number(state.effort[i], 2),
-                _number(state.temperature[i], 0),
+                show(state.position[i], "position", actuator.kind),
+                show(state.reference_position[i], "position", actuator.kind),
+                *(show(getattr(state, name)[i], name, actuator.kind) for name in extras),
             ]
-            for i in range(len(self._names))
+            for i, actuator in enumerate(actuators)
         ]
-        head = (f"actuator [{self._unit}]", "pos", "ref", f"effort [{self._force}]", "°C")
-        put(self._actuators, table(head, rows))
+        head = [f"actuator [{self._angles.unit('position', kinds)}]", "pos", "ref"]
+        head += [f"{MEASURED[n].heading or f'{n} [{units(n, kinds)}]'}" for n in extras]
+        put(self._actuators, table(head, rows, self._lines))
         # By name, since the hand may send its joints in another order than the model here.
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
         rows = [
             [
                 self._joint_names[i],
-                _number(float(by_name.get(joint.name, math.nan))),
-                _number(float(speeds[i]), 2),
-                _number(joint.lower),
-                _number(joint.upper),
+                show(float(by_name.get(joint.name, math.nan)), "position", joint.kind),
+                show(float(speeds[i]), "velocity", joint.kind),
+                show(joint.lower, "position", joint.kind),
+                show(joint.upper, "position", joint.kind),
             ]
             for i, joint in enumerate(self._hand.joints)
         ]
-        head = (f"joint [{self._joint_unit}]", "pos", f"vel [{self._joint_speed}]", "min", "max")
-        put(self._joints, table(head, rows))
+        kinds = {joint.kind for joint in self._hand.joints}
+        unit, speed = (self._angles.unit(name, kinds) for name in ("position", "velocity"))
+        head = [f"joint [{unit}]", "pos", f"vel [{speed}]", "min", "max"]
+        put(self._joints, table(head, rows, self._joint_lines))
 
     def show_status(self, status: HandStatus) -> None:
         """Show the timing of the loop and the counters of the buses."""

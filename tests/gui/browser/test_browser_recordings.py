@@ -57,8 +57,10 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.status(f"RECORDING {recorded.name}")
     window.page.locator("html.rtee-recorded").wait_for()
     second = context.new_page()
+    second.emulate_media(color_scheme="dark")
     second.goto(window.address)
     second.locator("#rtee-mode", has_text="control: free").wait_for()
+    second.locator("html[data-mantine-color-scheme=dark]").wait_for()
     second.close()
     window.page.bring_to_front()
     # Pointing into a plot moves the pose there, below the actions of that time.
