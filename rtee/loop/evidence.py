@@ -48,7 +48,8 @@ above the effort of free motion: its lever, and so the force, is unknown."""
 
 _SET_OUT = 0.1
 """Efforts are not evaluated for this long after an actuator has started to move, while it overcomes
-static friction, nor after a silence of its device [s]."""
+static friction, nor after a silence of its device; so late the effort of an acceleration still
+comes [s]."""
 
 _STEPS = 12
 """Measurements of an actuator on its way before its current is judged: a slow device moves in
@@ -124,6 +125,8 @@ class _Approach:
         steps: Number of measurements of it.
         was: Where it was measured last [rad | m].
         led_from: Its reference when its effort first showed a contact [rad | m].
+        surge: Size of the largest acceleration of its reference of late [rad/s² | m/s²].
+        surged: When it was that [s].
     """
 
     ahead: float
@@ -138,6 +141,8 @@ class _Approach:
     steps: int = 0
     was: float = math.nan
     led_from: float = math.nan
+    surge: float = 0.0
+    surged: float = -math.inf
 
 
 class Evidence:
@@ -701,6 +706,8 @@ class Evidence:
         dt = stamp - approach.seen
         gain = (velocity - approach.velocity) / dt if dt > 0.0 else 0.0
         approach.velocity, approach.seen = velocity, stamp
+        if abs(gain) >= approach.surge or stamp - approach.surged > _SET_OUT:
+            approach.surge, approach.surged = abs(gain), stamp
         if signal != signal or velocity * approach.ahead <= 0.0:
             return False
         watched = self._watched[i]
@@ -727,7 +734,7 @@ class Evidence:
             return False
         if approach.by_tip and threshold > 0.0:
             threshold = approach.threshold = self._tip_threshold(i, stamp, measured)
-        excess = free.excess(signal, velocity, gain, threshold)
+        excess = free.excess(signal, velocity, gain, threshold, approach.surge)
         # What may be a contact must not teach the model that contacts are free motion.
         sample = None if excess > SURELY_FREE else (signal, velocity, gain)
         stretch.take(free, here, reference, sample)

@@ -174,14 +174,13 @@ class Executor:
             if isinstance(run.plan.to, Around):
                 self._note_touch(run, measured, limits)
             reflexes = self._reflexes
-            if not reflexes.active:
-                self._contact.update(stamp, measured, reference, limits, targets)
-                self._learn(targets, stamp, measured, reference)
-            else:
-                # Actuators that a reflex has stopped would look stalled.
-                free = [i for i in targets if i not in reflexes.busy]
-                self._contact.update(stamp, measured, reference, limits, free)
+            # Actuators that a reflex has stopped would look stalled.
+            free = [i for i in targets if i not in reflexes.busy] if reflexes.active else targets
+            self._contact.update(stamp, measured, reference, limits, free)
+            if reflexes.approaching:
                 reflexes.step(stamp, measured)
+            else:
+                self._learn(targets, stamp, measured, reference)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
             # A goal must neither succeed nor stall by a position that cannot be right. A single

@@ -130,7 +130,12 @@ class FreeMotion:
         return sum([a * x for a, x in zip(rows, features, strict=True)]) <= _ALIKE
 
     def excess(
-        self, effort: float, velocity: float, acceleration: float, threshold: float
+        self,
+        effort: float,
+        velocity: float,
+        acceleration: float,
+        threshold: float,
+        recent: float = 0.0,
     ) -> float:
         """Return by which share of what counts an effort exceeds that of free motion; 1: it counts.
 
@@ -139,6 +144,7 @@ class FreeMotion:
             velocity: Velocity of the reference [rad/s | m/s], not 0.
             acceleration: Its acceleration [rad/s² | m/s²].
             threshold: Least excess [N·m | N]; 0: a share of the effort of free motion.
+            recent: Size of the largest recent acceleration [rad/s² | m/s²].
         """
         expected = self.expected(velocity, acceleration)
         if not threshold > 0.0:
@@ -147,7 +153,8 @@ class FreeMotion:
             threshold = (1.0 + _RELATIVE) * self.most - abs(expected)
         deviation = effort - expected
         # Servos lag behind their references, so the effort of inertia comes at another time.
-        inertia = abs(self._parameters[2] * acceleration) * self._scale[1]
+        surge = max(abs(acceleration), recent)
+        inertia = abs(self._parameters[2]) * surge * self._scale[1]
         noise = max(_SPREADS * self.spread, _ROUGH * self.rough, _COUNTS * self.quantum)
         least = max(threshold, noise) + inertia
         ahead = deviation if velocity > 0.0 else -deviation

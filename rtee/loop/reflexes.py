@@ -144,6 +144,11 @@ class Reflexes:
         self.in_place: Mapping[int, float] = {}
 
     @property
+    def approaching(self) -> bool:
+        """Whether fingers approach what they are to touch, or have touched it."""
+        return self._approach is not None
+
+    @property
     def held(self) -> Iterable[int]:
         """The actuators that squeeze an object, whose effort limits are set here."""
         return () if self._squeeze is None else self._squeeze.held

@@ -367,6 +367,8 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     allowed = ceilings(hand, dict(plan.effort), plan.effort)
     assert np.min(limits, axis=0) == pytest.approx([allowed[i] for i in plan.effort])
     assert all(allowed[i] < hand.actuators[i].effort for i in plan.effort)
+    # The way around the object has taught what free motion takes.
+    assert not [item for item in controller.outbox.items if isinstance(item, Event)]
 
 
 class Stepping(Gripper):

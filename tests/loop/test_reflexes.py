@@ -408,6 +408,8 @@ def test_free_motion_is_learned_and_a_push_stands_out(
     assert free.expected(1.0, 0.0) == pytest.approx(effort(1.0, 0.0), abs=0.05)
     assert free.excess(effort(1.0, 0.0) + push, 1.0, 0.0, 0.2) > 1.0
     assert free.excess(effort(1.0, 0.0) - push, 1.0, 0.0, 0.2) < 0.0, "pulled, not stopped"
+    late = effort(1.0, 2.5)  # a servo's effort for an acceleration that is over by now
+    assert free.excess(late, 1.0, 0.0, 0.2, recent=2.5) <= 1.0
 
 
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-5.0, 5.0), st.floats(-50.0, 50.0))))
