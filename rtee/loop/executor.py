@@ -14,7 +14,7 @@ from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.closing import leg_speed
 from rtee.loop.evidence import Evidence
-from rtee.loop.grip import TIPS
+from rtee.loop.grip import DEVICE, ELSEWHERE, TIPS
 from rtee.loop.measured import Measured
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
@@ -322,12 +322,15 @@ class Executor:
         if isinstance(to, Around) and not math.isnan(width):
             within = grasped and -to.narrower <= width - to.width <= to.wider
         felt, doubt = self._reflexes.felt
+        # Fingers that touch elsewhere than the levers assume.
+        elsewhere = source not in (TIPS, DEVICE) and grasped and within is False
         if felt == felt:
             # Better known: by finger, and without what weight and friction take.
             force, error = felt, doubt
-            if source != TIPS and grasped and within is False:
-                # The fingers touch elsewhere than the levers assume.
+            if elsewhere:
                 force, error, source = math.nan, math.nan, ""
+        elif elsewhere:
+            error = max(error, ELSEWHERE * force)
         return {
             "elements": plan.elements,
             # A zero of floating point is neither -2.8e-17 nor -0.
