@@ -629,6 +629,7 @@ class Evidence:
         velocity: float,
         *,
         every: bool,
+        sides: Sequence[frozenset[str]] = (),
     ) -> bool:
         """Return whether an approaching actuator's fingers touch something.
 
@@ -639,12 +640,25 @@ class Evidence:
             reference: Its reference [rad | m].
             velocity: Velocity of its reference [rad/s | m/s].
             every: Whether each of its fingers must touch, not just one.
+            sides: The fingers of each side of the opening, of which one is enough then.
         """
-        felt = rules.any_touch(self.forces(i, measured), self._grasp.touch, every=every)
+        felt = self._felt_now(i, measured, every, sides)
         # Where forces are measured, efforts are not looked at, and nothing is learned from them.
         pushes = felt is None and self._pushes(i, stamp, measured, reference, velocity)
         blocked = self.blocked(i) and self._watched[i].pressed
         return rules.touches(felt, pushes=pushes, blocked=blocked)
+
+    def _felt_now(
+        self, i: int, measured: Measured, every: bool, sides: Sequence[frozenset[str]]
+    ) -> bool | None:
+        forces, least = self.forces(i, measured), self._grasp.touch
+        if every and forces and sides:
+            places = list(zip((self._fingers[k] for k in self._places[i]), forces, strict=True))
+            pressing = [[force for name, force in places if name in side] for side in sides]
+            # Of a hand with one motor, other fingers may never meet anything.
+            if len(pressing) > 1 and all(pressing):
+                return rules.both_sides_touch(pressing, least)
+        return rules.any_touch(forces, least, every=every)
 
     def unknown(self, i: int, measured: Measured) -> bool:
         """Return whether contacts of an actuator are felt by effort, and free motion is unknown."""

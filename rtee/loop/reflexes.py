@@ -349,6 +349,8 @@ class Reflexes:
         if approach is None:
             return
         passed, self._before = stamp - self._before, stamp
+        around = approach.grip is not None and approach.grip.around
+        sides = () if around else approach.sides
         for i, watched in approach.watched.items():
             if watched.touched or not measured.fresh[i]:
                 continue
@@ -356,7 +358,9 @@ class Reflexes:
             every = watched.mode is OnContact.SQUEEZE
             velocity = self._profile.velocity[i]
             reference = self._limiter.position[i]
-            if not self._contact.meets(i, stamp, measured, reference, velocity, every=every):
+            if not self._contact.meets(
+                i, stamp, measured, reference, velocity, every=every, sides=sides
+            ):
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
                 elif approach.together is not None and not self.touched:

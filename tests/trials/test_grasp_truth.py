@@ -50,6 +50,18 @@ def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() 
 
 
 @pytest.mark.parametrize(
+    ("hand", "width", "force", "least", "seed"),
+    [("dagana", 0.07, 22.0, 18.0, 3337971408), ("qb_softhand", 0.03, 3.3, 1.0, 2865120455)],
+)
+def test_one_motor_presses_on_what_a_fixed_jaw_or_some_of_its_fingers_meet(
+    hand: str, width: float, force: float, least: float, seed: int
+) -> None:
+    truth = try_case(bench(hand, RATE), Case(Thing.SPHERE, width, force, seed=seed))
+    assert (truth.said, truth.held) == (True, True)
+    assert least <= truth.low <= force
+
+
+@pytest.mark.parametrize(
     ("hand", "width", "most"), [("onrobot_rg6", 0.135, 120.0), ("onrobot_3fg15", 0.094, 240.0)]
 )
 def test_a_whole_effort_presses_with_no_more_than_the_sheet_has(
