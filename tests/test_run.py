@@ -184,7 +184,7 @@ async def test_what_a_full_disk_loses_is_counted_and_told(folder: Path) -> None:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, present)
             over.set()
-    assert "not written: File too large" in status.recording_trouble
+    assert "not written: file too large" in status.recording_trouble
     assert any("recording: " in line and "ticks lost" in line for line in said)
 
 

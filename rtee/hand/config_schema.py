@@ -338,6 +338,16 @@ class Recorded(Word):
     """The last minute before something fails, as the flight recorder writes it."""
 
 
+class Layout(Word):
+    """How the states and references of ticks are recorded."""
+
+    MESSAGES = "messages"
+    """Three messages each, which any software reads."""
+    COLUMNS = "columns"
+    """Column by column, in a third of the room; other software reads ``tf_rate`` of them a
+    second."""
+
+
 @dataclass(frozen=True, slots=True)
 class LogSection(Section):
     """Recordings."""
@@ -351,6 +361,9 @@ class LogSection(Section):
     """What is recorded: ``full``, every tick; ``goals``, from 5 s before a goal, command, stream or
     event to 5 s after it; ``faults``, only what ``flight_recorder`` keeps. Only ``full`` recordings
     can be recomputed."""
+    layout: Layout = Layout.MESSAGES
+    """How ticks are recorded: ``messages``, which any software reads, or ``columns`` in a third of
+    the room, of which other software reads ``tf_rate`` a second. Nothing is lost in either."""
     max_file_size: Positive = 1e9
     """A new file is begun beyond this size [bytes]."""
     max_file_time: Positive = 3600.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord
 from numpy.typing import NDArray
+
+from rtee.log.tick_columns import encode_ticks
 
 MESSAGE = struct.Struct("<BQHIQQ")
 """Layout of the head of a message record: opcode, length, channel, sequence, two times [ns]."""
@@ -113,6 +116,46 @@ def index_records(entries: Entries) -> tuple[bytes, dict[int, int]]:
     return bytes(records), where
 
 
+@dataclass(frozen=True, slots=True)
+class InColumns:
+    """How ticks are packed column by column.
+
+    Attributes:
+        channel: Channel of their message.
+        every: Of so many ticks, one is also in messages of its own, for other software.
+    """
+
+    channel: int
+    every: int
+
+
+class _Room:
+    """Memory of one size for chunk after chunk: buffers that grow bit by bit would fragment it."""
+
+    def __init__(self) -> None:
+        self._memory = _memory(_LEAST_ROOM)
+        self.size = 0
+
+    def append(self, data: bytes | bytearray) -> None:
+        begin, memory = self.size, self._memory
+        self.size = end = begin + len(data)
+        if end > len(memory):
+            self._memory = larger = _memory(int(_SPARE * end))
+            larger[:begin] = memory[:begin]
+            memory = larger
+        memory[begin:end] = data
+
+    @contextmanager
+    def taken(self) -> Iterator[memoryview]:
+        """Give a view, not a copy, of what was collected; then it begins anew."""
+        size, self.size = self.size, 0
+        with memoryview(self._memory) as whole, whole[:size] as view:
+            yield view
+        # A writer that had fallen behind has made chunks of many seconds.
+        if len(self._memory) > max(_LEAST_ROOM, 2 * size):
+            self._memory = _memory(max(_LEAST_ROOM, int(_SPARE * size)))
+
+
 class ChunkBuilder:
     """Collects messages and packs them into chunks.
 
@@ -123,17 +166,23 @@ class ChunkBuilder:
     Args:
         block: Channel and offset of each message record in a block.
         level: Level of zstd compression.
+        columns: How blocks are packed column by column; ``None``: they are not.
     """
 
-    def __init__(self, block: Sequence[tuple[int, int]] = (), level: int = 3) -> None:
+    def __init__(
+        self,
+        block: Sequence[tuple[int, int]] = (),
+        level: int = 3,
+        columns: InColumns | None = None,
+    ) -> None:
         self._block = tuple(block)
+        self._columns = columns
         self._compressor = zstandard.ZstdCompressor(level=level, write_content_size=True)
-        # Reused for every chunk, since buffers that grow bit by bit would fragment the memory.
-        self._room = _memory(_LEAST_ROOM)
+        self._room = _Room()
+        self._ticks = self._room if columns is None else _Room()
         self._clear()
 
     def _clear(self) -> None:
-        self._size = 0
         self._times: dict[int, list[int]] = {}
         self._offsets: dict[int, list[int]] = {}
         self._block_times: list[int] = []
@@ -142,7 +191,7 @@ class ChunkBuilder:
     @property
     def size(self) -> int:
         """Size of the collected messages [bytes]."""
-        return self._size
+        return self._room.size + (self._ticks.size if self._columns else 0)
 
     @property
     def blocks(self) -> int:
@@ -152,28 +201,21 @@ class ChunkBuilder:
     def add(self, channel: int, sequence: int, time: int, data: bytes) -> None:
         """Add a message of log time ``time`` [ns since 1970]."""
         self._times.setdefault(channel, []).append(time)
-        self._offsets.setdefault(channel, []).append(self._size)
-        self._append(message_head(channel, sequence, time, len(data)))
-        self._append(data)
+        self._offsets.setdefault(channel, []).append(self._room.size)
+        self._room.append(message_head(channel, sequence, time, len(data)))
+        self._room.append(data)
 
     def add_block(self, time: int, block: bytes | bytearray) -> None:
         """Add the message records of one tick of log time ``time`` [ns since 1970]."""
         self._block_times.append(time)
-        self._block_offsets.append(self._size)
-        self._append(block)
-
-    def _append(self, data: bytes | bytearray) -> None:
-        begin, room = self._size, self._room
-        self._size = end = begin + len(data)
-        if end > len(room):
-            self._room = larger = _memory(int(_SPARE * end))
-            larger[:begin] = room[:begin]
-            room = larger
-        room[begin:end] = data
+        self._block_offsets.append(self._ticks.size)
+        self._ticks.append(block)
 
     def pack(self) -> PackedChunk | None:
         """Return the collected messages as a chunk, ``None`` if there are none, and start anew."""
-        if not self._size:
+        if self._columns is not None and self._block_times:
+            self._turn(self._columns)
+        if not self._room.size:
             return None
         entries = {
             channel: (_array(self._times[channel]), _array(self._offsets[channel]))
@@ -186,15 +228,24 @@ class ChunkBuilder:
                 # All blocks have the same layout, so that the index of a channel is that of the
                 # blocks, shifted.
                 entries[channel] = (times, offsets + np.uint64(begin))
-        # Views, not copies; both are released before the buffer may grow again.
-        size = self._size
-        with memoryview(self._room) as room, room[:size] as data:
-            self._clear()
-            chunk = pack(data, entries, self._compressor)
-        # A writer that had fallen behind has made chunks of many seconds.
-        if len(self._room) > max(_LEAST_ROOM, 2 * size):
-            self._room = _memory(max(_LEAST_ROOM, int(_SPARE * size)))
-        return chunk
+        self._clear()
+        with self._room.taken() as data:
+            return pack(data, entries, self._compressor)
+
+    def _turn(self, columns: InColumns) -> None:
+        """Turn the blocks into a message with all of them, and leave few as they are."""
+        last, ticks = self._block_times[-1], len(self._block_times)
+        with self._ticks.taken() as data:
+            rows = np.frombuffer(data, np.uint8).reshape(ticks, -1)
+            self.add(
+                columns.channel, 0, last, encode_ticks(rows, [b for _, b in self._block], last)
+            )
+            self._block_times = self._block_times[:: columns.every]
+            self._block_offsets = []
+            for row in rows[:: columns.every]:
+                self._block_offsets.append(self._room.size)
+                self._room.append(row.tobytes())
+            del rows, row  # the view is released
 
 
 class Digest:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
-from typing import Any, BinaryIO
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,10 @@ from rtee.messages.layout import places
 from rtee.messages.schema import MessageType
 
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
-_SEQUENCE = 11  # offset of the sequence number in a record: opcode, length, channel
-_LOG_TIME = 15  # offset of the log time, behind the sequence number
+_FIELDS = ("opcode", "length", "channel", "sequence", "time", "published")
+_HEADS = np.dtype([*zip(_FIELDS, ("u1", "<u8", "<u2", "<u4", "<i8", "<i8"), strict=True)])
+"""Layout of the head of a record, as MESSAGE."""
+
 _LEAST_ROOM = 16  # least number of rows allocated: fewer would have to grow soon
 
 Bytes = NDArray[np.uint8]
@@ -51,53 +53,91 @@ def gather(data: Bytes, starts: Offsets, size: int) -> Bytes:
     return rows
 
 
-def lengths(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
-    """Return the lengths of the messages whose records begin at the starts [bytes]."""
-    raw = np.ascontiguousarray(gather(data, starts + 1, 8)).view("<u8")[:, 0]
-    return raw.astype(np.int64) - _AFTER_LENGTH
+class Messages(NamedTuple):
+    """Messages of one channel in a chunk's data: offsets and heads of their records."""
+
+    data: Bytes
+    starts: Offsets
+    heads: NDArray[Any]
+
+    @property
+    def times(self) -> NDArray[np.int64]:
+        """Log times [ns since 1970]."""
+        return self.heads["time"]
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """Lengths without the records' heads [bytes]."""
+        sizes: NDArray[np.int64] = self.heads["length"].astype(np.int64) - _AFTER_LENGTH
+        return sizes
+
+    def where(self, chosen: NDArray[np.bool_]) -> Messages:
+        """Return some of them."""
+        if chosen.all():
+            return self
+        return Messages(self.data, self.starts[chosen], self.heads[chosen])
+
+    def contents(self) -> Iterator[bytes]:
+        """Yield the messages, without the records' heads."""
+        for start, size in zip(self.starts.tolist(), self.sizes.tolist(), strict=True):
+            begin = start + MESSAGE.size
+            yield self.data[begin : begin + size].tobytes()
+
+    def valid(self, channel: int) -> bool:
+        """Return whether whole messages of the channel are there."""
+        sizes = self.sizes
+        return bool(
+            # 5: a message (MCAP specification, "Opcodes").
+            (self.heads["opcode"] == 5).all()
+            and (self.heads["channel"] == channel).all()
+            and (sizes >= 0).all()
+            and (self.starts + MESSAGE.size + sizes <= self.data.size).all()
+        )
 
 
-def contents(data: Bytes, starts: Offsets) -> Iterator[bytes]:
-    """Yield the messages whose records begin at the starts, without the records' heads."""
-    for start, size in zip(starts.tolist(), lengths(data, starts).tolist(), strict=True):
-        begin = start + MESSAGE.size
-        yield data[begin : begin + size].tobytes()
+def messages(data: Bytes, offsets: Any) -> Messages | None:
+    """Return the messages at some offsets; ``None`` if one is outside of the data."""
+    starts = np.asarray(offsets).astype(np.int64)
+    if starts.size and (starts.min() < 0 or starts.max() + MESSAGE.size > data.size):
+        return None
+    return Messages(data, starts, gather(data, starts, MESSAGE.size).view(_HEADS)[:, 0])
 
 
-def log_times(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
-    """Return the log times [ns since 1970] of the records at the starts."""
-    return np.ascontiguousarray(gather(data, starts + _LOG_TIME, 8)).view("<i8")[:, 0]
+def messages_of(
+    place: ChunkPlace, stream: BinaryIO, data: bytes, channels: Collection[int]
+) -> dict[int, Messages]:
+    """Return the messages of a chunk by channel: by its index, or else by walking over it."""
+    array = np.frombuffer(data, dtype=np.uint8)
+    found = _indexed(place, stream, array, channels)
+    if found is None:
+        walked = {k: messages(array, v) for k, v in walk(data).items() if k in channels}
+        found = {k: each for k, each in walked.items() if each is not None}
+    return found
 
 
-def sequences(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
-    """Return the sequence numbers of the records at the starts."""
-    raw = np.ascontiguousarray(gather(data, starts + _SEQUENCE, 4)).view("<u4")[:, 0]
-    return raw.astype(np.int64)
+def messages_in(rows: Bytes, records: Sequence[int]) -> dict[int, Messages]:
+    """Return the messages of ticks by channel; the records begin at some offsets of each row.
+
+    Raises:
+        MessageError: if there are no messages.
+    """
+    found: dict[int, Messages] = {}
+    for begin in records:
+        some = messages(rows.reshape(-1), np.arange(len(rows)) * rows.shape[1] + begin)
+        channel = -1 if some is None else int(some.heads["channel"][0])
+        if some is None or not some.valid(channel):
+            raise MessageError("ticks without messages")
+        found[channel] = some
+    return found
 
 
-def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
-    """Return whether messages of the channel begin at all starts of an index."""
-    if not starts.size:
-        return True
-    if starts.min() < 0 or starts.max() + MESSAGE.size > data.size:
-        return False
-    heads = gather(data, starts, 11)
-    # The index comes from a file, so that it is checked before its use as offsets.
-    if not (heads[:, 0] == 5).all():
-        return False
-    if not (np.ascontiguousarray(heads[:, 9:11]).view("<u2") == channel).all():
-        return False
-    sizes = lengths(data, starts)
-    return bool((sizes >= 0).all() and (starts + MESSAGE.size + sizes <= data.size).all())
-
-
-def starts_of(
+def _indexed(
     place: ChunkPlace, stream: BinaryIO, data: Bytes, channels: Iterable[int]
-) -> dict[int, Offsets] | None:
-    """Return the offsets of the messages by channel; ``None`` if an index is wrong."""
+) -> dict[int, Messages] | None:
+    """Return the messages by channel; ``None`` if an index is missing or wrong."""
     if not place.indexes:
         return None
-    starts: dict[int, Offsets] = {}
+    found: dict[int, Messages] = {}
     for number in channels:
         index = place.indexes.get(number)
         if index is None:
@@ -107,11 +147,12 @@ def starts_of(
             entries = np.frombuffer(index.read(stream)[6:], dtype="<u8").reshape(-1, 2)
         except (DamagedRecordError, ValueError):
             return None
-        offsets = entries[:, 1].astype(np.int64)
-        if not valid(data, offsets, number):
+        # The index comes from a file, so that it is checked before its use as offsets.
+        some = messages(data, entries[:, 1])
+        if some is None or not some.valid(number):
             return None
-        starts[number] = offsets
-    return starts
+        found[number] = some
+    return found
 
 
 def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
@@ -133,7 +174,7 @@ class MessageColumns:
         self._room = max(expected, _LEAST_ROOM)
         self._where: dict[str, slice] = {}
         self._first = np.empty(0, dtype=np.uint8)
-        self._constant: list[tuple[int, int]] = []
+        self._constant = np.empty(0, dtype=bool)  # which bytes all messages share
         self._columns: dict[str, NDArray[Any]] = {}
         self._times = np.empty(self._room, dtype=np.int64)
         self._count = 0
@@ -145,33 +186,25 @@ class MessageColumns:
         self._times, self._count, self.skipped = np.empty_like(self._times), 0, 0
         self._columns = {name: np.empty_like(each) for name, each in self._columns.items()}
 
-    def add(self, kind: MessageType, data: Bytes, starts: Offsets) -> None:
-        """Add the messages of a type whose records begin at the starts in a chunk's data."""
-        if not starts.size:
-            return
-        if not self._first.size and not self._fix(kind, data, starts):
-            self.skipped += len(starts)
-            return
-        fitting = lengths(data, starts) == self._first.size
-        if not fitting.all():
-            self.skipped += int(len(starts) - fitting.sum())
-            starts = starts[fitting]
-            if not starts.size:
-                return
-        rows = gather(data, starts + MESSAGE.size, self._first.size)
-        same = np.ones(len(rows), dtype=bool)
-        # The bytes between the arrays (names, lengths) must equal those of the first message, or
-        # the columns would have another meaning.
-        for begin, end in self._constant:
-            same &= (rows[:, begin:end] == self._first[begin:end]).all(axis=1)
-        if not same.all():
-            self.skipped += int(len(rows) - same.sum())
-            rows, starts = rows[same], starts[same]
-        self._store(rows, log_times(data, starts))
+    def add(self, kind: MessageType, messages: Messages) -> None:
+        """Add messages of a type."""
+        count = len(messages.starts)
+        if count and (self._first.size or self._fix(kind, messages)):
+            fitting = messages.where(messages.sizes == self._first.size)
+            rows = gather(fitting.data, fitting.starts + MESSAGE.size, self._first.size)
+            # The bytes between the arrays (names, lengths) must equal those of the first message,
+            # or the columns would have another meaning.
+            other = (rows != self._first) & self._constant
+            if other.any():
+                same = ~other.any(axis=1)
+                rows, fitting = rows[same], fitting.where(same)
+            self._store(rows, fitting.times)
+            count -= len(rows)
+        self.skipped += count
 
-    def _fix(self, kind: MessageType, data: Bytes, starts: Offsets) -> bool:
+    def _fix(self, kind: MessageType, messages: Messages) -> bool:
         """Take the layout from the first valid message; return whether there is one."""
-        for message in contents(data, starts):
+        for message in messages.contents():
             try:
                 fields = kind.decode(message)
                 where = places(kind, message)
@@ -182,12 +215,10 @@ class MessageColumns:
             break
         else:
             return False
-        position = 0
         # Whatever lies between the arrays is constant.
+        self._constant = np.ones(self._first.size, dtype=bool)
         for place in where.values():
-            self._constant.append((position, place.start))
-            position = place.stop
-        self._constant.append((position, self._first.size))
+            self._constant[place] = False
         self._where = {each.name: where[each.name] for each in kind.fields if each.name in where}
         for field in kind.fields:
             if field.name in where:

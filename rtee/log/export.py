@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtee.errors import LogError, needing_extra, suggestion
+from rtee.hand.files import reason
 from rtee.log.reader import windows
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
-from rtee.log.sink import reason
 from rtee.log.spool import Column, Spool, Table
 from rtee.messages import topics
 from rtee.messages.convert import plain

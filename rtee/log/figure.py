@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import LogError
+from rtee.log.file_index import index_file
 from rtee.log.labels import Band, Label, bands_of, labels_of
-from rtee.log.reader import windows
+from rtee.log.reader import read_indexed, windows
 from rtee.log.recording import Entry, JointSeries, Recording, Span, TouchSeries
 from rtee.loop.plan import Plan
 from rtee.messages import topics
@@ -59,7 +60,6 @@ _TOPICS = (
     topics.TOUCH_SENSORS,
     topics.GOALS,
     topics.PLANS,
-    topics.FEEDBACK,
     topics.RESULTS,
     topics.EVENTS,
     topics.OBJECT,
@@ -197,12 +197,19 @@ class _Lines:
 
 def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> Iterator[Recording]:
     """Read what `figure` needs of a recording, piece by piece."""
-    pieces = windows(paths, only=_TOPICS, start=start, end=end)
+    only = [*_TOPICS]
+    brief = [index_file(path, brief=True) for path in paths]
+    told = read_indexed(brief, [topics.GOALS, topics.PLANS])
+    simple = {entry.value.goal_id for entry in told.plans if not entry.value.timed}
+    # There is much of it, of which that of timed actions alone tells more than goals and results.
+    if any(entry.value.goal_id not in simple for entry in told.goals):
+        only.append(topics.FEEDBACK)
+    pieces = windows(paths, only=only, start=start, end=end)
     first = next(pieces)
     if first.actuator_states.names:
         return chain((first,), pieces)
     # Of other programs: states of joints, which rtee's own repeat.
-    return windows(paths, only=(*_TOPICS, topics.JOINT_STATES), start=start, end=end)
+    return windows(paths, only=(*only, topics.JOINT_STATES), start=start, end=end)
 
 
 def figure(

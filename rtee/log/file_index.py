@@ -23,12 +23,12 @@ from mcap.records import (
 )
 
 from rtee.errors import LogError
+from rtee.hand.files import reason
 from rtee.log.chunks import INDEX_ENTRY
 from rtee.log.mcapfile import DIGEST, MAGIC
 from rtee.log.record_scanner import messages_of, parsed, records_of, scan
 from rtee.log.resync import DAMAGE, HEAD, LATEST, DamagedRecordError, Record
 from rtee.log.rotation import METADATA
-from rtee.log.sink import reason
 from rtee.messages.codec import SECOND
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)

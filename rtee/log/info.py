@@ -14,7 +14,6 @@ import numpy as np
 from rtee.errors import MessageError
 from rtee.log import column_reader
 from rtee.log.file_index import FileIndex, index_file
-from rtee.log.layout import DIGESTED
 from rtee.log.reader import read_indexed
 from rtee.log.record_scanner import messages_of
 from rtee.log.recording import Recording
@@ -25,7 +24,7 @@ from rtee.messages.convert import LOOP_STATISTICS
 from rtee.types import LoopStatistics
 
 _STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
-_FEW = tuple(topic for topic in DIGESTED if topic != topics.LOOP_STATISTICS)
+_FEW = topics.DIGESTED - {topics.LOOP_STATISTICS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +167,9 @@ def _statistics(file: FileIndex) -> LoopStatistics | None:
 
 def _last(data: bytes, number: int) -> LoopStatistics | None:
     """Return the last valid loop statistics on a channel among records."""
-    starts = np.array(column_reader.walk(data).get(number, ())[-1:], dtype=np.int64)
-    for message in column_reader.contents(np.frombuffer(data, dtype=np.uint8), starts):
+    starts = column_reader.walk(data).get(number, ())[-1:]
+    last = column_reader.messages(np.frombuffer(data, dtype=np.uint8), starts)
+    for message in () if last is None else last.contents():
         with contextlib.suppress(MessageError):
             return LOOP_STATISTICS.decode(message)
     return None

@@ -14,9 +14,8 @@ from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.log.chunks import ChunkBuilder, PackedChunk
 from rtee.log.mcapfile import Preamble
-from rtee.log.rotation import METADATA
+from rtee.log.rotation import MESHES, METADATA
 from rtee.loop.settings import LoopSettings
-from rtee.messages import topics
 from rtee.messages.convert import encode_string
 from rtee.messages.layout import TransformsEncoder
 from rtee.messages.schema import message_type
@@ -29,15 +28,6 @@ FORMAT = "1"
 CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES, start=1)}
 """Identifiers of channels by name of the topic."""
 
-DIGESTED = (
-    topics.GOALS,
-    topics.PLANS,
-    topics.RESULTS,
-    topics.EVENTS,
-    topics.LOOP_STATISTICS,
-)
-"""Topics of which every file holds a copy at its end, for a summary."""
-
 REPLAY = "replay.json"
 """Name of the attachment with the settings needed to recompute the references."""
 
@@ -46,9 +36,6 @@ STATE = "controller.json"
 
 RUN_BEGINS = "run_begins"
 """Kind of the event at which another run, with a new controller, begins in a recording."""
-
-MESHES = "meshes"
-"""Name of the metadata record that maps addresses of meshes to attachments."""
 
 _LATCHED = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline: {sec: 0, nsec: 0}\n"

@@ -13,9 +13,9 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from rtee.errors import GoalRejected, LogError, MessageError
+from rtee.hand.files import reason
 from rtee.log import column_reader
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
-from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
 from rtee.log.record_scanner import messages_of
 from rtee.log.recording import (
@@ -29,8 +29,8 @@ from rtee.log.recording import (
     touch_series,
 )
 from rtee.log.resync import LATEST, DamagedRecordError, Record
-from rtee.log.rotation import parts_of, recordings
-from rtee.log.sink import reason
+from rtee.log.rotation import MESHES, parts_of, recordings
+from rtee.log.tick_columns import decode_ticks
 from rtee.loop.plan import Plan
 from rtee.messages import GOAL, convert, topics
 from rtee.messages.codec import SECOND, channels_of
@@ -118,7 +118,7 @@ def _wanted(only: Iterable[str] | None) -> set[str]:
     unknown = wanted - set(topics.TYPES)
     if unknown:
         raise LogError(f"there are no topics {sorted(unknown)}; there are {sorted(topics.TYPES)}")
-    return wanted
+    return wanted | {topics.TICKS} if wanted.intersection(_TABLES) else wanted
 
 
 def _span(file_indexes: Sequence[FileIndex]) -> tuple[int, int]:
@@ -272,40 +272,32 @@ class _Collector:
     def _chunk(
         self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, _Channel]
     ) -> None:
-        array = np.frombuffer(data, dtype=np.uint8)
-        starts = column_reader.starts_of(place, stream, array, channels)
-        # Without a valid index, walk over every record of the chunk.
-        if starts is None:
-            walked = column_reader.walk(data)
-            starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
-        for number, offsets in starts.items():
+        found = column_reader.messages_of(place, stream, data, channels)
+        for number in [k for k in found if channels[k].name == topics.TICKS]:
+            for message in found.pop(number).contents():
+                try:
+                    # In place of the few that are there as messages, too.
+                    ticks = column_reader.messages_in(*decode_ticks(message))
+                except MessageError:
+                    self._damaged += 1
+                else:
+                    found |= {k: each for k, each in ticks.items() if k in channels}
+        for number, messages in found.items():
             name, kind = channels[number]
-            times = column_reader.log_times(array, offsets)
+            times = messages.times
             # A damaged time would put a message anywhere in the recording.
             sound = (times >= place.start) & (times <= place.end)
-            if not sound.all():
-                self._damaged += int(len(sound) - sound.sum())
-                offsets, times = offsets[sound], times[sound]
-            within = (times >= self._from) & (times < self._before)
-            if not within.all():
-                offsets = offsets[within]
+            self._damaged += int(len(sound) - sound.sum())
+            taken = messages.where(sound & (times >= self._from) & (times < self._before))
             if name in _TABLES:
-                self._rows[name].add(kind, array, offsets)
+                self._rows[name].add(kind, taken)
             else:
-                self._decode(name, kind, array, offsets)
+                self._decode(name, kind, taken)
 
-    def _decode(
-        self,
-        name: str,
-        kind: MessageType,
-        array: column_reader.Bytes,
-        starts: column_reader.Offsets,
-    ) -> None:
+    def _decode(self, name: str, kind: MessageType, messages: column_reader.Messages) -> None:
         ours = message_type(kind.name)
-        times = column_reader.log_times(array, starts).tolist()
-        order = column_reader.sequences(array, starts).tolist()
-        messages = column_reader.contents(array, starts)
-        for message, time, number in zip(messages, times, order, strict=True):
+        times, order = messages.times.tolist(), messages.heads["sequence"].tolist()
+        for message, time, number in zip(messages.contents(), times, order, strict=True):
             try:
                 fields = kind.decode(message)
             except MessageError:

@@ -23,11 +23,11 @@ from rtee.commands import CommandRecord
 from rtee.errors import LogError
 from rtee.hand.config_schema import Recorded
 from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
+from rtee.hand.files import reason
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import to_json
 from rtee.log.layout import REPLAY, Contents, Replayable
 from rtee.log.settings import RecorderSettings, RecorderStatus
-from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop import contact_rules
 from rtee.loop.controller import Controller
@@ -178,6 +178,7 @@ class Recorder:
         more = {
             "decimation": str(settings.decimation),
             "record": settings.record.value,
+            "layout": settings.layout.value,
             **(metadata or {}),
         }
         # Read now, since opening files could delay the loop once it runs.

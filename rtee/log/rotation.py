@@ -21,6 +21,9 @@ from rtee.messages.codec import SECOND
 METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""
 
+MESHES = "meshes"
+"""Name of the metadata record that maps addresses of meshes to attachments."""
+
 FLIGHT = "flight"
 """Replaces the number of the part in the names of the flight recorder's files."""
 

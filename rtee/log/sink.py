@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from rtee.hand.files import reason
 from rtee.log.chunks import PackedChunk
 from rtee.log.layout import STATE, Contents
 from rtee.log.mcapfile import McapFile, being_written
@@ -25,11 +26,6 @@ from rtee.monotonic import asked
 _NAME_TRIES = 50  # most names tried, as runs may have begun in the same millisecond
 _PARTIAL = ".partial"
 _LOOK_EVERY = 60.0  # time between checks of the folder's size [s]: others seldom write into it
-
-
-def reason(error: OSError) -> str:
-    """Return the text of an operating system's error, without path and number."""
-    return error.strerror or str(error) or type(error).__name__
 
 
 class DiskSink:

@@ -13,9 +13,9 @@ from typing import Any
 from zlib import crc32
 
 from rtee.commands import CommandRecord, StreamSample
-from rtee.hand.config_schema import Recorded
-from rtee.log.chunks import ChunkBuilder, PackedChunk, message_head
-from rtee.log.layout import CHANNELS, DIGESTED, Contents, library_name
+from rtee.hand.config_schema import Layout, Recorded
+from rtee.log.chunks import ChunkBuilder, InColumns, PackedChunk, message_head
+from rtee.log.layout import CHANNELS, Contents, library_name
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
@@ -75,6 +75,7 @@ _GRIP_PERIOD = 0.02
 _AROUND = 5 * SECOND
 """What is recorded before and after something that happens [ns]: seconds later, a hand rests."""
 
+_SELDOM = 1 << 30  # of so many ticks one, which is the first of each chunk
 _FLIGHT_FILES = 20  # most names kept of the flight recorder's files, the newest last
 
 
@@ -123,7 +124,13 @@ class LogWriter:
             ),
         )
         self._transforms = LinkTransforms(hand, contents.rate, settings)
-        self._builder = ChunkBuilder(self._encoder.layout, settings.level)
+        columns = None
+        if settings.layout is Layout.COLUMNS:
+            every = (
+                contents.rate / settings.decimation / settings.tf_rate if settings.tf_rate else 0
+            )
+            columns = InColumns(CHANNELS[topics.TICKS], round(every) or _SELDOM)
+        self._builder = ChunkBuilder(self._encoder.layout, settings.level, columns)
         self._digest: list[bytes] = []
         self._held: deque[tuple[PackedChunk, int]] = deque()
         self._until = 0  # what happens is recorded until then [ns since 1970]
@@ -268,7 +275,9 @@ class LogWriter:
             if isinstance(item, CommandRecord) and isinstance(item.command, StreamSample):
                 topic, codec = topics.STREAM_SAMPLES, convert.STREAM_SAMPLE
             data = codec.encode(item, time=stamp, wall=wall)
-            brief = data if topic in DIGESTED and getattr(item, "kind", "") != TRACE else None
+            brief = (
+                data if topic in topics.DIGESTED and getattr(item, "kind", "") != TRACE else None
+            )
             self._add(topic, wall, data, brief)
         if isinstance(item, Event) and (item.severity == "error" or item.kind in FAULTS):
             self.fault(f"{item.kind}: {item.text}")

@@ -27,6 +27,7 @@ TF_STATIC = "tf_static"
 GRIP = "grip"
 TOUCH = "touch"
 TOUCH_SENSORS = "touch_sensors"
+TICKS = "ticks"
 
 TYPES: dict[str, str] = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -50,6 +51,7 @@ TYPES: dict[str, str] = {
     GRIP: "rtee_msgs/msg/Grip",
     TOUCH: "rtee_msgs/msg/Touch",
     TOUCH_SENSORS: "rtee_msgs/msg/TouchSensors",
+    TICKS: "rtee_msgs/msg/Ticks",
 }
 """Types of messages by name of the topic."""
 
@@ -58,6 +60,9 @@ FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
 
 DESCRIBING = frozenset({ROBOT_DESCRIPTION, OBJECT, TOUCH_SENSORS}) | FOR_VIEWERS
 """Topics that say what a hand and its surroundings are, or where, for others."""
+
+DIGESTED = frozenset({GOALS, PLANS, RESULTS, EVENTS, LOOP_STATISTICS})
+"""Topics of which every recording holds a copy at its end, for a summary."""
 
 LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC, OBJECT, TOUCH_SENSORS})
 """Topics whose last message stays valid until the next one and is kept for later subscribers."""

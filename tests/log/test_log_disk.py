@@ -61,12 +61,12 @@ def test_a_file_that_may_not_grow_loses_ticks_until_it_may(
     log.run(0, 200)
     largest_file(log.writer.sink.size + 100)
     log.run(200, 400)
-    assert log.writer.sink.problem == "File too large"
+    assert log.writer.sink.problem == "file too large"
     assert read(recorded(tmp_path)[0]).actuator_states.tick[-1] < 250
     largest_file(None)
     log.run(400, 600)
     log.writer.close()
-    check_gap(log, recorded(tmp_path)[0], "File too large")
+    check_gap(log, recorded(tmp_path)[0], "file too large")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small file system needs root")
@@ -89,11 +89,11 @@ def test_a_full_disk_loses_ticks_until_there_is_room(claw: Hand, tmp_path: Path)
             except OSError:
                 pass
         log.run(200, 400)
-        assert log.writer.sink.problem == "No space left on device"
+        assert log.writer.sink.problem == "no space left on device"
         ballast.unlink()
         log.run(400, 600)
         log.writer.close()
-        check_gap(log, recorded(small)[0], "No space left on device")
+        check_gap(log, recorded(small)[0], "no space left on device")
     finally:
         subprocess.run(["umount", str(small)], check=True)
 
@@ -120,7 +120,7 @@ def test_a_recording_that_could_not_begin_begins_when_there_is_room(
     log.writer.start()
     log.run(0, 100)
     assert recorded(tmp_path) == []
-    assert log.writer.sink.problem == "File too large"
+    assert log.writer.sink.problem == "file too large"
     largest_file(None)
     log.run(100, 200)
     log.writer.close()

@@ -12,8 +12,15 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from log.samples import RATE, WALL, tick
+from log.samples import RATE, WALL, Log, recorded, settings, tick
+from rtee.errors import MessageError
+from rtee.hand.config_schema import Layout
 from rtee.hand.model import Hand
+from rtee.log import read
+from rtee.log.column_reader import messages_in
+from rtee.log.reader import windows
+from rtee.log.tick_columns import decode_ticks, encode_ticks
+from rtee.messages.schema import message_type
 from rtee.messages.typestore import typestore
 
 TOPICS = {
@@ -129,3 +136,40 @@ def test_no_chunk_is_longer_than_a_second(story: Path) -> None:
     for chunk in summary.chunk_indexes:
         assert chunk.compression == "zstd"
         assert chunk.message_end_time - chunk.message_start_time <= 1_000_000_000
+
+
+def test_ticks_in_columns_are_the_same_ones(story: Path, claw: Hand, tmp_path: Path) -> None:
+    Log(claw, settings(tmp_path, layout=Layout.COLUMNS)).story()
+    (path,) = recorded(tmp_path)
+    there, found = read(story), read(path)
+    assert found.actuator_states == there.actuator_states
+    assert found.reference == there.reference
+    assert found.joint_states == there.joint_states
+    pieces = [*windows(path, start=0.6, end=1.4)]
+    assert sum(len(piece.reference) for piece in pieces) == 81
+    with path.open("rb") as stream:
+        topics = [each.topic for _, each, _ in make_reader(stream).iter_messages()]
+    # Every second one, 50 a second, and at the begin of a chunk.
+    assert 100 <= topics.count("/claw/actuator_states") <= 105
+    assert 4 <= topics.count("/claw/ticks") <= 6
+
+
+def test_columns_that_do_not_fit_are_said() -> None:
+    rows = np.arange(4 * 80, dtype=np.uint8).reshape(4, 80)
+    message = encode_ticks(rows, [0], 0)
+    assert (decode_ticks(message)[0] == rows).all()
+    assert (decode_ticks(encode_ticks(rows[:1], [0], 0))[0] == rows[:1]).all()
+    kind = message_type("rtee_msgs/msg/Ticks")
+    fields = kind.decode(message)
+    others = (
+        {"ticks": 5},
+        {"first": b""},
+        {"number": fields["number"] + 80},
+        {"other": fields["other"] + 80},
+        {"order": b""},
+    )
+    for other in others:
+        with pytest.raises(MessageError, match="do not fit"):
+            decode_ticks(kind.encode(fields | other))
+    with pytest.raises(MessageError, match="without messages"):
+        messages_in(rows, [0])

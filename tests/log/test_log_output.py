@@ -426,7 +426,7 @@ def test_log_plot_and_export(story: Path, tmp_path: Path) -> None:
     ],
 )
 def test_a_missing_file_is_one_sentence(arguments: tuple[str, ...]) -> None:
-    with pytest.raises(LogError, match=r"^missing\.mcap: cannot be read: No such file") as caught:
+    with pytest.raises(LogError, match=r"^missing\.mcap: cannot be read: no such file") as caught:
         run(*arguments)
     assert caught.value.exit_status == 2
 

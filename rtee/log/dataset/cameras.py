@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from mcap.records import Schema
 
 from rtee.errors import LogError, MessageError
+from rtee.hand.files import reason
 from rtee.log.dataset.signals import Signal, Times, lasting
-from rtee.log.sink import reason
 from rtee.messages.schema import MessageType, parse
 
 _CDR: Final[Mapping[str, str]] = {
