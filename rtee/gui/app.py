@@ -6,6 +6,7 @@ import contextlib
 import gc
 import io
 import os
+import secrets
 import warnings
 from functools import partial
 from typing import Final
@@ -39,6 +40,7 @@ class Page:
         session: The panels of the hand, or of the one that has gone.
         watch: What is known of the hand.
         narrow: Whether the window has no room for plots beside the hand.
+        key: What the window's bar knows and no other: people who watch cannot speak for it.
     """
 
     def __init__(self, app: App, stage: Stage) -> None:
@@ -51,14 +53,15 @@ class Page:
         self.narrow = False
         self._scope = anyio.CancelScope()
         gui = stage.gui
-        number = stage.client_id if isinstance(stage, viser.ClientHandle) else 0
+        self.key = secrets.token_urlsafe(12)
         self._top = gui.add_folder("Hand", order=-1)
         with self._top:
-            gui.add_html(f'<i data-rtee-window="{number}"></i>')
+            gui.add_html(f'<i data-rtee-window="{self.key}"></i>')
             self._hands = gui.add_dropdown(
                 "Hand",
                 (self.watch.truth.hand or "–",),
                 hint="The hand shown, of those that run here",
+                visible=False,
             )
         self._hands.on_update(self.bridge.clicked(self._chosen))
 
@@ -76,6 +79,7 @@ class Page:
         shown = self.watch.truth.hand
         # It stays in the list while it is away, since it is shown again when it returns.
         names = tuple(sorted({*names, *([shown] if shown else [])}))
+        self._hands.visible = len(names) > 1
         if names and tuple(self._hands.options) != names:
             self._hands.options = names
             self._hands.value = shown or names[0]
@@ -106,7 +110,7 @@ class Page:
         await watch.model()
         endpoint = self._app.endpoint
         async with connect(watch.truth.hand, endpoint=endpoint, client="gui") as remote:
-            self.bridge.role = remote.role
+            self.bridge.role, self.bridge.truth = remote.role, watch.truth
             if self.session is not None:
                 self.session.remove()
             with self.bridge.stage.atomic():
@@ -123,6 +127,12 @@ class Page:
                     await self.bridge.close()
                     await session.leave()
                     await remote.leave()
+
+    async def fold(self) -> None:
+        """Fold the plots away, which leave the hand no room."""
+        self.narrow = True
+        if self.session is not None:
+            self.session.fold()
 
     async def close(self) -> None:
         """Let go of the hand, and end once what was begun here has come to its end."""
@@ -162,7 +172,7 @@ class App:
         self._run = os.urandom(4).hex()
         self.approval = Approval(self._bridge, self._attended)
         server.gui.configure_theme(
-            control_width="medium",
+            control_width="large",
             show_logo=False,
             show_share_button=False,
             brand_color=(0, 90, 140),
@@ -236,16 +246,17 @@ class App:
 
     # --- what the bar says and does
 
-    def _truth(self, window: int | None) -> Truth:
-        page = self.pages.get(-1 if window is None else window)
-        return Truth() if page is None else page.watch.truth
+    def _page(self, key: str) -> Page | None:
+        pages = tuple(self.pages.values())  # others come and go meanwhile
+        return next((page for page in pages if page.key == key), None)
 
-    def words(self, window: int | None) -> dict[str, object]:
-        """Return what a window's bar says."""
-        truth = self._truth(window)
-        names = {n: "" if p.session is None else p.session.client for n, p in self.pages.items()}
-        own = names.pop(-1 if window is None else window, "")
-        page = self.pages.get(-1 if window is None else window)
+    def words(self, key: str) -> dict[str, object]:
+        """Return what the bar of the window with this key says."""
+        page = self._page(key)
+        truth = Truth() if page is None else page.watch.truth
+        sessions = {p.key: p.session for p in tuple(self.pages.values())}
+        names = {k: "" if s is None else s.client for k, s in sessions.items()}
+        own = names.pop(key, "")
         past = "" if page is None or page.session is None else page.session.recorded
         held = truth.held()
         return {
@@ -261,15 +272,13 @@ class App:
             "recorded": bool(past),
         }
 
-    def press(self, button: str, window: int | None) -> None:
+    def press(self, button: str, key: str) -> None:
         """Do what a button of a window's bar says; from any thread."""
-        page = self.pages.get(-1 if window is None else window)
+        page = self._page(key)
         if button == "stop":
             self._bridge.call(lambda: self._stop(page))
         elif page is not None and button == "narrow":
-            page.narrow = True
-            if page.session is not None:
-                page.session.fold()
+            page.bridge.call(page.fold, always=True)
         elif page is not None and page.session is not None:
             _, _, time = button.partition(" ")
             show = partial(page.session.scrub, float(time)) if time else page.session.live

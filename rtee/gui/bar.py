@@ -41,11 +41,11 @@ _PARTS: Final = "".join(
 class Desk(Protocol):
     """What the bar shows, and what its STOP does; called in the server's thread."""
 
-    def words(self, window: int | None) -> dict[str, object]:
-        """Return what a window's bar says."""
+    def words(self, key: str) -> dict[str, object]:
+        """Return what the bar of the window with this key says; it may have none yet."""
         ...
 
-    def press(self, button: str, window: int | None) -> None:
+    def press(self, button: str, key: str) -> None:
         """Do what a page says: ``stop`` the hand, show it ``live`` or a ``time``; ``narrow``."""
         ...
 
@@ -67,24 +67,24 @@ def put_into(response: Response) -> None:
 
 
 async def handle(connection: ServerConnection, desk: Desk) -> None:
-    """Tell a page what is true until it has gone; it sends its window's number or a button."""
-    window: int | None = None
+    """Tell a page what is true until it has gone; it sends its window's key or a button."""
+    key = ""
 
     async def listen() -> None:
-        nonlocal window
+        nonlocal key
         with contextlib.suppress(ConnectionClosed):  # the page has gone without a word
             async for message in connection:
                 message = str(message)
                 if _BUTTONS.fullmatch(message):
-                    desk.press(message, window)
-                elif message.isdecimal() and len(message) < 10:
-                    window = int(message)
+                    desk.press(message, key)
+                else:
+                    key = message
 
     listening = asyncio.ensure_future(listen())
     told, since = "", _BEAT
     with contextlib.suppress(ConnectionClosed):
         while not listening.done():
-            words = json.dumps(desk.words(window))
+            words = json.dumps(desk.words(key))
             since += 1
             if words != told or since >= _BEAT:
                 await connection.send("" if words == told else words)

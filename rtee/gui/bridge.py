@@ -11,6 +11,7 @@ import viser
 
 from rtee.errors import RequestRejected, RteeError
 from rtee.messages.requests import Role
+from rtee.remote.truth import Truth
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +29,7 @@ class Bridge:
 
     Attributes:
         stage: The window.
+        truth: What is true of the hand that the window shows.
         role: What the hand lets this window's client do.
         refused: Why nothing is done for this window now, or an empty string.
     """
@@ -35,6 +37,7 @@ class Bridge:
     def __init__(self, stage: Stage) -> None:
         """Use the running event loop; must be called in it."""
         self.stage = stage
+        self.truth = Truth()
         self.role = Role.MAINTAINER
         self.refused = ""
         self._loop = asyncio.get_running_loop()

@@ -36,6 +36,7 @@ APPROVE: Final = rgb("#00795c")
 GOOD: Final = "var(--rtee-good)"
 WARN: Final = "var(--rtee-warn)"
 BAD: Final = "var(--rtee-bad)"
+OLD: Final = "var(--rtee-faint)"
 """Colours of text, light or dark as the page; the words alone carry the meaning, too."""
 
 # Five samples of the colour map viridis, which is uniform to the eye and safe for colour blindness.

@@ -26,6 +26,9 @@ from rtee.sample import FloatArray
 Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 """A point [m] and a unit normal in the base frame."""
 
+_WHOLE = 1.3
+"""Width of a picture by its height below which the width decides how much of the hand is seen."""
+
 _GHOST = 0.35
 """Opacity of a ghost, through which the hand stays visible."""
 
@@ -73,8 +76,11 @@ class HandScene:
         size = max(float(np.linalg.norm(high - low)), 0.05)  # a model may have no shapes
         middle = 0.5 * (low + high)
         stage = self._stage
-        camera = stage.camera if isinstance(stage, viser.ClientHandle) else stage.initial_camera
-        camera.position = tuple(middle + size * np.array([0.68, 0.59, 0.4]))
+        window = isinstance(stage, viser.ClientHandle)
+        camera = stage.camera if window else stage.initial_camera
+        # A window that is higher than wide shows less to the sides.
+        far = size * max(1.0, _WHOLE / stage.camera.aspect if window else 1.0)
+        camera.position = tuple(middle + far * self._side(middle))
         camera.look_at = tuple(middle)
         # In proportion to the hand, so that a close look at a small one is not clipped.
         camera.near = 0.01 * size
@@ -90,6 +96,34 @@ class HandScene:
             plane="xy",
         )
         return size
+
+    def _side(self, middle: FloatArray) -> FloatArray:
+        """Return the unit vector from the hand to where one sees what its fingers close on."""
+        hand = self.hand
+        tips = [finger.tip for finger in hand.fingers if finger.tip is not None]
+        if len(tips) < 2:
+            return np.array([0.68, 0.59, 0.43])
+        reach = np.clip(
+            [(a.lower, a.upper) for a in hand.actuators] - hand.rest[:, None], -1.5, 1.5
+        )
+        closed = hand.rest + np.where(-reach[:, 0] > reach[:, 1], *reach.T)
+        at_rest, closing = (
+            np.array([tip_pose_and_jacobian(hand, tip, where)[0][:3, 3] for tip in tips])
+            for where in (hand.rest, closed)
+        )
+        centre = at_rest.mean(axis=0)
+        # The finger farthest from all others closes against them: the thumb, where there is one.
+        apart = at_rest[np.argmax(np.linalg.norm(at_rest - centre, axis=1))] - centre
+        apart /= max(float(np.linalg.norm(apart)), 1e-6)
+        side = np.cross(centre - middle, apart)
+        side /= max(float(np.linalg.norm(side)), 1e-6)
+        # Fingers bend to the palm; from there, rather than from the back or from below.
+        bends = float(side @ (closing - at_rest).mean(axis=0))
+        side *= np.sign(bends if abs(bends) > 1e-3 else side @ (0.1, 0.2, 1.0))
+        view = side + 0.5 * apart + (0.0, 0.0, 0.35)
+        view[2] = max(view[2], 0.25)
+        unit: FloatArray = view / np.linalg.norm(view)
+        return unit
 
     def show(self, position: FloatArray) -> None:
         """Show measured joint positions ``(m,)`` [rad | m]."""

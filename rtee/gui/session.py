@@ -111,7 +111,7 @@ class Session:
         with self._tabs.add_tab("Actions"):
             self._actions = ActionsPanel(bridge, remote, self._show, partial(_remark, hand))
         with self._tabs.add_tab("Teach"):
-            self._making = MakingPanel(bridge, remote, hand)
+            self._making = MakingPanel(bridge, remote, hand, self._show)
         with self._tabs.add_tab("Simulate"):
             self._trying = TryPanel(bridge, remote, hand, self._actions.add_trial, self._show_grasp)
         with self._tabs.add_tab("Recordings"):
@@ -244,6 +244,8 @@ class Session:
         if now >= self._table_due:
             self._table_due = now + _TABLE_PERIOD
             self._header.show(watch.truth, jogs=self._making.jog.holding)
+            for panel in (self._actions, self._making, self._trying):
+                panel.fade()
             status = watch.truth.status
             if status is not None:
                 self._table.show_status(status)

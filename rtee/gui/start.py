@@ -54,14 +54,14 @@ class Cards:
         self._stopped = Words("")
         self.chosen: Place | None = None
 
-    def words(self, window: int | None) -> dict[str, object]:
+    def words(self, key: str) -> dict[str, object]:
         """Return what the bar says."""
         count = sum(bool(place.hand) for place in self.cards)
         held = Words(f"{count} hand{'s' * (count != 1)}: STOP stops all")
         rest = {"link": Words(""), "mode": Words(""), "old": False, "recorded": False}
         return {"run": self._run, "title": "rtee", "held": held, "doing": self._stopped, **rest}
 
-    def press(self, button: str, window: int | None) -> None:
+    def press(self, button: str, key: str) -> None:
         """Stop all hands, if that is the button; from any thread."""
         if button == "stop":
             self._bridge.call(self._stop, always=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Iterable, Sequence
 from html import escape
-from typing import Final
+from typing import Any, Final
 
 import viser
+from viser._messages import GuiSliderMark
 
 from rtee.actions.types import ActionReference
 from rtee.gui.colours import BAD, GOOD, WARN, line_colour, line_dash
@@ -15,6 +17,9 @@ from rtee.hand.names import common_prefix
 from rtee.remote.words import ending
 from rtee.sample import MEASURED
 from rtee.types import Outcome, Result
+
+JOINED: Final = " + "
+"""Separator of the fingers of a choice."""
 
 NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
@@ -123,6 +128,14 @@ def put(place: viser.GuiHtmlHandle, html: str) -> None:
     """Show HTML; viser sends each assignment, so that only changes are made."""
     if place.content != html:
         place.content = html
+
+
+def mark(slider: viser.GuiSliderHandle[Any], *marks: tuple[float, str]) -> None:
+    """Mark values of a slider with words; without any, its ends are."""
+    shown = tuple(itertools.starmap(GuiSliderMark, marks)) or None
+    # viser has no public way to change the marks of a slider; it sends each assignment.
+    if slider._marks != shown:  # noqa: SLF001
+        slider._marks = shown  # noqa: SLF001
 
 
 def offer(dropdown: viser.GuiDropdownHandle[str], names: Iterable[str]) -> None:

@@ -46,6 +46,18 @@ class Words(NamedTuple):
     tone: Tone = Tone.PLAIN
 
 
+class Turn(NamedTuple):
+    """What last made older statements about the hand old.
+
+    Attributes:
+        why: When and what, in words.
+        goal: The goal or stream that did, or an empty string.
+    """
+
+    why: str = ""
+    goal: str = ""
+
+
 class Grip(StrEnum):
     """What is known of an object in the hand."""
 
@@ -78,6 +90,7 @@ class Truth:
         trouble: Why there is no connection, or an empty string.
         grip: What is known of an object in the hand.
         stopped: The last stop, until something moves again.
+        turn: What last made older statements old; another object each time.
     """
 
     def __init__(self, hand: str = "") -> None:
@@ -87,6 +100,9 @@ class Truth:
         self.trouble = "looking for a hand …"
         self.grip = Grip.UNKNOWN
         self.stopped = Words("")
+        self.turn = Turn()
+        self._hot: dict[str, str] = {}  # events of actuators that are too warm
+        self._busy: dict[str, str] = {}  # what devices were said to do before they follow
         self._received = -math.inf
         self._since = ""
         self._fingers: tuple[str, ...] = ()
@@ -114,18 +130,22 @@ class Truth:
 
     def on_status(self, status: HandStatus) -> None:
         """Take the status of loop and devices."""
-        begun = self.moving
+        begun, streamed = self.moving, self.status is not None and self.status.stream.stream
         self.status, self.trouble = status, ""
+        if status.stream.stream and not streamed:
+            self._turn("moved live", status.stream.stream)
         if self.moving:
+            self._turn(status.action, status.goal_id)
             self.stopped = Words("")
             if not begun and not self._word:  # what was held may be let go now
                 self._conclude(Grip.UNKNOWN)
-        if any(problem(device) for device in status.devices):
+        if self.ill:
             self._conclude(Grip.UNKNOWN)
 
     def on_result(self, result: Result) -> None:
         """Take the result of any client's goal."""
         self._over = result.goal_id
+        self._turn(result.action, result.goal_id)
         early = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
         if result.grasped:
             self._fingers = result.grasped_fingers
@@ -142,20 +162,37 @@ class Truth:
                 self._conclude(Grip.LOST)
                 self._fingers = (event.source,)
             case "device_lost" | "device_fault":
+                self._turn(event.kind.replace("_", " "))
                 self._conclude(Grip.UNKNOWN)
+            case "device_busy":
+                self._busy[event.source] = event.text
+            case "thermal" if event.severity == "info":
+                self._hot.pop(event.source, None)
+            case "thermal":
+                self._hot[event.source] = event.text
             case "stop":
+                self._turn("stopped")
                 tone = Tone.BAD if event.severity == "error" else Tone.WARN
                 words = event.text.removeprefix(f"{self.hand}: ")
                 self.stopped = Words(f"{clock()} {words}", tone)
 
     def on_gone(self, why: str) -> None:
         """Take it that the hand cannot be reached; what was known of it is kept, as old."""
+        if not self.trouble:
+            self._turn("not connected")
         self.trouble = why
+        self._hot.clear()
         self._conclude(Grip.UNKNOWN)
+
+    def _turn(self, what: str, goal: str = "") -> None:
+        if not goal or goal != self.turn.goal:
+            self.turn = Turn(f"{clock()} {what}", goal)
 
     def _conclude(self, grip: Grip) -> None:
         if grip is not self.grip:
             self.grip, self._since = grip, clock()
+            if grip is Grip.LOST:
+                self._turn("part lost")
             self._fingers = self._fingers if grip is Grip.HOLDING else ()
 
     # --- what it says
@@ -188,10 +225,21 @@ class Truth:
         devices = () if self.status is None else self.status.devices
         return [(device.name, problem(device)) for device in devices if problem(device)]
 
+    @property
+    def homing(self) -> bool:
+        """Whether the devices that do not follow are at what they do before: mostly homing."""
+        ill = [] if self.status is None else [each for each in self.status.devices if problem(each)]
+        return bool(ill) and all(
+            each.message and f" is {each.message.split()[0]}" in self._busy.get(each.name, "")
+            for each in ill
+        )
+
     def held(self) -> Words:
         """Say whether something is held, how wide, with what force, and by what evidence."""
         if self.stale or self.state is None:
             return Words("no data", Tone.BAD)
+        if self.homing:
+            return Words("moves by itself: keep clear", Tone.WARN)
         if self.ill:
             return Words(f"no data from {', '.join(name for name, _ in self.ill)}", Tone.BAD)
         match self.grip:
@@ -224,7 +272,8 @@ class Truth:
                 words.append(f"no data for {self.age:.1f} s: STOP cannot reach the hand, {_OLD}")
             return Words(" · ".join(words), Tone.BAD)
         if self.ill:
-            return Words(" · ".join(f"{name}: {why}" for name, why in self.ill), Tone.BAD)
+            ill = " · ".join(f"{name}: {why}" for name, why in self.ill)
+            return Words(ill, Tone.WARN if self.homing else Tone.BAD)
         return Words(f"{self.hand}: connected", Tone.GOOD)
 
     def control(self, own: str = "", others: Sequence[str] = ()) -> Words:
@@ -238,13 +287,13 @@ class Truth:
 
     def doing(self) -> Words:
         """Say what runs, what is recorded, what was stopped, and what limits the hand."""
-        if self.stopped.text:
-            return self.stopped
         status = self.status
         if status is None or self.stale:
-            return Words("")
-        if status.recording_trouble:
-            return Words(f"recording: {status.recording_trouble}", Tone.WARN)
-        words = [f"running {status.action}"] if status.action else []
-        words += ["● recording"] if status.recording else []
-        return Words(" · ".join(words))
+            return self.stopped
+        trouble = [f"recording: {status.recording_trouble}"] if status.recording_trouble else []
+        limits = [*trouble, *self._hot.values()]
+        words = [self.stopped.text] if self.stopped.text else []
+        words += [f"running {status.action}"] if status.action and not words else []
+        words += ["● recording"] if status.recording and not trouble else []
+        tone = Tone.WARN if limits and self.stopped.tone is Tone.PLAIN else self.stopped.tone
+        return Words(" · ".join([*words, *limits]), tone)

@@ -34,6 +34,7 @@ from rtee.gui.access import Role as AccessRole
 from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import History
+from rtee.gui.panels.action_editor import JogPanel
 from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
@@ -49,7 +50,7 @@ from rtee.remote import credentials
 from rtee.remote.client import RemoteHand
 from rtee.remote.running_goal import RunningGoal
 from rtee.remote.truth import Truth
-from rtee.types import Goal, Lifecycle, Named, Result
+from rtee.types import Event, Goal, Lifecycle, Named, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -75,7 +76,7 @@ async def shows(app: App, text: str) -> None:
         await anyio.lowlevel.checkpoint()
     if 0 not in app.pages:
         app.open(app.server)
-    while text not in str(app.words(0)["link"]):  # noqa: ASYNC110
+    while text not in str(app.words(app.pages[0].key)["link"]):  # noqa: ASYNC110
         await anyio.sleep(0.02)
     while "connected" in text and "not" not in text and app.pages[0].session is None:  # noqa: ASYNC110
         await anyio.sleep(0.02)
@@ -83,7 +84,7 @@ async def shows(app: App, text: str) -> None:
 
 async def says(app: App, part: str, text: str, window: int = 0) -> None:
     """Wait until a part of a window's bar says something."""
-    while text not in str(app.words(window)[part]):  # noqa: ASYNC110
+    while text not in str(app.words(app.pages[window].key)[part]):  # noqa: ASYNC110
         await anyio.sleep(0.02)
 
 
@@ -157,9 +158,9 @@ async def test_what_its_certificate_does_not_allow_cannot_be_used(
         changing.add("Holding effort [%]")
         assert words & moving == (moving if role >= Role.OPERATOR else set())
         assert words & changing == (changing if role >= Role.MAINTAINER else set())
-        app.press("stop", 0)
+        app.press("stop", app.pages[0].key)
         assert "stopped by one" in (await served.event("stop")).text
-        await says(app, "doing", "stopped, confirmed by")
+        await says(app, "doing", "stopped")
         group.cancel_scope.cancel()
 
 
@@ -198,7 +199,7 @@ async def test_nothing_follows_the_sliders_of_a_hand_that_has_gone(
             if moved:
                 jog._sliders[0].value = 0.3
         await shows(app, "not connected")
-        assert not app.pages[0].bridge._working
+        assert all(task.done() for task in app.pages[0].bridge._working)
         group.cancel_scope.cancel()
     assert "a click failed" not in caplog.text
 
@@ -311,6 +312,37 @@ async def test_recover_is_offered_wherever_a_device_does_not_follow_and_asks_fir
     assert recovered == ["all"]
 
 
+async def test_sliders_say_what_is_measured_and_go_there_after_a_stop(
+    server: viser.ViserServer,
+) -> None:
+    hand, bridge, sent = load_hand("robotiq_2f_85"), Bridge(server), list[float]()
+
+    async def acquire_lease() -> None:
+        pass
+
+    async def jog(positions: dict[str, float], speed: float) -> None:
+        sent.extend(positions.values())
+
+    remote = SimpleNamespace(acquire_lease=acquire_lease, jog=jog)
+    panel = JogPanel(bridge, cast("RemoteHand", remote), hand)
+    (slider,) = panel._sliders
+    measured = dataclasses.replace(STATE, names=hand.actuator_names, position=np.array([0.3]))
+    panel.follow(measured)
+    assert slider.value == pytest.approx(0.3)
+    panel._hold.value = True
+    slider.value = 0.7
+    panel.follow(measured)
+    assert slider.value == 0.7
+    assert [(mark.value, mark.label) for mark in slider._marks] == [(0.3, "measured")]
+    bridge.truth.on_event(Event("stop", hand.name, "stopped", 0.0, "info"))
+    panel.follow(measured)
+    assert slider.value == pytest.approx(0.3)
+    assert slider._marks is None
+    panel._step(1.0)
+    await anyio.wait_all_tasks_blocked()
+    assert sent == [pytest.approx(0.7), pytest.approx(0.32)]
+
+
 async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> None:
     hand = load_hand("allegro")
     trigs = [p for p in kinematic_primitives(hand) if p.kind is PrimitiveKind.TRIG]
@@ -323,8 +355,7 @@ async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> No
         assert "also swings sideways (abduction): joint_0" in card._remark_line.content
         assert card._remark_line.visible
         assert card._choice is not None
-        card._choice._boxes[0].value = "thumb"
-        card._on_choice()
+        card._choice.value = "thumb"
         assert not card._remark_line.visible
         group.cancel_scope.cancel()
 
@@ -406,7 +437,11 @@ def test_the_table_tells_how_fast_every_joint_moves(
 async def test_what_is_done_again_is_not_called_replaced(
     server: viser.ViserServer, tmp_path: Path
 ) -> None:
-    execution = Execution(Bridge(server), cast("RemoteHand", None), ())
+    bridge = Bridge(server)
+    truth = bridge.truth
+    truth.on_status(status())
+    truth.on_state(STATE)
+    execution = Execution(bridge, cast("RemoteHand", None))
 
     async def nothing() -> None:
         pass
@@ -438,6 +473,11 @@ async def test_what_is_done_again_is_not_called_replaced(
         await anyio.wait_all_tasks_blocked()
         second.deliver(Result("2", "Trig", reached=True))
     assert "reached" in execution._word.content
+    execution.fade()
+    assert "old" not in execution._word.content
+    truth.on_event(Event("stop", "small", "stopped", 0.0, "info"))
+    execution.fade()
+    assert re.search("old, then .* stopped: reached", execution._word.content)
 
 
 async def test_an_action_may_be_renamed_while_it_runs(

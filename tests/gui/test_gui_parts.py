@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import fcntl
 import re
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, History, nice_range
 from rtee.gui.panels.actions import grouped
-from rtee.gui.panels.cards import options_at
 from rtee.gui.panels.header import device_line
 from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
@@ -33,8 +33,6 @@ from rtee.remote.model import from_info
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
 from rtee.types import DeviceStatus, Lifecycle, Result
-
-PAIRS = [("index", "thumb"), ("middle", "thumb"), ("index", "middle")]
 
 
 @pytest.fixture(scope="module")
@@ -63,20 +61,6 @@ def _state(stamp: float, value: float, n: int = 2, m: int = 3) -> State:
         joint_position=np.full(m, value),
         channels={},
     )
-
-
-@pytest.mark.parametrize(
-    ("chosen", "offered"),
-    [
-        ([], ("index", "thumb", "middle")),
-        (["index"], ("thumb", "middle")),
-        (["middle"], ("thumb", "index")),
-        (["index", "thumb"], ()),
-        (["ring"], ()),
-    ],
-)
-def test_only_partners_are_offered(chosen: list[str], offered: tuple[str, ...]) -> None:
-    assert options_at(PAIRS, chosen) == offered
 
 
 def test_names_lose_what_all_begin_with() -> None:
@@ -236,13 +220,15 @@ def test_fingers_have_their_colours(hand: Hand) -> None:
     assert ramp(-1.0) == ramp(0.0) != ramp(1.0) == ramp(2.0)
 
 
-def test_only_recordings_of_the_hand_are_offered(tmp_path: Path) -> None:
-    for name in ("svh_20260101T000000000Z_000", "svh_20260102T000000000Z_000"):
-        (tmp_path / f"{name}.mcap").write_bytes(b"")
+def test_only_recordings_of_the_hand_are_offered_the_complete_ones_first(tmp_path: Path) -> None:
+    for day in ("1", "2", "3"):
+        (tmp_path / f"svh_2026010{day}T000000000Z_000.mcap").write_bytes(b"")
     (tmp_path / "other_20260101T000000000Z_000.mcap").write_bytes(b"")
     (tmp_path / "notes.json").write_text("{}")
-    found = files_in(tmp_path, "svh")
-    assert [name[:12] for name in found] == ["svh_20260102", "svh_20260101"]
+    with (tmp_path / "svh_20260103T000000000Z_000.mcap").open() as written:
+        fcntl.flock(written, fcntl.LOCK_EX)
+        found = files_in(tmp_path, "svh")
+    assert [name[:12] for name in found] == ["svh_20260102", "svh_20260101", "svh_20260103"]
     assert files_in(tmp_path / "nowhere", "svh") == {}
 
 

@@ -41,10 +41,10 @@ async def test_each_hand_has_a_card_a_click_away(
         cards.draw(await fleet.look())
         assert list(cards.cards) == [Place("left"), Place("right")]
         assert all("ready" in words.content for words in cards.cards.values())
-        cards.press("stop", None)
-        while "right: stopped" not in str(cards.words(None)["doing"]):  # noqa: ASYNC110
+        cards.press("stop", "")
+        while "right: stopped" not in str(cards.words("")["doing"]):  # noqa: ASYNC110
             await anyio.sleep(0.02)
-        assert "left: stopped" in str(cards.words(None)["doing"])
+        assert "left: stopped" in str(cards.words("")["doing"])
         async with anyio.create_task_group() as group:
             group.start_soon(cards.run, fleet)
             cards.choose(Place("right"))

@@ -94,6 +94,18 @@ def test_a_lost_device_takes_back_what_was_said(truth: Truth, kind: str) -> None
     assert truth.held().text == "not known whether something is held"
 
 
+def test_homing_is_no_trouble(truth: Truth) -> None:
+    truth.on_event(Event("device_busy", "line", "device 'line' is homing a, 1 of 2", 0.0))
+    homing = replace(ACTIVE, lifecycle=Lifecycle.INACTIVE, message="homing b, 2 of 2")
+    truth.on_status(status(devices=(homing,)))
+    assert truth.homing
+    assert truth.link() == ("line: homing b, 2 of 2", Tone.WARN)
+    assert truth.held() == ("moves by itself: keep clear", Tone.WARN)
+    truth.on_status(status(devices=(replace(homing, message="no answer"),)))
+    assert not truth.homing
+    assert truth.held().tone is Tone.BAD
+
+
 def test_what_is_old_is_called_so(truth: Truth, monkeypatch: pytest.MonkeyPatch) -> None:
     truth.on_result(HELD)
     assert truth.link() == ("svh: connected", Tone.GOOD)
@@ -113,6 +125,34 @@ def test_a_stop_stays_to_be_read_until_something_moves(truth: Truth) -> None:
     assert truth.doing().text.endswith("stopped by gui; confirmed")
     truth.on_status(status(goal_id="3", action="Open"))
     assert truth.doing() == ("running Open", Tone.PLAIN)
+
+
+def test_what_makes_older_statements_old(truth: Truth) -> None:
+    truth.on_result(HELD)
+    for happens, why in (
+        (lambda: truth.on_event(Event("grasp_lost", "index", "lost", 0.0, "warning")), "part lost"),
+        (lambda: truth.on_event(Event("stop", "svh", "svh: stopped", 0.0, "info")), "stopped"),
+        (lambda: truth.on_status(status(goal_id="2", action="Open")), "Open"),
+        (lambda: truth.on_event(Event("device_lost", "line", "is lost", 0.0)), "device lost"),
+        (lambda: truth.on_gone("the hand has ended"), "not connected"),
+    ):
+        before = truth.turn
+        happens()
+        assert truth.turn is not before
+        assert truth.turn.why.endswith(why)
+    ended = truth.turn
+    truth.on_gone("no hand is running")
+    assert truth.turn is ended
+
+
+def test_a_full_disk_and_hot_actuators_are_said_beside_what_runs(truth: Truth) -> None:
+    truth.on_status(status(goal_id="2", action="Open", recording_trouble="the disk is full"))
+    assert truth.doing() == ("running Open · recording: the disk is full", Tone.WARN)
+    truth.on_status(status())
+    truth.on_event(Event("thermal", "index", "index is hot and gets less effort", 0.0, "warning"))
+    assert truth.doing() == ("index is hot and gets less effort", Tone.WARN)
+    truth.on_event(Event("thermal", "index", "index is cool again", 0.0, "info"))
+    assert truth.doing() == ("", Tone.PLAIN)
 
 
 def test_windows_are_told_apart(truth: Truth) -> None:

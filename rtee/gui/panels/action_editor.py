@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -16,12 +17,16 @@ from rtee.actions.build import StepPlan
 from rtee.actions.types import Action, ActionReference, CustomAction, Primitive, Timed
 from rtee.errors import RemoteError, RequestRejected
 from rtee.gui.bridge import Bridge
-from rtee.gui.wording import NOTHING, described, offer, short_names, small
+from rtee.gui.panels.cards import Show
+from rtee.gui.panels.execution import Execution
+from rtee.gui.wording import NOTHING, described, mark, offer, short_names, small
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
+from rtee.remote.goal_values import GoalOptions
 from rtee.remote.monitoring import HandStatus
+from rtee.remote.truth import Turn
 
 
 class EditPanel:
@@ -78,8 +83,8 @@ class EditPanel:
 class MakingPanel:
     """The panels of the tab "Teach"; `jog` is the first of them."""
 
-    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
-        """Add the panel to the current container."""
+    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, show: Show) -> None:
+        """Add the panel to the current container; ``show`` shows a posture as a ghost."""
         gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
@@ -93,8 +98,9 @@ class MakingPanel:
                 "Store in the hand's folder", True, hint="As a YAML file"
             )
             save = gui.add_button("Save pose", hint="Save the measured posture of all actuators")
-        with gui.add_folder("Combine actions", expand_by_default=False):
-            self._parts = PartsPanel(bridge, remote)
+        with gui.add_folder("Combine actions"):
+            self._parts = PartsPanel(bridge, remote, show)
+        self.fade = self._parts.fade
         with gui.add_folder("Rename or delete", expand_by_default=False):
             self._edit = EditPanel(bridge, remote)
         with gui.add_folder("Tune", expand_by_default=False):
@@ -231,6 +237,9 @@ _RATE = 30.0
 _LEAVE_WITHIN = 0.5
 """Longest time to wait for the release of the lease [s]: the hand may already be gone."""
 
+_CLICK = {"rad": 0.02, "m": 0.001}
+"""What a click on − or + adds by unit [rad | m]: about a degree, or a millimetre."""
+
 _STEPS = {"rad": 0.001, "m": 0.0001}
 """Step of a slider by unit [rad | m]: finer than the repeatability of a hand."""
 
@@ -259,6 +268,8 @@ class JogPanel:
         )
         self._left = False
         self._wanted: dict[str, float] = {}
+        self._moved_after: Turn | None = None  # when a person moved a slider
+        self._streamed = ""
         self._sliders: list[viser.GuiSliderHandle[float]] = []
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
             names = short_names(hand.actuator_names)
@@ -278,6 +289,14 @@ class JogPanel:
                 )
                 slider.on_update(lambda _, at=index: self._moved(at))
                 self._sliders.append(slider)
+            self._which = gui.add_dropdown(
+                "Step", names, hint="The actuator that − and + move, by 0.02 rad or 1 mm"
+            )
+            step = gui.add_button_group(
+                "", ("−", "+"), hint="Move it by a small step; needs Jog, as the sliders do"
+            )
+        bridge.need(Role.OPERATOR, step)
+        step.on_click(lambda event: self._step(1.0 if event.target.value == "+" else -1.0))
         bridge.need(Role.OPERATOR, self._hold, self._speed, self._follow)
         self._hold.on_update(lambda _: bridge.call(self._acquire_or_release))
         self._follow.on_update(lambda _: bridge.call(self._stream))
@@ -303,6 +322,7 @@ class JogPanel:
         self._wanted.clear()  # sliders moved earlier must not move the hand now
         try:
             async with self._remote.stream(_RATE) as stream:
+                self._streamed = stream.name
                 while self.holding and self._follow.value:
                     if self._wanted:
                         await stream.send(dict(self._wanted))
@@ -314,6 +334,7 @@ class JogPanel:
     def _moved(self, index: int) -> None:
         if self._quiet or not self._hold.value:
             return
+        self._moved_after = self._bridge.truth.turn
         actuator = self._hand.actuators[index]
         value = float(self._sliders[index].value)
         if self._follow.value:
@@ -321,6 +342,11 @@ class JogPanel:
             return
         speed = actuator.velocity * self._speed.value / 100.0
         self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
+
+    def _step(self, sign: float) -> None:
+        slider = self._sliders[list(self._which.options).index(self._which.value)]
+        step = _CLICK["m" if slider.label.endswith("[m]") else "rad"]
+        slider.value = min(max(slider.value + sign * step, slider.min), slider.max)
 
     @property
     def holding(self) -> bool:
@@ -340,16 +366,27 @@ class JogPanel:
                 await self._remote.release_lease()
 
     def follow(self, state: State) -> None:
-        """Move the sliders with the hand while nobody jogs."""
-        if self._hold.value:
-            return
+        """Mark what is measured, where the sliders are unless they were moved since.
+
+        A stop, or anything else that moves the hand, takes them back there.
+        """
+        turn = self._bridge.truth.turn
+        moved = self._hold.value and (
+            self._moved_after is turn or turn.goal == self._streamed != ""
+        )
+        if not moved:
+            self._wanted.clear()
         self._quiet = True  # or the callbacks would take these moves for the user's
         try:
             for slider, position in zip(self._sliders, state.position, strict=True):
                 value = min(max(float(position), slider.min), slider.max)
                 # Skip NaN, and changes within the noise of a measurement.
-                if value == value and abs(value - slider.value) > 2.0 * slider.step:
+                if value != value:
+                    continue
+                off = abs(value - slider.value) > 2.0 * slider.step
+                if off and not moved:
                     slider.value = value
+                mark(slider, *([(value, "measured")] if off and moved else ()))
         finally:
             self._quiet = False
 
@@ -357,14 +394,15 @@ class JogPanel:
 class PartsPanel:
     """A list of parts, and a name for the composed or timed action made of them."""
 
-    def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
-        """Add the panel to the current container."""
+    def __init__(self, bridge: Bridge, remote: RemoteHand, show: Show) -> None:
+        """Add the panel to the current container; ``show`` shows a posture as a ghost."""
         gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
+        self._show = show
         self._uses: dict[str, ActionReference] = {}
         self._parts: list[StepPlan] = []
-        self._action = gui.add_dropdown("Action", (NOTHING,), hint="What to add")
+        self._made: Action | None = None
         self._scale = gui.add_slider(
             "Scale [%]",
             0,
@@ -384,19 +422,26 @@ class PartsPanel:
         self._after = gui.add_number(
             "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after it, in a sequence [s]"
         )
-        self._add = gui.add_button("Add part", hint="Add it at the end of the list below")
+        self._action = gui.add_dropdown(
+            "Add", (NOTHING,), hint="The action to add at the end of the list, as set above"
+        )
         self._list = gui.add_html("")
         self._part = gui.add_dropdown("Part", (NOTHING,), hint="The part to move or remove")
         self._edit = gui.add_button_group(
             "", ("Up", "Down", "Remove"), hint="Move the chosen part in the list, or remove it"
         )
-        self._name = gui.add_text("Name", "", hint="Letters, digits, _ - .")
+        self._name = gui.add_text("Name", "", hint="Letters, digits, _ - .; empty: by its parts")
         self._store = gui.add_checkbox("Store in the hand's folder", True, hint="As a YAML file")
         self._make = gui.add_button_group(
             "", ("Compose", "Sequence"), hint="Compose: all at once. Sequence: one after the other"
         )
+        self._run = gui.add_button("Run it", hint="Execute what was made last", visible=False)
+        self._execution = Execution(bridge, remote)
+        self.fade = self._execution.fade
         bridge.need(Role.MAINTAINER, self._name, self._store, self._make)
-        self._add.on_click(lambda _: self._append())
+        bridge.need(Role.OPERATOR, self._run)
+        self._action.on_update(lambda _: self._append())
+        self._run.on_click(bridge.clicked(self._do))
         self._edit.on_click(lambda event: self._edited(str(event.target.value)))
         self._make.on_click(
             lambda event: bridge.call(partial(self._make_action, str(event.target.value)))
@@ -408,15 +453,17 @@ class PartsPanel:
         # A timed action cannot be a part of another action.
         uses = [ActionReference(a.name, a.elements) for a in actions if not isinstance(a, Timed)]
         self._uses = {described(use): use for use in uses}
-        offer(self._action, self._uses)
+        offer(self._action, (NOTHING, *self._uses))
 
     def _append(self) -> None:
         if self._action.value in self._uses:
             use = replace(self._uses[str(self._action.value)], scale=self._scale.value / 100.0)
-            alias = self._alias(use.action)
+            # The steps of a sequence are known by their aliases, which must differ.
+            alias = _free(use.action, {part.alias for part in self._parts})
             self._parts.append(
                 StepPlan(use, alias, float(self._before.value), float(self._after.value))
             )
+            self._action.value = NOTHING
             self._draw(len(self._parts) - 1)
 
     def _edited(self, button: str) -> None:
@@ -430,13 +477,6 @@ class PartsPanel:
         elif 0 <= to < len(self._parts):
             self._parts[at], self._parts[to] = self._parts[to], self._parts[at]
         self._draw(to)
-
-    def _alias(self, action: str) -> str:
-        # The steps of a sequence are known by their aliases, which must differ.
-        taken = {part.alias for part in self._parts}
-        if action not in taken:
-            return action
-        return next(name for n in range(2, 1000) if (name := f"{action}_{n}") not in taken)
 
     def _draw(self, chosen: int = 0) -> None:
         lines = [
@@ -452,7 +492,10 @@ class PartsPanel:
         self._part.value = names[min(max(chosen, 0), len(names) - 1)]
 
     async def _make_action(self, button: str) -> None:
-        name, store = str(self._name.value).strip(), bool(self._store.value)
+        parts = [ActionReference.of(part.use).action for part in self._parts]
+        known = {use.action for use in self._uses.values()}
+        name = str(self._name.value).strip() or _free("_".join(parts), known)
+        store = bool(self._store.value)
         if button == "Compose":
             await self._remote.add_composed(name, [part.use for part in self._parts], store=store)
         else:
@@ -460,3 +503,20 @@ class PartsPanel:
         self._parts.clear()  # only now: after a refusal, the user goes on with the same parts
         self._draw()
         self._bridge.notify("Saved", f"action '{name}'", "green")
+        (self._made,) = await self._remote.actions(name=name)
+        self._run.visible = True
+        self._show(self._made.waypoints[-1], 1.0, None)
+
+    async def _do(self) -> None:
+        self._show(None, 0.0, None)
+        if self._made is not None:
+            await self._execution.do(self._made, GoalOptions(), 1.0)
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """Return a name that is not taken, by a number behind it if need be."""
+    numbers = itertools.count(2)
+    first = name
+    while name in taken:
+        name = f"{first}_{next(numbers)}"
+    return name

@@ -12,7 +12,7 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.panels.cards import Card, Show
 from rtee.gui.panels.execution import Execution
 from rtee.gui.trial_results import Tried
-from rtee.gui.wording import offer
+from rtee.gui.wording import JOINED, offer
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal_values import grasp_goal
@@ -137,6 +137,12 @@ class ActionsPanel:
         for card in self._cards.values():
             card.show_trials(self._tried)
 
+    def fade(self) -> None:
+        """Mark results as old that say nothing of now."""
+        self._holding.fade()
+        for card in self._cards.values():
+            card.fade()
+
     def remove(self) -> None:
         """Remove the cards with their commands, which are not part of any folder."""
         while self._cards:
@@ -159,9 +165,6 @@ _WIDTH: Final = 30.0
 
 _ANY: Final = "any"
 """Choice that leaves the fingers to the hand."""
-
-_JOINED: Final = " + "
-"""Separator of the fingers of a choice."""
 
 
 class HoldingPanel:
@@ -186,25 +189,25 @@ class HoldingPanel:
                 hint="Force to hold it with [N]; 0: automatic, as hard as the hand closes",
                 order=1,
             )
-            self._speed = gui.add_slider(
-                "Closing [mm/s]",
-                0.0,
-                200.0,
-                5.0,
-                0.0,
-                hint="How fast the fingertips close [mm/s]; 0: automatic, as the force allows",
-                order=2,
-            )
-            self._fingers = gui.add_dropdown(
-                "Fingers",
-                (_ANY,),
-                hint="Fingers to hold it with; any: those that suit it best",
-                order=3,
-            )
             self._button = gui.add_button(
-                "Grasp", hint="Open wider than the object, close on it, keep the force", order=4
+                "Grasp", hint="Open wider than the object, close on it, keep the force", order=2
             )
-            self._execution = Execution(bridge, hand, ())
+            with gui.add_folder("More", expand_by_default=False, order=7):
+                self._speed = gui.add_slider(
+                    "Closing [mm/s]",
+                    0.0,
+                    200.0,
+                    5.0,
+                    0.0,
+                    hint="How fast the fingertips close [mm/s]; 0: automatic, as the force allows",
+                )
+                self._fingers = gui.add_dropdown(
+                    "Fingers",
+                    (_ANY,),
+                    hint="Fingers to hold it with; any: those that suit it best",
+                )
+            self._execution = Execution(bridge, hand, asked=self._asked)
+            self.fade = self._execution.fade
         bridge.need(Role.OPERATOR, self._button)
         self._width.on_update(lambda _: self._offer_forces())
         self._fingers.on_update(lambda _: self._offer_widths())
@@ -216,7 +219,7 @@ class HoldingPanel:
         self._folder.visible = bool(openings)
         if not openings:
             return
-        groups = [_JOINED.join(each.elements) for each in openings if each.elements]
+        groups = [JOINED.join(each.elements) for each in openings if each.elements]
         offer(self._fingers, (_ANY, *dict.fromkeys(groups)))
         self._offer_widths()
 
@@ -226,7 +229,7 @@ class HoldingPanel:
         fingers = str(self._fingers.value)
         if fingers == _ANY:
             return list(self._openings)
-        return [each for each in self._openings if _JOINED.join(each.elements) == fingers]
+        return [each for each in self._openings if JOINED.join(each.elements) == fingers]
 
     def _offer_widths(self) -> None:
         """Limit the width to what the fingers reach around."""
@@ -263,16 +266,20 @@ class HoldingPanel:
             self._force.max = most
             self._force.value = value
 
-    async def _grasp(self) -> None:
-        fingers = str(self._fingers.value)
-        # A force or speed of 0 is left out of the goal: the hand then uses its own.
-        await self._execution.follow(
-            self._hand.start_goal(
-                grasp_goal(
-                    float(self._width.value) / 1e3,
-                    force=float(self._force.value) or None,
-                    tip_speed=float(self._speed.value) / 1e3 or None,
-                    fingers=None if fingers == _ANY else fingers.split(_JOINED),
-                )
-            )
+    def _asked(self) -> tuple[float, float, float, str]:
+        """Return width [mm], force [N], speed [mm/s] and fingers as they are set."""
+        width, force, speed = (
+            float(each.value) for each in (self._width, self._force, self._speed)
         )
+        return width, force, speed, str(self._fingers.value)
+
+    async def _grasp(self) -> None:
+        width, force, speed, fingers = self._asked()
+        # A force or speed of 0 is left out of the goal: the hand then uses its own.
+        goal = grasp_goal(
+            width / 1e3,
+            force=force or None,
+            tip_speed=speed / 1e3 or None,
+            fingers=None if fingers == _ANY else fingers.split(JOINED),
+        )
+        await self._execution.follow(self._hand.start_goal(goal))

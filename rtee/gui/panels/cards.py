@@ -15,7 +15,7 @@ from rtee.gui.panels.execution import Execution
 from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
-from rtee.gui.wording import described, offer, small
+from rtee.gui.wording import JOINED, described, mark, offer, small
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal_values import GoalOptions, touch_goal
@@ -64,7 +64,7 @@ class Card:
         self._actions = tuple(actions)
         self._show = show
         self._previewing = False
-        self._choice: ElementChoice | None = None
+        self._choice: viser.GuiDropdownHandle[str] | None = None
         self._stage: viser.GuiDropdownHandle[str] | None = None
         self._contact: float | None = None
         self._tried = Tried()
@@ -78,18 +78,20 @@ class Card:
         with self._folder:
             self._describe(gui)
             self._slider = self._make_slider(gui)
-            self._make_opening(gui)
-            self._add_more(gui)
             self._buttons = gui.add_button_group(
                 "",
                 ("Run", "Preview") if bridge.may(Role.OPERATOR) else ("Preview",),
                 hint="Run: execute it. Preview: show where it leads",
-                order=4,
+                order=2,
             )
+            self._trials = gui.add_html("", visible=False, order=6)
+            with gui.add_folder("More", expand_by_default=False, order=7):
+                self._make_opening(gui)
+                self._add_more(gui)
             first = self._actions[0]
-            self._execution = Execution(
-                bridge, hand, first.steps if isinstance(first, Timed) else ()
-            )
+            steps = first.steps if isinstance(first, Timed) else ()
+            self._execution = Execution(bridge, hand, steps, self._asked)
+            self.fade = self._execution.fade
         self._buttons.on_click(self._clicked)
         self._command = gui.add_command(
             f"Run {self.name}", description="Execute it as it is set in its card"
@@ -103,9 +105,15 @@ class Card:
         action = self._actions[0]
         match action:
             case Primitive():
-                whole = [a.elements for a in self._actions]
-                noun = action.kind.noun.capitalize()
-                self._choice = ElementChoice(gui, whole, self._on_choice, noun)
+                noun, several = action.kind.noun, "s" * (len(action.elements) > 1)
+                self._choice = gui.add_dropdown(
+                    f"{noun}{several}".capitalize(),
+                    tuple(JOINED.join(a.elements) for a in self._actions),
+                    hint=f"The {noun}{several} that the action is done with",
+                    disabled=len(self._actions) == 1,
+                    order=0,
+                )
+                self._choice.on_update(lambda _: self._on_choice())
                 self._remark_line = gui.add_html("", visible=False, order=0.5)
                 self._show_remark()
             case Timed():
@@ -116,21 +124,23 @@ class Card:
                 moved = ", ".join(escape(name) for name in action.posture.involved)
                 gui.add_html(small(f"moves {moved}"), order=0)
 
-    def _make_slider(self, gui: viser.GuiApi, value: int = 100) -> viser.GuiSliderHandle[int]:
+    def _contact_marks(self) -> Sequence[tuple[float, str]]:
+        return () if self._contact is None else (_contact_mark(round(100 * self._contact)),)
+
+    def _make_slider(self, gui: viser.GuiApi) -> viser.GuiSliderHandle[int]:
         self._contact = None if self.evidence is None else self.evidence.contact_at
-        marks = None if self._contact is None else (_contact_mark(round(100 * self._contact)),)
         slider = gui.add_slider(
             "Intensity [%]",
             0,
             100,
             1,
-            value,
-            marks=marks,
+            100,
             hint="How far it goes [%]: 0 is the rest posture, 100 the action's; "
             "the mark is where the tips touch",
             visible=not isinstance(self._actions[0], Timed),
             order=1,
         )
+        mark(slider, *self._contact_marks())
         slider.on_update(self._on_intensity)
         return slider
 
@@ -154,25 +164,23 @@ class Card:
         self._force.on_update(self._on_force)
 
     def _add_more(self, gui: viser.GuiApi) -> None:
-        self._trials = gui.add_html("", visible=False, order=2)
-        with gui.add_folder("More", expand_by_default=False, order=3):
-            self._speed = gui.add_slider(
-                "Speed [%]", 5, 100, 5, 100, hint="Percentage of the hand's velocity limits [%]"
+        self._speed = gui.add_slider(
+            "Speed [%]", 5, 100, 5, 100, hint="Percentage of the hand's velocity limits [%]"
+        )
+        self._effort = gui.add_slider(
+            "Effort [%]", 5, 100, 5, 100, hint="Percentage of the actuators' effort limits [%]"
+        )
+        # Only a pinch whose contact is known has a posture just before it.
+        if self._contact is not None:
+            self._stage = gui.add_dropdown(
+                "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
             )
-            self._effort = gui.add_slider(
-                "Effort [%]", 5, 100, 5, 100, hint="Percentage of the actuators' effort limits [%]"
-            )
-            # Only a pinch whose contact is known has a posture just before it.
-            if self._contact is not None:
-                self._stage = gui.add_dropdown(
-                    "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
-                )
-            self._contacts = ContactChoice(gui, self._fingers(self.action))
-            self._touch = gui.add_button(
-                "Close until contact",
-                hint="Close slowly until the first contact, and stop there",
-                visible=not isinstance(self._actions[0], Timed),
-            )
+        self._contacts = ContactChoice(gui, self._fingers(self.action))
+        self._touch = gui.add_button(
+            "Close until contact",
+            hint="Close slowly until the first contact, and stop there",
+            visible=not isinstance(self._actions[0], Timed),
+        )
         self._touch.on_click(self._bridge.clicked(self._close_to_touch))
 
     # --- millimetres and newtons
@@ -259,11 +267,8 @@ class Card:
         """The chosen action."""
         if self._choice is None:
             return self._actions[0]
-        chosen = self._choice.chosen
-        for action in self._actions:
-            if action.elements == chosen:
-                return action
-        return self._actions[0]
+        at: int = self._choice.options.index(self._choice.value)
+        return self._actions[at]
 
     @property
     def evidence(self) -> Evidence | None:
@@ -274,10 +279,8 @@ class Card:
         evidence = self.evidence
         contact = None if evidence is None else evidence.contact_at
         if contact != self._contact:
-            value = int(self._slider.value)
-            self._slider.remove()  # the marks of a slider cannot be changed
-            with self._folder:
-                self._slider = self._make_slider(self._bridge.stage.gui, value)
+            self._contact = contact
+            mark(self._slider, *self._contact_marks())
         self._contacts.offer(self._fingers(self.action))
         self._show_opening()
         self._show_remark()
@@ -339,7 +342,8 @@ class Card:
         elif hide:
             self._show(None, 0.0, None)
 
-    async def _do(self) -> None:
+    def _asked(self) -> tuple[Action, GoalOptions, float]:
+        """Return the action, its options, and the share of the effort limits, as they are set."""
         options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
         if self._by_opening:
             options = GoalOptions(
@@ -352,7 +356,10 @@ class Card:
         self._contacts.add_to(options)
         # The hand derives the effort from a force, and refuses both together.
         effort = 1.0 if "force" in options else self._effort.value / 100.0
-        await self._execution.do(self.action, options, effort)
+        return self.action, options, effort
+
+    async def _do(self) -> None:
+        await self._execution.do(*self._asked())
 
     async def _close_to_touch(self) -> None:
         name, elements = key_of(self.action)
@@ -388,76 +395,6 @@ def _contact_mark(intensity: int) -> tuple[int, str]:
     # A label is centred on its mark; the spaces, as wide as the word, put the word before it.
     spaces = "\N{NO-BREAK SPACE}" * 12 if intensity > _CROWDED else ""
     return intensity, f"contact{spaces}"
-
-
-Combination = tuple[str, ...]
-
-
-def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tuple[str, ...]:
-    """Return the elements that can follow the chosen ones, in the order of the combinations."""
-    taken = set(chosen)
-    fitting = (combination for combination in combinations if taken.issubset(combination))
-    # A dictionary drops duplicates and, unlike a set, keeps the order.
-    return tuple({e: None for combination in fitting for e in combination if e not in taken})
-
-
-class ElementChoice:
-    """One dropdown per element; each offers only elements that fit those before it."""
-
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        combinations: Sequence[Combination],
-        changed: Callable[[], None],
-        noun: str,
-    ) -> None:
-        """Add the dropdowns to the current container.
-
-        There is at least one combination, and all have the same length. ``changed`` is called when
-        the choice has changed; the noun of an element is ``Finger`` or ``Actuator``.
-        """
-        self.combinations = tuple(combinations)
-        self._changed = changed
-        self._boxes: list[viser.GuiDropdownHandle[str]] = []
-        count = len(self.combinations[0])
-        chosen: list[str] = []
-        for index in range(count):
-            offered = options_at(self.combinations, chosen)
-            label = noun if count == 1 else f"{noun} {index + 1}"
-            box = gui.add_dropdown(
-                label,
-                offered,
-                initial_value=offered[0],
-                hint=f"{noun} the action is done with; only what exists together is offered",
-                disabled=len(offered) == 1 and count == 1,
-                order=index / 100.0,
-            )
-            box.on_update(lambda _, at=index: self._restrict(at))
-            self._boxes.append(box)
-            chosen.append(offered[0])
-
-    @property
-    def chosen(self) -> Combination:
-        """The chosen combination, in the order of the action's file."""
-        # As sets, since the dropdowns offer the elements of a combination in any order.
-        values = {str(box.value) for box in self._boxes}
-        for combination in self.combinations:
-            if set(combination) == values:
-                return combination
-        return self.combinations[0]
-
-    def _restrict(self, index: int) -> None:
-        chosen = [str(box.value) for box in self._boxes[: index + 1]]
-        for box in self._boxes[index + 1 :]:
-            offered = options_at(self.combinations, chosen)
-            wanted = str(box.value) if box.value in offered else offered[0]
-            # Each assignment calls back, so assign only changes.
-            if tuple(box.options) != offered:
-                box.options = offered
-            if box.value != wanted:
-                box.value = wanted
-            chosen.append(wanted)
-        self._changed()
 
 
 _AS_CONFIGURED: Final = "as configured"

@@ -3,30 +3,50 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from html import escape
+from typing import NamedTuple
 
 import viser
 
 from rtee.actions.types import Action, Step
 from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
-from rtee.gui.colours import BAD, BAR, PREVIEW
+from rtee.gui.colours import BAD, BAR, OLD, PREVIEW
 from rtee.gui.trial_results import key_of
 from rtee.gui.wording import coloured, described, outcome, small
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal_values import GoalOptions
 from rtee.remote.running_goal import RunningGoal
+from rtee.remote.truth import Turn
 from rtee.types import Feedback, Result
+
+
+class _Shown(NamedTuple):
+    """A result that is shown, what was asked for, and what was the last turn then."""
+
+    result: Result
+    asked: object
+    turn: Turn
 
 
 class Execution:
     """The progress bars of an action, and its execution."""
 
-    def __init__(self, bridge: Bridge, hand: RemoteHand, steps: Sequence[Step]) -> None:
-        """Add the bars to the current container, one for each inner action of a timed action."""
+    def __init__(
+        self,
+        bridge: Bridge,
+        hand: RemoteHand,
+        steps: Sequence[Step] = (),
+        asked: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Add the bars to the current container, one for each inner action of a timed action.
+
+        ``asked`` returns what the controls ask for now; a result of anything else is an old one.
+        """
         gui = bridge.stage.gui
-        self._hand = hand
+        self._hand, self._truth, self._asked = hand, bridge.truth, asked
+        self._shown: _Shown | None = None
         self._goal_id = ""
         self._removed = False
         self._inner: dict[str, viser.GuiProgressBarHandle] = {}
@@ -37,7 +57,7 @@ class Execution:
             self._inner[step.alias] = gui.add_progress_bar(
                 0.0, animated=False, color=PREVIEW, order=0
             )
-        self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR, order=5)
+        self._bar = gui.add_progress_bar(0.0, visible=False, animated=False, color=BAR, order=5)
         self._word = gui.add_html("", order=6)
 
     async def do(self, action: Action, options: GoalOptions, effort: float) -> None:
@@ -56,6 +76,7 @@ class Execution:
     async def follow(self, start: Awaitable[RunningGoal]) -> None:
         """Send a goal, and show its progress and result."""
         self._reset()
+        asked = self._asked()
         # The goal that this one replaces ends before the hand answers; its result is not shown.
         before, self._goal_id = self._goal_id, ""
         try:
@@ -67,13 +88,14 @@ class Execution:
         self._goal_id = running.goal.goal_id
         result = await running.result(self._progress)
         if result.goal_id == self._goal_id:
-            self._end(result)
+            self._end(result, asked)
 
     def _reset(self) -> None:
-        self._bar.value = 0.0
+        self._bar.value, self._bar.visible = 0.0, True
         for bar in self._inner.values():
             bar.value = 0.0
         self._say("", "")
+        self._shown = None
 
     def _progress(self, feedback: Feedback) -> None:
         # Feedback of a replaced goal, or for a card that was rebuilt meanwhile.
@@ -88,7 +110,7 @@ class Execution:
         """Show nothing any more; the card removes the controls, but the goal may go on."""
         self._removed = True
 
-    def _end(self, result: Result) -> None:
+    def _end(self, result: Result, asked: object) -> None:
         if self._removed:
             return
         if result.succeeded:
@@ -96,6 +118,25 @@ class Execution:
             for bar in self._inner.values():
                 bar.value = 100.0
         self._say(*outcome(result))
+        self._shown = _Shown(result, asked, self._truth.turn)
+
+    def fade(self) -> None:
+        """Mark the result as old once it says nothing of the hand, or of what is asked for, now."""
+        shown, turn = self._shown, self._truth.turn
+        if shown is None or self._removed:
+            return
+        result = shown.result
+        if turn is not shown.turn and turn.goal != result.goal_id:
+            # How a goal failed stays true until another one runs.
+            old = turn.why if turn.goal or result.succeeded else ""
+        else:
+            old = "no data" if self._truth.stale else ""
+        if not old and self._asked() != shown.asked:
+            old = "other settings"
+        if old:
+            self._say(f"old, then {old}: {outcome(result)[0]}", OLD)
+            self._bar.visible = False
+            self._shown = None
 
     def _say(self, text: str, colour: str) -> None:
         if self._removed:

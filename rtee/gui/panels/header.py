@@ -45,11 +45,11 @@ class Header:
         gui = bridge.stage.gui
         self._bridge = bridge
         self._hand = hand
-        self._open = gui.add_button(
-            "Open hand", icon=viser.Icon.HAND_FINGER, hint="Go to the rest posture (key: O)"
-        )
-        self._cancel = gui.add_button(
-            "Cancel", color=_GREY, hint="End what runs and hold the hand as it is (key: C)"
+        self._move = gui.add_button_group(
+            "",
+            ("Open hand", "Cancel"),
+            hint="Open hand: go to the rest posture (key: O). Cancel: end what runs and hold the "
+            "hand as it is (key: C)",
         )
         self._state = gui.add_html("")
         self._recover = gui.add_button(
@@ -79,10 +79,13 @@ class Header:
             gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
             gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
         ]
-        moving = (self._open, self._cancel, self._recover, yes, self._admit, *self._commands)
+        moving = (self._move, self._recover, yes, self._admit, *self._commands)
         bridge.need(Role.OPERATOR, *moving)
-        self._open.on_click(bridge.clicked(hand.open))
-        self._cancel.on_click(bridge.clicked(hand.cancel))
+        self._move.on_click(
+            lambda event: bridge.call(
+                hand.open if event.target.value == "Open hand" else hand.cancel
+            )
+        )
         self._commands[0].on_trigger(bridge.clicked(hand.open))
         self._commands[1].on_trigger(bridge.clicked(hand.cancel))
 
@@ -113,7 +116,7 @@ class Header:
         if status.recording_trouble:
             lines.append(f"recording: {escape(status.recording_trouble)}")
         put(self._state, _text("<br>".join(lines)))
-        ill = bool(truth.ill) and not truth.stale
+        ill = bool(truth.ill) and not truth.stale and not truth.homing
         if ill:
             names = ", ".join(escape(name) for name, _ in truth.ill)
             put(
@@ -132,7 +135,7 @@ class Header:
 
     def remove(self) -> None:
         """Remove everything."""
-        controls = (self._open, self._cancel, self._recover, self._admit, self._sure)
+        controls = (self._move, self._recover, self._admit, self._sure)
         for handle in (*controls, self._state, *self._commands):
             handle.remove()
 

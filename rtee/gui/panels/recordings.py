@@ -19,6 +19,7 @@ from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log import read
+from rtee.log.mcapfile import being_written
 from rtee.log.rotation import recordings
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
@@ -43,12 +44,18 @@ def configured_folder(hand: str) -> Path:
 
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
-    """Return the recordings of a hand in a folder by their labels, newest first."""
+    """Return the recordings of a hand in a folder by their labels: the complete ones, newest first.
+
+    After them come those that are still being written.
+    """
     # Before Python 3.14, `Path.is_dir` raises an error below another user's private folder.
     if not os.path.isdir(folder):
         return {}
-    files = sorted(recordings(folder, hand), key=lambda file: file.path.name, reverse=True)
-    return {f"{file.path.stem} · {file.size / 1e6:.1f} MB": file.path for file in files}
+    files: dict[bool, dict[str, Path]] = {False: {}, True: {}}
+    for file in reversed(recordings(folder, hand)):
+        label = f"{file.path.stem} · {file.size / 1e6:.1f} MB"
+        files[being_written(file.path)][label] = file.path
+    return files[False] | {f"{label} · being written": path for label, path in files[True].items()}
 
 
 class RecordingsPanel:
@@ -146,7 +153,10 @@ class RecordingsPanel:
         # `Path.expanduser` would raise an error while the user is still typing after "~".
         folder = Path(os.path.expanduser(str(self._folder.value)))
         self._files = files_in(folder, self._hand.name)
+        newest = self._file.value == self._file.options[0]
         offer(self._file, self._files)
+        if newest:  # of the present ones, unless somebody has chosen another
+            self._file.value = self._file.options[0]
 
     def _clicked(self, button: str) -> None:
         match button:
@@ -176,7 +186,7 @@ class RecordingsPanel:
         self._span.value = self._span.options[0]
         self._quiet = False
         self._playback, self._shown = playback, path.name
-        self._player.visible = True
+        self._player.visible = self._play.value = True
         self._line.content = timeline(playback)
         self._opened(playback)
 

@@ -16,8 +16,9 @@ from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, GOOD
 from rtee.gui.jobs import Jobs
+from rtee.gui.panels.execution import Execution
 from rtee.gui.trial_results import key_of, object_name, verdict
-from rtee.gui.wording import coloured, offer, outcome, small
+from rtee.gui.wording import offer, small
 from rtee.hand.catalog import find_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
@@ -156,6 +157,7 @@ class TryPanel:
         self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR)
         self._report = gui.add_html("")
         self._grasps = GraspsPanel(bridge, remote, preview)
+        self.fade = self._grasps.fade
         self._object.on_update(lambda _: self._choose())
         self._usual.on_update(lambda _: self._choose())
         self._buttons.on_click(lambda event: self._clicked(str(event.target.value)))
@@ -317,6 +319,7 @@ class GraspsPanel:
         self._bridge, self._remote, self._preview = bridge, remote, preview
         self._ranking: Ranking | None = None
         self._folder: viser.GuiFolderHandle | None = None
+        self._executions: list[Execution] = []
         self._place = bridge.stage.gui.add_folder(None)
 
     @property
@@ -334,6 +337,9 @@ class GraspsPanel:
         """Show the grasps of a ranking instead of the present ones; ``None`` shows none."""
         self._ranking = ranking
         if self._folder is not None:
+            for execution in self._executions:
+                execution.remove()
+            self._executions.clear()
             self._folder.remove()
             self._folder = None
         if ranking is None:
@@ -363,36 +369,36 @@ class GraspsPanel:
                 hint="Show: the grasp as a ghost. Pre-shape: open the hand for the object. Grasp: "
                 "close on it, with the intensity and the effort planned",
             )
-            word = gui.add_html("")
-        buttons.on_click(lambda event: self._clicked(str(event.target.value), plan, word))
+            execution = Execution(self._bridge, self._remote)
+        self._executions.append(execution)
+        buttons.on_click(lambda event: self._clicked(str(event.target.value), plan, execution))
 
-    def _clicked(self, button: str, plan: GraspPlan, word: viser.GuiHtmlHandle) -> None:
+    def fade(self) -> None:
+        """Mark results as old that say nothing of now."""
+        for each in self._executions:
+            each.fade()
+
+    def _clicked(self, button: str, plan: GraspPlan, execution: Execution) -> None:
         if button == "Show":
             self._preview(plan)
             return
-        self._bridge.call(partial(self._do, plan, word, pre=button == "Pre-shape"))
+        self._bridge.call(partial(self._do, plan, execution, pre=button == "Pre-shape"))
         self._preview(None)  # the ghost would hide the hand that moves
 
-    async def _do(self, plan: GraspPlan, word: viser.GuiHtmlHandle, *, pre: bool) -> None:
+    async def _do(self, plan: GraspPlan, execution: Execution, *, pre: bool) -> None:
         """Execute a planned grasp, or its pre-shape."""
         name, options = plan.action, GoalOptions(intensity=plan.intensity)
         if pre:
             options = GoalOptions(intensity=plan.preshape)
         elif plan.effort < 1.0:
             options["effort"] = plan.effort
-        word.content = ""
-        try:
-            # A grasp without a name combines actions; the hand gets to know it as one action.
-            if not name:
-                name = _COMPOSED
-                await self._remote.add_composed(
-                    name, plan.parts, replace=True, description=f"Planned: {plan.label}."
-                )
-            result = await (await self._remote.start(name, *plan.elements, **options)).result()
-        except RteeError as error:
-            word.content = coloured(str(error), BAD)
-            raise  # the bridge shows it as a notification, too
-        word.content = coloured(*outcome(result))
+        # A grasp without a name combines actions; the hand gets to know it as one action.
+        if not name:
+            name = _COMPOSED
+            await self._remote.add_composed(
+                name, plan.parts, replace=True, description=f"Planned: {plan.label}."
+            )
+        await execution.follow(self._remote.start(name, *plan.elements, **options))
 
 
 def summary(plan: GraspPlan) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -36,7 +37,9 @@ def test_jog_moves_the_hand_while_nobody_else_can(window: Window, other: Blockin
     with pytest.raises(LeaseHeld, match="gui"):
         other.open()
     slider = window.field("finger_joint [rad]")
-    slider.fill("0.4")
+    slider.fill("0.42")
+    window.until(lambda: abs(other.state().position[0] - 0.42) <= 0.005)
+    window.button("−").click()
     window.until(lambda: abs(other.state().position[0] - 0.4) <= 0.005)
     hold.click()
     window.status("control: free")
@@ -100,11 +103,10 @@ def test_actions_are_put_in_sequence_and_composed(window: Window, other: Blockin
         ("PinchTight", "20", "0.1", "0"),
     ):
         name = action if action == "Grasp" else f"{action} finger_1 finger_2"
-        window.choose("Action", name, panel)
         window.type("Scale [%]", scale, panel)
         window.type("Before [s]", before, panel)
         window.type("After [s]", after, panel)
-        window.button("Add part", panel).click()
+        window.choose("Add", name, panel)
         window.says(f"{name} × 0.{scale[0]}", panel)
     window.button("Up", panel).click()
     window.says("1. PinchTight finger_1 finger_2 × 0.2", panel)
@@ -119,16 +121,23 @@ def test_actions_are_put_in_sequence_and_composed(window: Window, other: Blockin
     ]
     window.says("no parts yet", panel)
 
-    window.choose("Action", "Grasp", panel)
     window.type("Scale [%]", "40", panel)
-    window.button("Add part", panel).click()
-    window.says("1. Grasp × 0.4", panel)
-    window.type("Name", "lightly", panel)
+    window.type("Name", "", panel)
+    window.tab("Actions")
+    window.clicks()
+    window.tab("Teach")
+    for action in ("Grasp", "PinchTight finger_1 finger_2"):
+        window.choose("Add", action, panel)
+    window.says("2. PinchTight finger_1 finger_2 × 0.4", panel)
     window.button("Compose", panel).click()
-    window.told("action 'lightly'")
-    composed = _made(other, "lightly")
+    window.button("Run it", panel).click()  # shown as a ghost until now
+    window.says("reached", panel)
+    assert window.clicks() <= 7
+    composed = _made(other, "Grasp_PinchTight")
     assert isinstance(composed, Composed)
     assert composed.parts[0].scale == 0.4
+    other.open()
+    window.says(re.compile("old, then .* open: reached", re.IGNORECASE), panel)
 
     window.tab("Actions")
     card = window.folder("in_turn")
@@ -137,7 +146,7 @@ def test_actions_are_put_in_sequence_and_composed(window: Window, other: Blockin
     window.says("reached", card)
     bars = card.locator("[role=progressbar]")
     assert [bars.nth(n).get_attribute("aria-valuenow") for n in range(3)] == ["100"] * 3
-    for name in ("in_turn", "lightly"):
+    for name in ("in_turn", "Grasp_PinchTight"):
         other.remove_action(name)
 
 

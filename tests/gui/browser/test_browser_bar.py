@@ -10,11 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from rtee.remote.blocking import BlockingHand
 
 from .conftest import Hands
 from .marks import in_a_browser
-from .running import GRIPPER, Program, free_port
+from .running import GRIPPER, Program, copy_of, free_port
 from .window import Window
 
 if TYPE_CHECKING:
@@ -26,9 +28,37 @@ _OVER = """
 (button) => {
   const box = button.getBoundingClientRect();
   const at = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
-  return [at === button, box.height];
+  return at === button && box.height >= 56;
 }
 """
+
+_DEAF = """
+() => {
+  const kinds = "button, input, textarea, summary, [role=slider], [role=button], [role=tab]";
+  const deaf = [];
+  for (const each of document.querySelectorAll(kinds)) {
+    if (!each.checkVisibility() || each.disabled) continue;
+    const text = each.matches("input, textarea") && /^text/.test(each.type) && !each.readOnly
+      && each.ariaHasPopup !== "listbox";
+    each.focus();
+    for (const key of ["Escape", "s"]) {
+      const before = window.stops;
+      each.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
+      if (window.stops - before !== (text ? 0 : 1))
+        deaf.push(`${key} in ${each.outerHTML.slice(0, 200)}`);
+    }
+  }
+  return deaf;
+}
+"""
+"""Presses both keys in each control that is seen; returns those that are text or not at fault."""
+
+
+_FOLD = """
+(control) => document.querySelector(
+  `[data-dock-region-${control}], [data-dock-region=right] [data-dock-${control}]`).click()
+"""
+"""Folds the panel at the right, or unfolds it, by its own control."""
 
 
 def _typed(window: Window) -> None:
@@ -43,52 +73,77 @@ def _palette(window: Window) -> None:
 
 
 def _settings(window: Window) -> None:
-    window.page.locator(".tabler-icon-adjustments, .tabler-icon-adjustments-horizontal").click()
+    window.page.locator(".tabler-icon-adjustments").click()
     window.says("Reset View")
 
 
 def _enlarged(window: Window) -> None:
     window.page.locator(".uplot:visible").first.hover()
-    window.page.locator("[class*=mantine-ActionIcon]:visible").last.click()
+    window.page.locator(".tabler-icon-maximize:visible").first.click()
+    window.page.locator(".mantine-Modal-content").wait_for()
+
+
+def _checked(window: Window) -> None:
+    window.tab("View")
+    window.field("Reference").click()
+
+
+def _chosen(window: Window) -> None:
+    window.tab("Teach")
+    window.choose("Step", "finger_joint")
 
 
 STATES: dict[str, Callable[[Window], object]] = {
-    "a tab": lambda window: window.tab("Actions"),
-    "a dropdown": lambda window: window.choose("Finger 1", "finger_1", window.folder("PinchTight")),
     "a number and Enter": _typed,
-    "a checkbox": lambda window: (window.tab("View"), window.field("Reference").click()),
-    "a button": lambda window: (window.tab("Actions"), window.button("Preview").first.click()),
+    "a checkbox": _checked,
+    "a dropdown": _chosen,
+    "the palette": _palette,
+    "an enlarged plot": _enlarged,
+    "the settings": _settings,
+    "a folded panel": lambda window: window.page.evaluate(_FOLD, "collapse=right"),
 }
-"""What leaves the focus outside of a text field."""
+"""States of the page, and what leaves the focus outside of a text field."""
 
-COVERED: dict[str, Callable[[Window], object]] = {"the palette": _palette}
-"""What lies above the page."""
+
+def _stops(window: Window, *keys: str) -> int:
+    """Press STOP and keys; return how many stops left the page, without stopping anything."""
+    page, stop = window.page, window.button("STOP")
+    before = page.evaluate("window.kept = true, window.stops")
+    assert stop.evaluate(_OVER), "something covers STOP, or it is too small"
+    for key in keys:
+        page.keyboard.press(key)
+    stop.click()
+    return int(page.evaluate("window.kept = false, window.stops")) - int(before)
 
 
 def test_stop_is_there_and_both_keys_work_in_every_state(
     window: Window, other: BlockingHand, lasting: str
 ) -> None:
-    stop = window.button("STOP")
-
-    def stops(press: Callable[[], object], where: str) -> None:
+    page = window.page
+    for tab in ("Actions", "Teach", "Simulate", "Recordings", "View", "Plots", "Joints", "Touch"):
+        window.tab(tab)
+        page.evaluate("window.kept = true")
+        assert page.evaluate(_DEAF) == [], tab
+        page.evaluate("window.kept = false")
+    window.tab("Plots")
+    window.tab("Actions")
+    for where, go in STATES.items():
+        go(window)
+        # What is typed to search commands is text.
+        keys = () if where == "the palette" else ("s", "Escape")
+        assert _stops(window, *keys) == 1 + len(keys), where
+        if not keys:
+            page.keyboard.press("Escape")
+            page.get_by_placeholder("Search commands...").wait_for(state="hidden")
+    page.evaluate(_FOLD, "minimize-all")
+    page.locator(".tabler-icon-arrow-back").click()
+    window.tab("Actions")
+    for press in (window.button("STOP").click, lambda: page.keyboard.press("Escape")):
         other.start(lasting)
         window.status(f"running {lasting}")
-        covered, height = stop.evaluate(_OVER)
-        assert (covered, height >= 56) == (True, True), where
         press()
         window.status("stopped")
         window.until(lambda: other.status().action == "")
-
-    for where, go in STATES.items():
-        go(window)
-        for key in ("Escape", "s"):
-            stops(lambda key=key: window.page.keyboard.press(key), f"{key} after {where}")
-    for where, go in COVERED.items():
-        go(window)
-        stops(stop.click, f"a click over {where}")
-        window.page.keyboard.press("Escape")
-    window.page.get_by_placeholder("Search commands...").wait_for(state="hidden")
-    window.tab("Actions")
 
 
 def test_a_frozen_hand_is_old_at_once_and_comes_back(window: Window, place: Path) -> None:
@@ -103,8 +158,9 @@ def test_a_frozen_hand_is_old_at_once_and_comes_back(window: Window, place: Path
         window.page.locator("html.rtee-old").wait_for()
         assert window.page.title().endswith("no data")
         assert window.page.locator(".uplot:visible").count() == plots, "evidence was wiped"
-        window.button("STOP").click()
-        window.status("STOP has NOT reached the hand")
+        for press in (window.button("STOP").click, lambda: window.page.keyboard.press("s")):
+            press()
+            window.status("STOP has NOT reached the hand")
     finally:
         os.kill(process, signal.SIGCONT)
     window.status(f"{GRIPPER}: connected")
@@ -133,3 +189,49 @@ def test_a_page_says_that_its_gui_has_gone_and_where_the_new_one_is(
         page.close()
         window.page.bring_to_front()
         program.end()
+
+
+_OFF = re.compile(r"fault 7: not activated|fault 7 \(not activated\)")
+
+
+def _recover(window: Window, why: str | re.Pattern[str]) -> None:
+    """Recover a device, once it is said why that is needed."""
+    window.status(why)
+    window.button("Recover …").click()
+    window.says("gripper will be powered")
+    assert _stops(window, "s", "Escape") == 3, "while it is asked"
+    window.button("Recover now").click()
+
+
+@pytest.mark.heavy
+def test_a_pulled_cable_is_said_and_recovered_from(
+    any_window: Window, place: Path, repository: Path
+) -> None:
+    """The emulator at the other end of a pty ends, and another begins."""
+    window, line = any_window, place / "line"
+    file = copy_of(repository, place, GRIPPER, "wired") / "hand.yaml"
+    file.write_text(file.read_text().replace("/dev/ttyUSB0", str(line)))
+    plug = ("emulate", "robotiq_2f", "--link", str(line))
+    gripper = Program(place, *plug)
+    gripper.line("robotiq_2f at")
+    hand = Program(place, "run", "wired", "--driver", "devices", "--rate", "50", "--no-log")
+    try:
+        hand.line("wired: ")
+        window.show("wired", _OFF)
+        _recover(window, _OFF)
+        window.status("wired: connected")
+        gripper.kill()
+        window.status("no data from gripper")
+        window.status("is it plugged in?")
+        gripper.end()
+        gripper = Program(place, *plug)
+        _recover(window, "inactive")
+        _recover(window, _OFF)  # it was without power meanwhile
+        window.status("wired: connected")
+        window.button("Open hand").click()
+        window.button("Run", window.folder("PinchTight")).click()
+        window.says("reached", window.folder("PinchTight"))
+    finally:
+        window.show(GRIPPER)
+        hand.end()
+        gripper.end()

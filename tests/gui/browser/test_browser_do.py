@@ -30,11 +30,17 @@ pytestmark = in_a_browser
 def test_a_primitive_fills_its_bar_and_moves_the_hand(window: Window) -> None:
     before = window.picture()
     card = window.folder("PinchTight", unfold=True)
+    window.clicks()
+    window.field("Intensity [%]", card).click()
+    window.type("Intensity [%]", "60", card)
     window.button("Run", card).click()
     window.says("reached", card)
+    assert window.clicks() <= 2
     bar = card.locator("[role=progressbar]").first
     assert float(bar.get_attribute("aria-valuenow") or 0) == 100.0
     window.pictured_anew(before)
+    window.type("Intensity [%]", "100", card)
+    window.says("old, then other settings: reached", card)
 
 
 def test_a_preview_shows_a_ghost_and_goes(window: Window, other: BlockingHand) -> None:
@@ -54,7 +60,7 @@ def test_a_preview_shows_a_ghost_and_goes(window: Window, other: BlockingHand) -
 def test_a_pinch_goes_to_just_before_contact_and_on(window: Window, other: BlockingHand) -> None:
     other.open()
     card = window.folder("PinchTight", unfold=True)
-    more = window.folder("More", unfold=True)
+    more = window.folder("More", card, unfold=True)
     (pinch,) = other.actions("primitive", "PinchTight")
     target, contact = pinch.posture.position["finger_joint"], pinch.evidence[0].contact_at
     assert contact is not None
@@ -74,7 +80,7 @@ def test_an_opening_in_millimetres_is_what_the_hand_goes_to(
 ) -> None:
     other.open()
     card = window.folder("PinchTight", unfold=True)
-    window.type("Opening [mm]", "40", card)
+    window.type("Opening [mm]", "40", window.folder("More", card, unfold=True))
     window.button("Run", card).click()
     window.says(re.compile(r"reached at 4\d\.\d mm"), card)  # reached within its tolerance
     (known,) = [each for each in other.openings() if each.action == "PinchTight"]
@@ -91,8 +97,9 @@ def test_forces_are_offered_for_the_opening_that_is_chosen(
 ) -> None:
     (known,) = [each for each in other.openings() if each.action == "PinchTight"]
     card = window.folder("PinchTight", unfold=True)
+    more = window.folder("More", card, unfold=True)
     for width in ("20", "70"):
-        window.type("Opening [mm]", width, card)
+        window.type("Opening [mm]", width, more)
         most = math.floor(known.forces_at(float(width) / 1e3)[1] * 10.0) / 10.0
         window.says(f"0 to {most:g} N at {width} mm", card)
         assert other.do("PinchTight", opening=float(width) / 1e3, force=most).reached

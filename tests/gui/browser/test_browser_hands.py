@@ -62,7 +62,7 @@ def test_fingers_stop_where_they_touch(
     window = squeezer
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
     card = window.folder("PinchTight", unfold=True)
-    more = window.folder("More", unfold=True)
+    more = window.folder("More", card, unfold=True)
     with rtee.connect_blocking(SQUEEZER) as hand:
         closed = hand.actions("primitive", "PinchTight")[0].posture.position["finger_joint"]
         window.choose("Contact of", "finger_1", more)
@@ -98,10 +98,14 @@ def test_an_object_is_held_by_its_width_and_a_force(
     panel = window.folder("Hold an object", unfold=True)
     with rtee.connect_blocking(SQUEEZER) as hand:
         window.type("Width [mm]", "60", panel)
+        more = window.folder("More", panel, unfold=True)
+        window.choose("Fingers", "finger_1 + finger_2", more)
+        window.clicks()
+        window.field("Force [N]", panel).click()
         window.type("Force [N]", "30", panel)
-        window.choose("Fingers", "finger_1 + finger_2", panel)
         window.button("Grasp", panel).click()
         held = window.says(re.compile(r"held by finger_1, finger_2 at [\d.]+ mm"), panel)
+        assert window.clicks() <= 3
         state = hand.state()
         assert state.force == pytest.approx(30.0, rel=0.25)
         assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)

@@ -99,6 +99,7 @@ def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path
     window.button("Play", panel).click()
     line = panel.get_by_label("actions over time")
     line.wait_for()
+    window.field("Play", panel).click()  # wait in it
     window.field("Go to", panel).click()
     window.page.get_by_role("option").filter(has_text="it has the ball").click()
     window.tab("View")

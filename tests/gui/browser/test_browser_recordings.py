@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rtee.remote.blocking import BlockingHand
 
 from .marks import in_a_browser
+from .test_browser_bar import _stops
 from .window import Window
 
 if TYPE_CHECKING:
@@ -47,14 +48,17 @@ def test_a_recording_is_marked_ended_and_looked_at(
     (recorded,) = set((place / "logs").glob("*.mcap")) - before
 
     panel = window.folder("Recordings", unfold=True)
-    window.button("Refresh", panel).click()
-    window.field("File", panel).click()
-    window.page.get_by_role("option").filter(has_text=recorded.stem).click()
+    window.tab("Actions")
+    window.clicks()
+    window.tab("Recordings")
     window.button("Play", panel).click()
     line = panel.get_by_label("actions over time")
     line.wait_for()
     # The past of this window alone, which moves nothing meanwhile.
     window.status(f"RECORDING {recorded.name}")
+    assert window.clicks() <= 2
+    window.field("Play", panel).click()  # wait in it
+    assert _stops(window, "s", "Escape") == 3, "STOP of a window that shows a recording"
     window.page.locator("html.rtee-recorded").wait_for()
     second = context.new_page()
     second.emulate_media(color_scheme="dark")

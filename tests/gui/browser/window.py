@@ -26,7 +26,17 @@ Worker.prototype.postMessage = function (data, ...more) {
   if (data?.message?.updates) window.sent.push(String(data.message.updates.value));
   return post.call(this, data, ...more);
 };
+window.clicks = 0;
+addEventListener("click", (event) => (window.clicks += event.isTrusted), true);
+window.stops = 0;
+window.kept = false;
+const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (data) {
+  if (data === "stop") window.stops++;
+  if (data !== "stop" || !window.kept) send.call(this, data);
+};
 """
+"""Notes values, clicks and stops; the latter are kept from the GUI at will."""
 
 _DRAW = """
 async () => {
@@ -65,11 +75,11 @@ class Window:
         self.button("Run").first.wait_for()
         self.page.locator(".mantine-Notification-closeButton").first.click()
 
-    def show(self, hand: str) -> None:
-        """Choose a hand and its actions, unless they are shown."""
-        if self.field("Hand").input_value() != hand:
+    def show(self, hand: str, link: str | re.Pattern[str] = "") -> None:
+        """Choose a hand and its actions, unless they are shown; wait for what is said of it."""
+        if not self.page.title().startswith(f"{hand}:"):
             self.choose("Hand", hand)
-        self.page.get_by_text(f"{hand}: connected").wait_for()
+        self.page.get_by_text(link or f"{hand}: connected").first.wait_for()
         self.tab("Actions")
         self.button("Run").first.wait_for()
         if self.field("Search").input_value():
@@ -79,9 +89,9 @@ class Window:
         """Choose a tab."""
         self.page.get_by_role("tab", name=name).click()
 
-    def folder(self, name: str, *, unfold: bool = False) -> Locator:
+    def folder(self, name: str, within: Locator | None = None, *, unfold: bool = False) -> Locator:
         """Return a folder with what is in it."""
-        label = self.page.locator("div.mantine-Paper-root > div.mantine-Paper-root")
+        label = (within or self.page).locator("div.mantine-Paper-root > div.mantine-Paper-root")
         label = label.filter(has_text=re.compile(f"^{re.escape(name)}$")).first
         folder = label.locator("xpath=..")
         if unfold:
@@ -131,6 +141,10 @@ class Window:
         found = (within or self.page).get_by_text(text).locator("visible=true").first
         found.wait_for()
         return found
+
+    def clicks(self) -> int:
+        """Return how often something was clicked since the last call."""
+        return int(self.page.evaluate("[window.clicks, (window.clicks = 0)][0]"))
 
     def told(self, text: str | re.Pattern[str]) -> None:
         """Wait until a notification has said something since `forget`; it may have closed."""
