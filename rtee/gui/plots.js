@@ -16,6 +16,8 @@
       ctx.restore();
     };
     const at = (time) => plot.valToPos(time, "x", true);
+    ctx.textAlign = "left"; // the plot leaves that of its axes
+    ctx.textBaseline = "alphabetic";
     ctx.font = `${10 * devicePixelRatio}px system-ui, sans-serif`;
     for (const [begin, end, name, colour] of spans) {
       const x = Math.max(at(begin), left), w = Math.min(at(end), left + width) - x;

@@ -17,10 +17,10 @@ from rtee.types import DeviceStatus, Lifecycle
 # Colours that people with any colour vision tell apart; the shape of the sign says the same.
 _SIGNS = {
     Lifecycle.ACTIVE: ("●", "#009e73"),
-    Lifecycle.INACTIVE: ("○", "#7a7f87"),
+    Lifecycle.INACTIVE: ("○", "var(--rtee-faint)"),
     Lifecycle.UNCONFIGURED: ("◌", "#e69f00"),
     Lifecycle.FAULT: ("▲", "#d55e00"),
-    Lifecycle.CLOSED: ("✕", "#7a7f87"),
+    Lifecycle.CLOSED: ("✕", "var(--rtee-faint)"),
 }
 
 _GREY: Final = (90, 96, 104)

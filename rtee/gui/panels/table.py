@@ -28,9 +28,13 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[in
     The rows may have the colours of lines, see `rtee.gui.colours.line_numbers`.
     """
     swatches = [f"{swatch(number)} " for number in lines] or [""] * len(rows)
+    styles = [f"{_HEAD};text-align:left;padding-left:0", *[_HEAD] * len(head)]
     # A heading without text would be one to hear.
-    cells = "".join(f'<th style="{_HEAD}">{h}</th>' if h else "<td></td>" for h in head[1:])
-    text = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
+    cells = [
+        f'<th style="{style}">{title}</th>' if title else "<td></td>"
+        for title, style in zip(head, styles, strict=False)
+    ]
+    text = [f"<tr>{''.join(cells)}</tr>"]
     for row, mark in zip(rows, swatches, strict=True):
         numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
         # Long names may break where they are joined, so that the last column has its room.
