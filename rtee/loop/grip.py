@@ -394,7 +394,10 @@ class Grip:
         """
         felt = self.tip_force(touch)
         if felt == felt:
-            return felt, _TIP_SHARE * felt, TIPS
+            one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
+            # What one side bears more may press on the object, too, where other links hold against.
+            uneven = 0.0 if self.around else abs(one - other)
+            return felt, _TIP_SHARE * felt + uneven, TIPS
         share = self._nearest(position)
         if share != share:
             return math.nan, math.nan, ""
