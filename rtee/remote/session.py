@@ -82,6 +82,10 @@ limit is 1 GiB for each client."""
 _MOST_SESSIONS = 128
 """Most connections that a hand accepts: far more than a hand has clients, but bounded."""
 
+_SILENT_FOR = 3000
+"""Time in which a new connection must have introduced itself [ms]: over a VPN it takes up to 1 s.
+Zenoh lets a hundred wait, and nobody else in meanwhile."""
+
 _RESERVED = 64
 """Files that connections leave for devices, the recording and stops; a hand has about 25."""
 
@@ -221,6 +225,7 @@ def listening(
         "connect/timeout_ms": 0 if not connect else -1,
         "transport/link/rx/max_message_size": LARGEST,
         "transport/unicast/max_sessions": most_sessions(),
+        "transport/unicast/accept_timeout": _SILENT_FOR,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": _CLOSE_AFTER,
         # Batches of 64 KiB that are buffered for a client, the most that Zenoh allows.
         "transport/link/tx/queue/size/interactive_high": 16,

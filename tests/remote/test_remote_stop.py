@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from rtee.errors import NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import HERE
-from rtee.remote import client, identities, stopping
+from rtee.remote import client, identities
 from rtee.remote.client import stop_hand
 from rtee.remote.connections import user_of, vouching
 from rtee.remote.stopping import _client, stop_at, stop_path
@@ -108,14 +108,14 @@ async def test_a_device_that_has_not_confirmed_is_stopped_again(tmp_path: Path) 
 
 
 async def test_a_hand_that_is_silent_is_not_waited_for(
-    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(stopping, "_LOOK_EVERY", 60.0)
     monkeypatch.setattr(client, "stop_at", partial(stop_at, within=0.05))
+    monkeypatch.setattr(client, "stop_path", lambda endpoint: tmp_path / "frozen")
     async with serving(hand, library) as served, rtee.connect("small") as remote:
-        path_of(served).unlink()
+        remote._stops = tmp_path / "frozen"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as frozen:
-            frozen.bind(str(path_of(served)))
+            frozen.bind(str(remote._stops))
             for stop in (stop_hand, remote.stop):
                 with pytest.raises(NoHand, match=r"'small' does not answer .* emergency stop"):
                     await stop()
@@ -152,6 +152,17 @@ async def test_a_flood_of_stops_keeps_no_stop_away(hand: Hand, library: ActionLi
         with flood(path_of(served)):
             for _ in range(10):
                 assert await stops(served) == {"sim": True}
+
+
+async def test_connections_that_say_nothing_keep_no_stop_away(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library) as served:
+        with ExitStack() as stack:
+            for _ in range(150):
+                link = stack.enter_context(socket.socket(socket.AF_UNIX))
+                link.connect(str(path_of(served).with_suffix(".sock")))
+            assert await stop_hand() == ("small", {"sim": True})
 
 
 async def test_64_clients_of_one_user_keep_no_stop_away_and_no_client_of_another_user(
