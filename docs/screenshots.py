@@ -75,7 +75,8 @@ def act(page: Page, action: str) -> None:
     if not page.get_by_role("button", name="Run", exact=True).first.is_visible():
         page.get_by_text(action, exact=True).first.click()
     page.get_by_role("button", name="Run", exact=True).first.click()
-    page.get_by_text(re.compile("^(reached|held).*$")).first.wait_for()
+    # Not what trials found, which is folded.
+    page.get_by_text(re.compile("^(reached|held).*$")).locator("visible=true").first.wait_for()
     page.mouse.move(640, 20)
     page.wait_for_timeout(3000)
 

@@ -29,6 +29,9 @@ Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 _WHOLE = 1.3
 """Width of a picture by its height below which the width decides how much of the hand is seen."""
 
+_FARTHEST = 2.0
+"""Farthest that the camera goes back for that, by the hand's size: beside panels that fold soon."""
+
 _GHOST = 0.35
 """Opacity of a ghost, through which the hand stays visible."""
 
@@ -79,7 +82,7 @@ class HandScene:
         window = isinstance(stage, viser.ClientHandle)
         camera = stage.camera if window else stage.initial_camera
         # A window that is higher than wide shows less to the sides.
-        far = size * max(1.0, _WHOLE / stage.camera.aspect if window else 1.0)
+        far = size * min(max(1.0, _WHOLE / stage.camera.aspect if window else 1.0), _FARTHEST)
         camera.position = tuple(middle + far * self._side(middle))
         camera.look_at = tuple(middle)
         # In proportion to the hand, so that a close look at a small one is not clipped.
