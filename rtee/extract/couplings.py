@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.space import widened_limits
-from rtee.hand.linalg import matvec
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling, Linear
 from rtee.sample import FloatArray
@@ -27,14 +26,17 @@ class Couplings:
     """
 
     def __init__(self, hand: Hand) -> None:
-        self._matrix, self._offset = hand.transmission.matrix, hand.transmission.offset
+        matrix, self._offset = hand.transmission.matrix, hand.transmission.offset
+        # A joint follows at most one actuator, so that no sum is needed.
+        self._mover = np.abs(matrix).argmax(axis=1)
+        self._factor = matrix[np.arange(len(matrix)), self._mover]
         self.linear = hand.transmission.linear
         self._tables = [] if self.linear else _tables(hand)
         self._slope = np.array(hand.transmission.matrix)
 
     def joints(self, u: FloatArray) -> FloatArray:
         """Return joint positions ``(m,)`` at actuator positions ``(n,)`` [rad | m]."""
-        q: FloatArray = matvec(self._matrix, u) + self._offset
+        q: FloatArray = self._factor * u[self._mover] + self._offset
         for table in self._tables:
             # Their rows of the matrix are 0, and the table has their whole position.
             q[table.rows] = table.at(float(u[table.actuator]))[0]
