@@ -126,10 +126,9 @@ class LogWriter:
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         columns = None
         if settings.layout is Layout.COLUMNS:
-            every = (
-                contents.rate / settings.decimation / settings.tf_rate if settings.tf_rate else 0
-            )
-            columns = InColumns(CHANNELS[topics.TICKS], round(every) or _SELDOM)
+            rate = contents.rate / settings.decimation
+            every = max(1, round(rate / settings.tf_rate)) if settings.tf_rate else _SELDOM
+            columns = InColumns(CHANNELS[topics.TICKS], every)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level, columns)
         self._digest: list[bytes] = []
         self._held: deque[tuple[PackedChunk, int]] = deque()

@@ -18,6 +18,7 @@ from rtee.hand.config_schema import Layout
 from rtee.hand.model import Hand
 from rtee.log import read
 from rtee.log.column_reader import messages_in
+from rtee.log.layout import CHANNELS
 from rtee.log.reader import windows
 from rtee.log.tick_columns import decode_ticks, encode_ticks
 from rtee.messages.schema import message_type
@@ -152,6 +153,11 @@ def test_ticks_in_columns_are_the_same_ones(story: Path, claw: Hand, tmp_path: P
     # Every second one, 50 a second, and at the begin of a chunk.
     assert 100 <= topics.count("/claw/actuator_states") <= 105
     assert 4 <= topics.count("/claw/ticks") <= 6
+    (tmp_path / "all").mkdir()
+    Log(claw, settings(tmp_path / "all", layout=Layout.COLUMNS, tf_rate=300.0)).story()
+    with recorded(tmp_path / "all")[0].open("rb") as stream:
+        counts = make_reader(stream).get_summary().statistics.channel_message_counts  # type: ignore[union-attr]
+    assert counts[CHANNELS["actuator_states"]] == 200
 
 
 def test_columns_that_do_not_fit_are_said() -> None:
