@@ -11,7 +11,8 @@ shaken:
 - *random*: an action drawn from all of the hand's, the same way.
 
 Run: ``python benchmarks/grasp_plan.py [--hands H …] [--only THING] [--places N] [--no-trials]``;
-prints Markdown. ``--no-trials`` plans only, and prints the processor time of each plan.
+prints Markdown. ``--table`` tries the first choices for what stands on a table, there and with
+variations. ``--no-trials`` plans only, and prints the processor time of each plan.
 """
 
 from __future__ import annotations
@@ -27,12 +28,14 @@ from common import Table, command_line
 
 from rtee.actions.types import Action
 from rtee.errors import RteeError
+from rtee.objects.table import Table as Plane
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.plan import plan_grasps
 from rtee.trials.bench import Bench, bench
-from rtee.trials.planned import checked
+from rtee.trials.planned import check_plan, checked
 from rtee.trials.store import FILE_NAME, read_results
 from rtee.trials.trial import Trial, run_trial
+from rtee.trials.variation import Variation, draw
 
 FOLDER = Path(__file__).parents[1] / "experiments" / "objects"
 # The experiments are not installed; their objects and masses are shared with them.
@@ -42,6 +45,10 @@ from experiments.objects.make import MASSES  # noqa: E402
 
 HANDS = ("robotiq_2f_85", "robotiq_3f", "schunk_svh")
 CHECKED = 3  # as `rtee grasp-plan --check`
+TABLE_SEED = 7
+VARIED = 4  # variations of a grasp from a table
+LYING = {"banana": (0.0, 1.0, 0.0), "marker": (1.0, 0.0, 0.0), "screwdriver": (1.0, 0.0, 0.0)}
+SHAPES = ("box:0.05x0.04x0.03", "cylinder:0.025x0.12", "box:0.12x0.03x0.02", "sphere:0.03")
 SEED = 13  # of the random actions, so that runs can be compared
 
 
@@ -82,6 +89,47 @@ def planned(ready: Bench, thing: GraspObject) -> tuple[str, bool, bool, float, f
     return label, label in held, bool(held), *took
 
 
+def from_table(hands: list[str], only: str) -> None:
+    """Print how often first choices for what stands on a table hold there, and with variations."""
+    table = Table("hand", "thing", "first choice", "score", "held", "varied", "pressed [N]")
+    for name in hands:
+        ready = bench(name)
+        held, varied, things = 0, 0, [*sorted(MASSES), *SHAPES]
+        things = [thing for thing in things if only in thing]
+        for thing in things:
+            mass = MASSES.get(thing, 0.1)
+            target = read_object(str(FOLDER / f"{thing}.stl") if thing in MASSES else thing, mass)
+            up = LYING.get(thing, (0.0, 0.0, 1.0))
+            try:
+                ranking = plan_grasps(ready.hand, ready.library, target, table=Plane(up))
+            except RteeError as error:
+                table.row(name, thing, str(error), "", "", "", "")
+                continue
+            if not ranking.plans:
+                table.row(name, thing, "none", "", "", "", "")
+                continue
+            plan, draws = ranking.plans[0], [None, *(_small(number) for number in range(VARIED))]
+            first, *others = [
+                check_plan(
+                    ready.hand, ready.library, ready.settings, target, ranking, plan, variation
+                )
+                for variation in draws
+            ]
+            count = sum(check.held for check in others)
+            held, varied = held + first.held, varied + count
+            pressed = max(check.pressed for check in (first, *others))
+            words = "held" if first.held else first.reason
+            table.row(name, thing, plan.label, plan.score, words, count, f"{pressed:.0f}")
+        table.row(name, f"{len(things)} things", "", "", held, varied, "")
+
+
+def _small(number: int) -> Variation:
+    """Return a variation by up to 5 mm, 5 degrees and a friction, half of a trial's."""
+    drawn = draw(TABLE_SEED, number)
+    x, y, z, rx, ry, rz = (0.5 * value for value in (*drawn.position, *drawn.turn))
+    return replace(drawn, size=1.0, mass=1.0, position=(x, y, z), turn=(rx, ry, rz))
+
+
 def planning_times(hands: list[str], things: list[str]) -> None:
     """Print the processor time that planning takes for each hand and thing [s]."""
     table = Table("hand", *things)
@@ -100,11 +148,15 @@ def main() -> None:
     """Print the figures as Markdown."""
     parser = command_line(__doc__, only="", places=3)
     parser.add_argument("--hands", nargs="+", default=list(HANDS), help="names of hands")
+    parser.add_argument("--table", action="store_true", help="things stand on a table")
     parser.add_argument("--no-trials", action="store_true", help="time planning only")
     arguments = parser.parse_args()
     if arguments.no_trials:
         things = [thing for thing in sorted(MASSES) if arguments.only in thing]
         planning_times(arguments.hands, things)
+        return
+    if arguments.table:
+        from_table(arguments.hands, arguments.only)
         return
     table = Table(
         "hand",

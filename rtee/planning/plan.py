@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +15,7 @@ from rtee.planning.composition import composed_for
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.planner import FRICTION, Planner
 from rtee.planning.result import GraspPlan, Ranking
+from rtee.planning.table import share_held
 
 GOOD: Final = 0.6
 """Score of a grasp that is good enough: above, nothing is composed for the object."""
@@ -87,6 +89,9 @@ def plan_grasps(
     if planner.ground is not None and not plans:
         planner.ground.edge = True
         plans, rejected = _planned(planner, library, compose)
+    if planner.ground is not None:
+        # In the same order: the larger the score, the larger the share.
+        plans = [replace(p, score=share_held(len(hand.fingers), p.score)) for p in plans]
     if not plans and planner.too_wide:
         raise ConfigError(
             f"'{thing.name}' does not fit: width {planner.narrowest * 1e3:.0f} mm, the hand opens "

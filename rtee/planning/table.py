@@ -7,6 +7,7 @@ edge over which the object stands out on the hand's side.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,8 +22,11 @@ from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
-CLEAR: Final = 5e-3
-"""What a hand keeps between itself and the table [m]: an arm and a camera are that exact."""
+CLEAR: Final = 4e-3
+"""What a hand keeps between itself and the table at least [m] …"""
+
+_TILT: Final = math.tan(math.radians(5.0))
+"""… and how much more for each metre beside the object: an arm and a camera are that exact."""
 
 STEEP: Final = 0.5
 """A hand comes from above if its way is less than 60 degrees off the table's normal: its cosine."""
@@ -45,6 +49,17 @@ _SIZE: Final = (1.2, 1.2, 0.6)
 
 _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
 """Where on its way the hand is looked at, as shares of it, closer to each other near its end."""
+
+
+_JAWS_HELD: Final = (0.0, 0.5, 0.9), (0.0, 0.86, 0.95)
+_FINGERS_HELD: Final = (0.0, 0.4, 0.6, 0.9), (0.0, 0.05, 0.5, 0.55)
+"""Scores, and the share of the grasps scored so that held in simulation on a table, with 5 mm, 5
+degrees and friction varied: by two jaws, and by more fingers (docs/benchmarks.md)."""
+
+
+def share_held(fingers: int, score: float) -> float:
+    """Return which share of the grasps from a table holds, for a score of geometry and forces."""
+    return round(float(np.interp(score, *(_JAWS_HELD if fingers <= 2 else _FINGERS_HELD))), 4)
 
 
 @dataclass(frozen=True)
@@ -135,7 +150,7 @@ class Ground:
         return Top(placed, overhang)
 
     def gap(self, at: HandPose, top: Top) -> float:
-        """Return how far a hand is from the table [m]; negative: it is in there.
+        """Return how far a hand is from the table [m], less what it needs for its tilt.
 
         What is farther than `CLEAR` from a table with an edge need not be exact.
         """
@@ -143,6 +158,9 @@ class Ground:
         heights = np.einsum("ki,ki->k", self._points, normals[self._of])
         lowest = np.minimum.reduceat(heights, self._first)
         gaps = lowest + (at.places - top.pose[:3, 3]) @ top.up
+        beside = (at.middles - top.pose[:3, 3]) @ top.pose[:3, :2]
+        needed = _TILT * np.hypot(beside[:, 0], beside[:, 1])
+        gaps -= needed
         if not top.overhang:
             return float(gaps.min())
         x, _, z = (0.5 * size for size in _SIZE)
@@ -150,7 +168,10 @@ class Ground:
         block = coal.Transform3s(top.pose[:3, :3], middle)
         low = np.flatnonzero(gaps < CLEAR).tolist()
         apart = self._scene.apart
-        return min((apart(shape, at, self._block, block) for shape in low), default=CLEAR)
+        return min(
+            (apart(shape, at, self._block, block) - float(needed[shape]) for shape in low),
+            default=CLEAR,
+        )
 
     def missing(self, closing: Closing, steps: int, begin: FloatArray, way: FloatArray) -> float:
         """Return how much farther an object has to be for the closing hand to clear the table [m].

@@ -23,6 +23,7 @@ from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript
+from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.stance import Stance, find_stances
 from rtee.trials.transfer_result import Transfer, TransferResult
@@ -79,6 +80,9 @@ _STEP = 0.02
 
 _DEEPER = 0.03
 """How far below its old height the object may be set down [m]: more than it may hang askew."""
+
+_DROP = 0.03
+"""From how high an object is dropped into a container [m]: fingers open below it."""
 
 _FARTHER = 0.06
 """How far the hand comes on until it touches the object [m]: two variations of height and size."""
@@ -245,7 +249,9 @@ class _Bench:
             ticks=self._ticks,
         )
         watch = None if quiet else self._watch
-        run = _Run(headless, transfer, mount @ lands, way, stance.back, watch)
+        fingers = [hand.finger(name) for name in fingers_of(hand, self._action)]
+        links = frozenset(link for finger in fingers for link in finger.body)
+        run = _Run(headless, transfer, links, mount @ lands, way, stance.back, watch)
         result = run.result()
         if not quiet:
             # Only what is recorded takes time of the recording.
@@ -260,6 +266,7 @@ class _Run:
         self,
         headless: HeadlessHand[Simulation],
         transfer: Transfer,
+        links: frozenset[str],
         expected: FloatArray,
         way: FloatArray,
         back: float | None,
@@ -270,12 +277,13 @@ class _Run:
         Args:
             headless: The hand in the scene.
             transfer: What is done.
+            links: The links that may press on the object.
             expected: Where it is to be left, from the hand's base, in the world ``(3,)`` [m].
             way: How the hand comes, in the world ``(3,)`` [m].
             back: How far it goes back after it felt the object [m].
             watch: Told of the moments.
         """
-        self._headless, self._transfer = headless, transfer
+        self._headless, self._transfer, self._links = headless, transfer, links
         self._expected, self._way, self._back = expected, way, back
         self._watch = watch
         self._around = headless.simulation.surroundings
@@ -284,10 +292,11 @@ class _Run:
         self._held: FloatArray | None = None
         self._lands: FloatArray | None = None
         self._shift = math.inf
-        self._slide = 0.0
+        self._slide = self._pressed = 0.0
+        self._held_by: tuple[str, ...] = ()
         self._start: FloatArray | None = None
         self._began = headless.time - headless.period
-        headless.before_tick(self._note_slide)
+        headless.before_tick(self._note)
 
     def result(self) -> TransferResult:
         try:
@@ -323,6 +332,9 @@ class _Run:
         script.move(2, _LIFT, 1.0)
         headless.wait(_HOLD)
         self._tell("lift")
+        touching = set(around.touching())
+        fingers = headless.hand.fingers
+        self._held_by = tuple(f.name for f in fingers if touching & set(f.body))
         if self._lost():
             return self._ended("it fell while it was lifted")
         goal = script.at + np.array([*transfer.by, 0.0, 0.0, 0.0, transfer.turn])
@@ -360,15 +372,21 @@ class _Run:
         script.go(script.at[:3] - back * way, back / _SLOW)
 
     def _set_down(self) -> None:
-        """Go down slowly until the object stands."""
+        """Go down slowly until the object stands; over a container's floor, a little back up."""
         script = self._script
         height = script.at[2]
         # As far as the contact, not to a height: the object may have slid in the hand.
         while not self._around.on_table and height - script.at[2] < _LIFT + _DEEPER:
+            if self._transfer.container and self._around.pressing() > 0.0:
+                break
             script.move(2, -_SLOW * _STEP, _STEP)
+        # Fingers around an object would open into the floor.
+        if self._transfer.container:
+            script.move(2, _DROP, 0.5)
         self._headless.wait(_SETTLE)
 
-    def _note_slide(self, _: float) -> None:
+    def _note(self, _: float) -> None:
+        self._pressed = max(self._pressed, self._around.pressing(self._links))
         if self._start is not None:  # between lift and set-down only
             now = self._around.position_in_hand
             self._slide = max(self._slide, float(np.linalg.norm(now - self._start)))
@@ -390,6 +408,8 @@ class _Run:
         if self._around.touching():
             # First: what is still held may stand well, but only by the hand.
             reason = "the hand did not let go of it"
+        elif self._pressed > self._transfer.pressing:
+            reason = f"the hand pressed with {self._pressed:.0f} N what it should not"
         elif self._transfer.container:
             reason = "" if inside else "it is not in the container"
         elif self._slide > SLIDE:
@@ -416,6 +436,8 @@ class _Run:
             self._outcome,
             self._shift,
             self._slide,
+            round(self._pressed, 3),
+            self._held_by,
             off,
             tilt,
             speed,

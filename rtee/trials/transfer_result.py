@@ -29,6 +29,8 @@ class Transfer:
         seed: Seed of the variations.
         container: An open container is at its target, into which it is put. Then it may lie there
             as it likes.
+        pressing: What presses harder than this is not placed [N]: the hand on table, container or,
+            with other links than those of the action's fingers, on the object.
     """
 
     action: str
@@ -42,6 +44,7 @@ class Transfer:
     variations: int = 0
     seed: int = 0
     container: bool = False
+    pressing: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,8 @@ class TransferResult:
         outcome: How the grasping action ended.
         shift: How far the fingers moved the object as they closed [m].
         slide: How far it slid in the hand between lift and set-down, at most [m].
+        pressed: The largest force that `Transfer.pressing` limits [N].
+        held_by: The fingers that touch the lifted object.
         off: How far from its target it stands in the plane [m].
         tilt: How far it leans from how it stood before [rad].
         speed: How fast it still moves [m/s].
@@ -75,6 +80,8 @@ class TransferResult:
     outcome: str = ""
     shift: float = math.inf
     slide: float = math.inf
+    pressed: float = 0.0
+    held_by: tuple[str, ...] = ()
     off: float = math.inf
     tilt: float = math.inf
     speed: float = math.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import mujoco
@@ -21,6 +22,13 @@ TABLE = "table"
 
 CONTAINER = "container"
 """Prefix of the names of a container's geoms."""
+
+_STANDS_FOR = np.array([50.0] * 3 + [10.0] * 3)
+"""What an arm resists along and about its axes before it yields [N, N·m]: a cobot's collaborative
+limit, and the same at a lever of 200 mm."""
+
+_YIELDS = 0.3
+"""Share of what is too much that the arm gives way to at a time: its servos follow in some ms."""
 
 _DRAG = 4.0  # on a held object [N·s/m]: at 50 mm/s it resists with 0.2 N, as a yielding hand
 _TURN_DRAG = 0.01  # on its rotation [N·m·s/rad]: the same drag at a lever of 50 mm
@@ -63,6 +71,13 @@ class Surroundings:
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
             for axis in AXES
         ]
+        self._wanted = np.zeros(len(AXES))
+        self._yielded = np.zeros(len(AXES))
+        self._axes = [
+            (axis, int(model.jnt_dofadr[model.actuator_trnid[motor, 0]]), motor)
+            for axis, motor in enumerate(self._motors)
+            if motor >= 0
+        ]
         self._touched = 0.0
         self._last = 0.0
         if self.has_object:
@@ -85,6 +100,7 @@ class Surroundings:
     def reset(self) -> None:
         """Put the object where it began and hold it again."""
         self._touched = self._last = 0.0
+        self._yielded[:] = self._wanted[:] = 0.0
         if self.has_object:
             self._data.qpos[self._qpos : self._qpos + 7] = self._start
             self._hold(self._support != "table")
@@ -108,13 +124,33 @@ class Surroundings:
         self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
 
     def watch(self, time: float) -> None:
-        """Let go of a held object that two links have touched for a while; simulated time [s]."""
+        """Let go of a held object that two links have touched for a while; simulated time [s].
+
+        And let the arm give way to what presses on the hand.
+        """
+        self._give_way()
         elapsed, self._last = time - self._last, time
         if self.unsupported or self._support == "floating":
             return
         self._touched = self._touched + elapsed if len(self.touching()) >= _LINKS else 0.0
         if self._touched >= _CONFIRM:
             self.remove_support()
+
+    def _give_way(self) -> None:
+        """Move the carrier's set-points with a force that is too large, and back without it."""
+        for axis, dof, motor in self._axes:
+            # What contacts exert along the axis; forces inside of the hand add up to nothing.
+            force = float(self._data.qfrc_constraint[dof])
+            most, gave = float(_STANDS_FOR[axis]), float(self._yielded[axis])
+            if not gave and -most <= force <= most:
+                continue
+            # What is left of the limit, on the side from which the arm comes back.
+            over = force - math.copysign(most, force if abs(force) > most else gave)
+            step = _YIELDS * over / float(self._model.actuator_gainprm[motor, 0])
+            after = gave + step
+            # It comes back to where it is to be, and no farther.
+            self._yielded[axis] = after if abs(force) > most or after * gave > 0.0 else 0.0
+            self._data.ctrl[motor] = self._wanted[axis] + self._yielded[axis]
 
     @property
     def on_table(self) -> bool:
@@ -239,10 +275,9 @@ class Surroundings:
 
         Motions that the carrier does not have are ignored.
         """
-        control = self._data.ctrl
-        for motor, value in zip(self._motors, pose.tolist(), strict=True):
-            if motor >= 0:
-                control[motor] = value
+        self._wanted = np.array(pose)
+        for axis, _, motor in self._axes:
+            self._data.ctrl[motor] = self._wanted[axis] + self._yielded[axis]
 
     def jump(self, pose: FloatArray) -> None:
         """Put the carrier where `carry` would send it, at once and at rest."""
