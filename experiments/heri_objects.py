@@ -22,6 +22,7 @@ from rtee.log.plot_png import write_png
 from rtee.log.recording import Recording
 from rtee.loop.choice import OPEN
 from rtee.trials.bench import bench
+from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.pictures import Stills
 from rtee.trials.transfer import LOST, run_transfer
 from rtee.trials.transfer_result import Transfer
@@ -30,16 +31,28 @@ HAND = "heri_ii"
 
 HOLD = 2.0
 
+PRESSING = 20.0
+"""How hard the hand may press what it should not [N]: table and container, or the object with other
+links than those of the action's fingers."""
+
 
 def _into(action: str, elements: tuple[str, ...], thing: str) -> Transfer:
     return Transfer(
-        action, elements, thing, by=(0.32, 0.05), turn=0.0, reach="down", container=True, places=4
+        action,
+        elements,
+        thing,
+        by=(0.32, 0.05),
+        turn=0.0,
+        reach="down",
+        container=True,
+        places=6,
+        pressing=PRESSING,
     )
 
 
 TRANSFERS = (
-    _into("PinchTight", ("finger_2", "thumb"), "box:0.04x0.04x0.1"),
-    _into("3f_grasp", (), "cylinder:0.025x0.12"),
+    _into("PinchTight", ("finger_2", "thumb"), "box:0.03x0.02x0.1"),
+    _into("3f_grasp", (), "box:0.08x0.03x0.1"),
     _into("Grasp", (), "sphere:0.035"),
 )
 
@@ -106,6 +119,12 @@ def run(
             )
             ticks = result.ticks
             outcome.below(f"{what}: moves in the hand", result.slide * 1e3, LOST * 1e3, "mm")
+            outcome.below(f"{what}: presses elsewhere", result.pressed, PRESSING, "N")
+            action = ready.library.find(transfer.action, transfer.elements)
+            others = set(result.held_by) - set(fingers_of(ready.hand, action))
+            outcome.check(
+                not others, f"{what}: held by its fingers alone", ", ".join(result.held_by)
+            )
             outcome.check(result.placed, f"{what}: in the container", result.reason or "yes")
             if stills is not None and stills.taken:
                 strip(folder / f"{HAND}_{transfer.action}.png", stills.taken, outcome, columns=4)
