@@ -137,7 +137,8 @@ class Ranking(Value):
         object: The object, as on the command line.
         mass: Its mass [kg].
         friction: Coefficient of friction.
-        weight_axis: Where its weight pulls, a unit vector of the hand's base frame.
+        weight_axis: Where its weight pulls, a unit vector of the hand's base frame; with a table of
+            its own normal, that is against z of each plan's `table` instead.
         plans: The grasps, one for each action that can hold the object.
         rejected: The other actions, and why not.
         notes: What was assumed, one sentence each.
