@@ -5,7 +5,7 @@ from __future__ import annotations
 import http.server
 import threading
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import msgspec.msgpack
@@ -90,7 +90,7 @@ class Stranger:
 
 @pytest.fixture
 def stranger(only_window: Window) -> Iterator[Stranger]:
-    found = Stranger("Open hand")
+    found = Stranger("Grasp")
     gui = urlsplit(only_window.address).netloc
     found.target, found.frame = f"ws://{gui}", f"http://{gui}/"
     yield found
@@ -112,7 +112,7 @@ def test_the_stranger_presses_open_where_nobody_asks(page: Page, stranger: Stran
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     pressed = threading.Event()
     try:
-        server.gui.add_button("Open hand").on_click(lambda _: pressed.set())
+        server.gui.add_button("Grasp").on_click(lambda _: pressed.set())
         stranger.target = f"ws://127.0.0.1:{server.get_port()}"
         page.goto(f"http://localhost:{stranger.port}/")
         page.wait_for_function("document.title === 'pressed'")
@@ -254,6 +254,12 @@ def test_html_in_a_panel_runs_nothing(page: Page) -> None:
 # --- observers
 
 
+def _by_name(found: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return the messages that create controls by label, and by the names of their buttons."""
+    props = [(each, each["props"]) for each in found]
+    return {name: each for each, has in props for name in (has["label"], *has.get("options", ()))}
+
+
 def test_an_observer_sees_and_stops_only(page: Page, links: Links, other: BlockingHand) -> None:
     page.goto(links.observer())
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
@@ -268,8 +274,8 @@ def test_an_observer_sees_and_stops_only(page: Page, links: Links, other: Blocki
     before = other.state().position
     visit = admitted(links.observer())
     with window_of(visit) as connection:
-        there = {found["props"]["label"]: found for found in controls(connection)}
-        use(connection, there["Open hand"])
+        there = _by_name(controls(connection))
+        use(connection, there["Open hand"], "Open hand")
         use(connection, there["Jog (holds the hand)"])
         press_stop(visit)
         told(page, "; confirmed")
@@ -281,7 +287,7 @@ def test_an_observer_sees_and_stops_only(page: Page, links: Links, other: Blocki
     page.goto(links.operator())  # the browser keeps one cookie
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
     with window_of(admitted(links.operator())) as connection:
-        there = {found["props"]["label"]: found for found in controls(connection)}
-        use(connection, there["Open hand"])
+        there = _by_name(controls(connection))
+        use(connection, there["Open hand"], "Open hand")
         while abs(other.state().position - before).max() < 1e-2:
             page.wait_for_timeout(50)
