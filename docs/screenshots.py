@@ -144,7 +144,8 @@ def picture_of_a_plan(folder: Path) -> None:
         page.get_by_role("button", name="Suggest grasps", exact=True).click()
         page.get_by_text(re.compile("^best: ")).first.wait_for()
         page.get_by_role("button", name="Grasp", exact=True).first.click()
-        page.get_by_text(re.compile("^(reached|held|stalled).*$")).first.wait_for()
+        ended = page.get_by_text(re.compile("^(reached|held|stalled).*$"))
+        ended.locator("visible=true").first.wait_for()
         page.mouse.move(640, 400)
         page.mouse.wheel(0, 300)  # the whole box
         page.mouse.move(640, 20)
