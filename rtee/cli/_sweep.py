@@ -79,6 +79,8 @@ def _tell(text: str) -> None:
 def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
     """Return objects as given, and instead of a folder the meshes in it, sorted by name.
 
+    Other files in it are named on stderr.
+
     Raises:
         ConfigError: if a folder has none.
     """
@@ -89,10 +91,14 @@ def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
         if not Path(text).is_dir():
             found.append(text)
             continue
-        meshes = [p for p in sorted(Path(text).iterdir()) if p.suffix.lower() in set(formats)]
+        files = sorted(Path(text).iterdir())
+        meshes = [p for p in files if p.suffix.lower() in set(formats)]
+        known = ", ".join(formats)
         if not meshes:
-            raise ConfigError(
-                f"there is no mesh ({', '.join(formats)}) in this folder", path=Path(text)
+            raise ConfigError(f"there is no mesh ({known}) in this folder", path=Path(text))
+        if others := ", ".join(p.name for p in files if p not in meshes):
+            print(
+                f"note: {text}: no meshes that are read here ({known}): {others}", file=sys.stderr
             )
         found += map(str, meshes)
     return found

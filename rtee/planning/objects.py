@@ -224,7 +224,7 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
     extent = float(np.ptp(corners, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         hint = (
-            "is it in millimetres? then give --scale 0.001"
+            "is it in millimetres? Meshes are in metres (grasp-plan has --scale 0.001)"
             if extent > LARGEST
             else f"--scale brings it to metres, and {scale:g} is too small"
         )

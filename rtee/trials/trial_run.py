@@ -99,6 +99,7 @@ class TrialRun:
     def _done(self) -> TrialResult:
         headless, around, trial = self._headless, self._around, self._trial
         self._approach()
+        self._gone_below = around.lowest - _OUT_OF_REACH
         what, to = Named(trial.action, trial.elements), Intensity(trial.intensity)
         goal = Goal(what, to, goal_id=f"trial-{self._number}")
         try:
@@ -108,7 +109,6 @@ class TrialRun:
             return self._ended("", str(error), outcome="")
         before = len(headless.events)
         headless.wait(_SETTLE)
-        self._gone_below = around.lowest - _OUT_OF_REACH
         # One that fewer than two links touch is still presented: it has to fall now.
         around.remove_support()
         headless.wait(_SETTLE)

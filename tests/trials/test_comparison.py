@@ -90,11 +90,14 @@ def test_parts_that_fit_nowhere_are_told(
     trimesh = pytest.importorskip("trimesh")
     (tmp_path / "parts").mkdir()
     trimesh.creation.box((0.2, 0.2, 0.2)).export(tmp_path / "parts/cube.stl")
+    (tmp_path / "parts/cup.ply").touch()
     words = ["--objects", str(tmp_path / "parts"), "--out", str(tmp_path / "out"), "--jobs", "1"]
     monkeypatch.setattr(sys, "argv", ["rtee", "compare", LEFT, *words, "--json"])
     with pytest.raises(SystemExit) as ended:
         main()
-    said = json.loads(capsys.readouterr().out)
+    output, notes = capsys.readouterr()
+    said = json.loads(output)
+    assert "no meshes that are read here (.stl, .obj): cup.ply" in notes
     assert ended.value.code == 1
     assert said["missing"] == [str(tmp_path / "parts/cube.stl")]
     assert "the hand opens to 86 mm" in said["cells"][0]["why"]
