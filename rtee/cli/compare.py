@@ -101,7 +101,8 @@ def compare(
         known.write()
         write_atomically(page, found.page())
 
-    keep()
+    if not page.exists():  # so that a place where it cannot be written is told at once
+        keep()
     sweep = Sweep(workers_for(names, parts, jobs, cluster, len(found.cells)), known)
     found.begin(sweep)
     words = f"what was found is kept in {out}; the same command does the rest"

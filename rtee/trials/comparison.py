@@ -178,7 +178,11 @@ class Comparison:
         return [best], tuple(o for o in self.objects if o not in together)
 
     def sentence(self) -> str:
-        """Return in words which hands hold all objects."""
+        """Return in words which hands hold all objects, as far as that is known."""
+        said = self._sentence()
+        return said if all(cell.done for cell in self.cells.values()) else f"so far: {said}"
+
+    def _sentence(self) -> str:
         groups, missing = self.covering()
         what = " or ".join(" and ".join(name_of(hand) for hand in group) for group in groups)
         if not missing:

@@ -63,6 +63,7 @@ def test_first_answers_come_first_and_the_pair_that_holds_all_is_told(tmp_path: 
     known = Answers(tmp_path)
     sweep = Sweep(workers, known)
     found.begin(sweep)
+    assert found.sentence() == "so far: no hand holds any of the objects"
     for hand, task, answer in sweep.run():
         found.take(sweep, hand, task, answer)
     assert workers.asked == ["Planning"] * 4 + ["Trial0"] * 4 + ["Trial10"] * 3 + ["Portrait"] * 3
