@@ -46,7 +46,7 @@ class Simulation(ABC):
         self._loop = on_simulated_time()
         self._timer: asyncio.TimerHandle | None = None
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._running = self._woken = False
+        self._running = False
 
     faults: Faults
 
@@ -145,7 +145,6 @@ class Simulation(ABC):
 
     def _wake(self) -> None:
         os.write(self._wake_in, b"\0")
-        self._woken = True  # last, since what is read before it comes is not waited for again
 
     def _schedule(self) -> None:
         """Have the event loop take the next step when it is due; on simulated time."""
@@ -188,11 +187,9 @@ class Simulation(ABC):
         while self._running:
             due = self._next_due()
             self._turn(None if due is None else max(0.0, due - monotonic.now()))
-            if self._woken:
-                self._woken = False
-                with contextlib.suppress(BlockingIOError):
-                    os.read(self._wake_out, 4096)
-                self._serve()
+            with contextlib.suppress(BlockingIOError):
+                os.read(self._wake_out, 4096)
+            self._serve()
         self._serve()
 
     def _serve(self) -> None:
@@ -204,9 +201,16 @@ class Simulation(ABC):
 _LOOK = 0.2
 """Interval at which `call` checks that the simulation's thread is still alive [s]."""
 
+_SPIN = 1e-4
+"""Longest time to spin before a message is due [s]: the usual lateness of a sleep."""
+
 
 class SimulatedLine(Simulation):
     """A byte line over a pty or a TCP port of this machine.
+
+    With a timed wire, the thread wakes up before a message is due, earlier by the recent lateness
+    of its sleeps, and spins for the rest, so that bytes arrive within microseconds of the modelled
+    time.
 
     Attributes:
         wire: Model of the wire: emulators, baud rate, faults.
@@ -246,6 +250,7 @@ class SimulatedLine(Simulation):
             self._end = DirectEnd(self._loop, self._take, self.wire.reset if tcp else None)
         else:
             self._end = Tcp(host, port, scheme) if tcp else Pty(link)
+        self._late = 0.0
 
     @property
     def faults(self) -> Faults:
@@ -286,8 +291,7 @@ class SimulatedLine(Simulation):
     def _turn(self, timeout: float | None) -> None:
         if isinstance(self._end, DirectEnd):  # runs in the event loop
             return
-        files = [self._wake_out, *self._end.files()]
-        for file in select.select(files, [], [], timeout)[0]:
+        for file in self._wait(timeout, self._end.files()):
             if file != self._wake_out:
                 data = self._end.read(file)
                 if data is None:
@@ -309,3 +313,19 @@ class SimulatedLine(Simulation):
         data = b"".join(self.wire.step(now))
         if data and self._end.heard:
             self._end.write(data)
+
+    def _wait(self, timeout: float | None, ends: list[int]) -> list[int]:
+        """Return the file descriptors that can be read, at the latest after the timeout [s]."""
+        files = [self._wake_out, *ends]
+        if timeout is None or not self.wire.timed:
+            return select.select(files, [], [], timeout)[0]
+        due = monotonic.now() + timeout
+        # Earlier by the usual lateness; the loop below spins for the rest.
+        readable = select.select(files, [], [], max(0.0, timeout - self._late))[0]
+        if not readable and timeout > self._late:
+            late = monotonic.now() - (due - self._late)
+            # Exponential mean over about eight sleeps, since the lateness depends on the load.
+            self._late += (min(max(late, 0.0), _SPIN) - self._late) / 8
+        while not readable and monotonic.now() < due:
+            pass
+        return readable
