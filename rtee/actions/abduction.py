@@ -7,7 +7,7 @@ from rtee.hand.abduction import abduction
 from rtee.hand.model import Hand
 
 
-def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
+def abduction_actuators(hand: Hand, action: Action) -> tuple[str, ...]:
     """Return the abduction actuators of a Trig; none of other actions.
 
     A Trig moves all actuators that move only its finger, including abduction.
@@ -22,5 +22,5 @@ def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
 
 def abduction_sentence(hand: Hand, action: Action, prefix: str = "") -> str:
     """Return a sentence about a Trig's abduction, without a prefix of names, or ``""``."""
-    names = [name.removeprefix(prefix) for name in sideways(hand, action)]
+    names = [name.removeprefix(prefix) for name in abduction_actuators(hand, action)]
     return f"also swings sideways (abduction): {', '.join(names)}" if names else ""

@@ -13,7 +13,7 @@ from rtee.errors import BusTimeout
 from rtee.types import DeviceSpec
 
 
-class Unhurried:
+class RelaxedDeadline:
     """A link whose exchanges may take longer outside the cycle.
 
     Attributes:
@@ -24,7 +24,7 @@ class Unhurried:
     PATIENCE: ClassVar[float] = 0.5
     deadline: float
 
-    def unhurried(self) -> AbstractContextManager[None]:
+    def relaxed_deadline(self) -> AbstractContextManager[None]:
         """Extend the deadline for exchanges outside the cycle, which a busy computer may delay."""
         return longer_deadline(self, self.PATIENCE)
 

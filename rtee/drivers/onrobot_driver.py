@@ -155,7 +155,7 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def activate(self) -> None:
         """Check that it reports no fault."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             self._refuse(await self.connection.link.read())
         self._forget()
         self.active = True
@@ -184,6 +184,6 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def recover(self) -> None:
         """Check that the cause of the fault is gone, and stop."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             self._refuse(await self.connection.link.read())
         await self.stop()

@@ -9,7 +9,7 @@ from typing import Generic, Literal, TypeVar
 from rtee import monotonic
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
-from rtee.drivers.deadlines import Unhurried, cycle_deadline
+from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
 from rtee.errors import BusError, BusTimeout
 from rtee.types import DeviceSpec
 
@@ -17,7 +17,7 @@ S = TypeVar("S")
 
 ExchangeKind = Literal["auto", "combined", "separate"]
 
-PATIENT = Unhurried.PATIENCE
+PATIENT = RelaxedDeadline.PATIENCE
 """Longest time of an exchange outside the cycle, which a busy computer may delay [s]."""
 
 _TRIES = 3
@@ -27,7 +27,7 @@ _REFRESH = 0.005
 """Robotiq's grippers refresh their registers every 5 ms [s]; their manuals, Modbus RTU section."""
 
 
-class Blocks(Unhurried, Generic[S]):
+class Blocks(RelaxedDeadline, Generic[S]):
     """The output and the input block of one gripper.
 
     ``S`` is the type of its state, which the input block holds. One exchange writes the output

@@ -162,7 +162,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def activate(self) -> None:
         """Attach to an active gripper; activate an inactive one where that is allowed."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             status = self._status = await self.connection.link.read()
         self._refuse(status)
         allowed = self._settings.home == "on_connect" or self._home_asked
@@ -190,7 +190,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
         seconds = self._settings.activation_timeout
         self.doing = doing
         try:
-            with self.connection.link.unhurried():
+            with self.connection.link.relaxed_deadline():
                 async with time_limit(seconds, self._too_slow, end=self._end_activation):
                     await steps()
         finally:
@@ -261,7 +261,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def recover(self) -> None:
         """Clear a fault; if that ends the activation, the next `activate` may move the fingers."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             status = self._status = await self.connection.link.read()
             fault = self.FAULTS.get(status.fault)
             if fault is not None and fault.major:

@@ -62,7 +62,7 @@ class ServoLink(Protocol):
 
     delay: float
 
-    def unhurried(self) -> AbstractContextManager[None]:
+    def relaxed_deadline(self) -> AbstractContextManager[None]:
         """Let exchanges take longer, outside the cycle."""
         ...
 
@@ -317,7 +317,7 @@ class ServoDriver(Driver, Generic[L]):
     async def configure(self) -> None:
         """Open the line and find every servo; writes nothing."""
         link = await self._connect()
-        with link.unhurried():
+        with link.relaxed_deadline():
             await self.find()
             # After finding the servos, since a calibration of other servos is refused.
             if self.line.calibration is not None:
@@ -418,7 +418,7 @@ class ServoDriver(Driver, Generic[L]):
             DriverError: if one does not accept a setting.
         """
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             # Again, since a power cycle in the meantime has reset the settings.
             await self.find()
             await self._refuse(await self._readings())
@@ -473,7 +473,7 @@ class ServoDriver(Driver, Generic[L]):
 
     async def examine(self) -> str:
         """Raise the fault that the servos report, or an error of their positions."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             readings = await self._readings()
             await self._refuse(readings)
             self._check_places(readings)
@@ -484,7 +484,7 @@ class ServoDriver(Driver, Generic[L]):
         # From here on, missing torque is no fault.
         self.active = False
         if self.connection.is_open:
-            with self.connection.link.unhurried():
+            with self.connection.link.relaxed_deadline():
                 await self._release()
 
     async def _release(self) -> None:
@@ -644,7 +644,7 @@ class ServoDriver(Driver, Generic[L]):
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Write gains of the position controllers of all servos."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             for name, value in gains.items():
                 count = min(max(round(value), 0), self.MOST_GAIN)
                 await link.set_all(self.GAINS[name], dict.fromkeys(self.ids, count))
@@ -692,7 +692,7 @@ class ServoDriver(Driver, Generic[L]):
         # Servos with torque would resist the hand that bends the joints.
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             readings = await patiently(self._readings)
         angles = self._to_servos(rest).tolist()
         for scale, position, angle in zip(

@@ -52,7 +52,7 @@ class ClippedShape(Shape):
 
 
 @dataclass(frozen=True)
-class Jaw:
+class TipShape:
     """A shape of a tip, with its pose relative to the joint's axis.
 
     Attributes:
@@ -103,8 +103,8 @@ class Jaw:
         return np.concatenate([vertices[faces[whole]], kept])
 
 
-def clip_jaws(
-    first: Sequence[Jaw], second: Sequence[Jaw]
+def clip_tips(
+    first: Sequence[TipShape], second: Sequence[TipShape]
 ) -> tuple[list[ClippedShape], list[ClippedShape]]:
     """Return the parts of two joined tips whose contact shows a pinch.
 
@@ -133,7 +133,7 @@ def clip_jaws(
     return parts[0], parts[1]
 
 
-def _overlap(first: Sequence[Jaw], second: Sequence[Jaw], limit: float) -> bool:
+def _overlap(first: Sequence[TipShape], second: Sequence[TipShape], limit: float) -> bool:
     """Return whether the convex parts beyond a distance from the axis overlap at rest."""
     hulls = []
     for tip in (first, second):

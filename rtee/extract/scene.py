@@ -14,7 +14,7 @@ import pinocchio as pin
 from rtee.extract.couplings import Couplings
 from rtee.extract.distance_queries import TOUCH, DistanceQueries
 from rtee.extract.drafts import Draft, draft, least_width, outer
-from rtee.extract.hinge import Jaw, clip_jaws
+from rtee.extract.hinge import TipShape, clip_tips
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.space import Space
 from rtee.extract.surface import encloses
@@ -160,10 +160,10 @@ class Scene:
             matvec(placement.rotation, np.array(spec.axis)),
         )
         first, second = (
-            [Jaw(self.shapes[i], self.shape_pose(i).copy(), origin, axis) for i in tip]
+            [TipShape(self.shapes[i], self.shape_pose(i).copy(), origin, axis) for i in tip]
             for tip in pair.shapes
         )
-        parts = clip_jaws(first, second)
+        parts = clip_tips(first, second)
         if not parts[0] or not parts[1]:
             return None
         begin = len(self.shapes)

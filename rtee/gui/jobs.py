@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from rtee.errors import RequestRejected
-from rtee.trials.apart import LONGEST_LINE, Job, command, read_line
+from rtee.trials.job import LONGEST_LINE, Job, command, read_line
 
 Report = Callable[[dict[str, Any]], None]
 """Receives a line of the process: ``progress`` and ``text``, ``result`` or ``ranking``."""

@@ -1,7 +1,7 @@
 """Plans one grasp for a hand that runs: reads a question from stdin, writes the answer to stdout.
 
 A separate process, so that planning neither takes Python's lock from the loop nor needs
-Pinocchio and Coal in its process. See `rtee.planning.apart`.
+Pinocchio and Coal in its process. See `rtee.planning.question`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rtee.errors import RteeError, needing_extra
 
 
 def answer(question: dict[str, Any]) -> dict[str, Any]:
-    """Return the ranking that a question of `rtee.planning.apart.ask` asks for, as plain data.
+    """Return the ranking that a question of `rtee.planning.question.ask` asks for, as plain data.
 
     Raises:
         UserError: if it cannot be answered.

@@ -296,7 +296,7 @@ class Poses:
         # A step of the free distance cannot jump over a fingertip.
         while gone < far:
             here = coal.Transform3s(np.eye(3), middle + gone * towards)
-            least = min(self._scene.apart(tip, at, self._probe, here) for tip in tips)
+            least = min(self._scene.distance(tip, at, self._probe, here) for tip in tips)
             if least < _PROBED:
                 # The probe's radius is room as well, but not where the probe itself has none.
                 return max(0.0, gone + _PROBE) if gone else 0.0

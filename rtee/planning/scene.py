@@ -138,7 +138,7 @@ class GraspScene:
             self._sizes[key] = x, y, z
         return self._sizes[key]
 
-    def apart(
+    def distance(
         self, shape: int, at: HandPose, other: coal.ShapeBase, where: coal.Transform3s
     ) -> float:
         """Return the signed distance of a shape of the hand from another one [m]."""
@@ -225,14 +225,14 @@ def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, Float
     half extents [m]. Where boxes overlap, the axis along which they overlap least counts, with a
     negative gap.
     """
-    apart = np.abs(between) - reach
-    ways = np.maximum(apart, 0.0)
+    separation = np.abs(between) - reach
+    ways = np.maximum(separation, 0.0)
     gaps = np.sqrt(np.einsum("nki,nki->nk", ways, ways))
     inside = gaps <= 0.0
     if inside.any():
-        axis = apart[inside].argmax(axis=-1)
+        axis = separation[inside].argmax(axis=-1)
         ways[inside] = np.eye(3)[axis]
-        gaps[inside] = apart[inside].max(axis=-1)
+        gaps[inside] = separation[inside].max(axis=-1)
     size = np.where(inside, 1.0, gaps)
     return gaps, np.copysign(ways, between) / size[:, :, None]
 

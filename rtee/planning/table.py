@@ -167,9 +167,9 @@ class Ground:
         middle = top.pose[:3, :3] @ np.array([-x, 0.0, -z]) + top.pose[:3, 3]
         block = coal.Transform3s(top.pose[:3, :3], middle)
         low = np.flatnonzero(gaps < CLEAR).tolist()
-        apart = self._scene.apart
+        scene = self._scene
         return min(
-            (apart(shape, at, self._block, block) - float(needed[shape]) for shape in low),
+            (scene.distance(shape, at, self._block, block) - float(needed[shape]) for shape in low),
             default=CLEAR,
         )
 

@@ -19,7 +19,7 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.errors import RequestRejected
-from rtee.planning.apart import Question, question_about
+from rtee.planning.question import Question, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
 from rtee.remote.hand_info import info_of

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtee.errors import RequestRejected
-from rtee.planning.apart import Question, ReachQuestion, ask
+from rtee.planning.question import Question, ReachQuestion, ask
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.incoming_request import IncomingRequest
 

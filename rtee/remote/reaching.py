@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from rtee.actions.library import listed
 from rtee.actions.types import Generic, Posture
 from rtee.errors import ConfigError
-from rtee.planning.apart import ReachQuestion
+from rtee.planning.question import ReachQuestion
 from rtee.planning.reached import ReachedGrasp, WantedContact, from_document
 from rtee.remote.action_client import ActionClient
 from rtee.remote.goal import GoalClient

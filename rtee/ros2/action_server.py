@@ -200,7 +200,7 @@ class ActionServer:
         The stamp is the time of acceptance since 1970 [ns].
         """
         if goal_id in self._goals or goal_id in self._pending or goal_id == NO_GOAL:
-            self._context.complaints.tell(f"a goal of {self.name} is refused", "its id is not new")
+            self._context.warning_log.tell(f"a goal of {self.name} is refused", "its id is not new")
             return False
         # Goals that are still being checked count, too: many could arrive during one check.
         active = sum(not goal.state.ended for goal in self._goals.values())

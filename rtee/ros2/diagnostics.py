@@ -11,8 +11,8 @@ from typing import Any
 import anyio
 
 from rtee.remote.monitoring import HandStatus
-from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
+from rtee.ros2.served_hand import Part, ServedHand
 from rtee.types import DeviceStatus, Lifecycle, LoopStatistics
 
 _PERIOD = 1.0
@@ -34,21 +34,23 @@ class Level(IntEnum):
 class Diagnostics(Part):
     """Publishes ``/diagnostics``, and passes the hand's status to the other parts of the node."""
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self._array = face.message("diagnostic_msgs/msg/DiagnosticArray")
-        self._status = face.message("diagnostic_msgs/msg/DiagnosticStatus")
-        self._pair = face.message("diagnostic_msgs/msg/KeyValue")
+    def __init__(self, served: ServedHand) -> None:
+        self._served = served
+        self._array = served.message("diagnostic_msgs/msg/DiagnosticArray")
+        self._status = served.message("diagnostic_msgs/msg/DiagnosticStatus")
+        self._pair = served.message("diagnostic_msgs/msg/KeyValue")
         # Absolute whatever the namespace, since tools subscribe to one topic for the whole robot.
-        self._publisher = face.node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        self._publisher = served.node.publisher(
+            "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
+        )
         self._before: LoopStatistics | None = None
 
     async def run(self) -> None:
         """Publish once per second until the hand ends."""
-        hand = self._face.hand
+        hand = self._served.hand
         while True:
             status = await hand.status()
-            for listener in self._face.on_status:
+            for listener in self._served.on_status:
                 listener(status)
             self._publisher.publish(self.message(status, time.time_ns()))
             await anyio.sleep(_PERIOD)
@@ -59,10 +61,10 @@ class Diagnostics(Part):
         temperatures = self._temperatures()
         if temperatures is not None:
             entries.append(temperatures)
-        return self._array(header=self._face.header(wall_ns), status=entries)
+        return self._array(header=self._served.header(wall_ns), status=entries)
 
     def _entry(self, name: str, level: Level, message: str, values: Mapping[str, Any]) -> Message:
-        hand = self._face.hand.name
+        hand = self._served.hand.name
         return self._status(
             level=level,
             name=f"{hand}: {name}",
@@ -123,7 +125,7 @@ class Diagnostics(Part):
 
     def _temperatures(self) -> Message | None:
         """Return the entry of the temperatures; ``None`` if none is measured."""
-        state, limits = self._face.latest, self._face.thermal
+        state, limits = self._served.latest, self._served.thermal
         pairs = zip(state.names, state.temperature.tolist(), strict=True)
         known = {name: value for name, value in pairs if not math.isnan(value)}
         if not known:

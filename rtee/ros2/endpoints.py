@@ -178,7 +178,7 @@ class Subscription:
         )
 
     def _drop(self, error: MessageError) -> None:
-        self._participant.complaints.tell(f"a message on {self.name} is dropped", str(error))
+        self._participant.warning_log.tell(f"a message on {self.name} is dropped", str(error))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         try:

@@ -12,7 +12,7 @@ import anyio
 import zenoh
 
 from rtee.remote.session import direct
-from rtee.ros2.inbox import Complaints
+from rtee.ros2.inbox import WarningLog
 from rtee.ros2.keys import GRAPH, LONGEST_TOKEN, Entity, Kind, parse_token
 
 log = logging.getLogger(__name__)
@@ -39,11 +39,11 @@ class Graph:
     Args:
         session: Zenoh session to observe the graph with.
         domain: The domain.
-        complaints: Receives tokens that cannot be parsed.
+        warning_log: Receives tokens that cannot be parsed.
     """
 
-    def __init__(self, session: zenoh.Session, domain: int, complaints: Complaints) -> None:
-        self._session, self._complaints = session, complaints
+    def __init__(self, session: zenoh.Session, domain: int, warning_log: WarningLog) -> None:
+        self._session, self._warning_log = session, warning_log
         self._keys = f"{GRAPH}/{domain}/**"
         # By token: its entity, the token itself until it is parsed, or None if that failed.
         self._tokens: dict[str, Entity | str | None] = {}
@@ -70,7 +70,7 @@ class Graph:
             # `ready` passes tokens again that the subscriber has delivered and that may be parsed.
             elif key not in self._tokens:
                 if len(self._tokens) >= MOST or len(key) > LONGEST_TOKEN:
-                    self._complaints.tell("entities of the ROS graph are left out", "too many")
+                    self._warning_log.tell("entities of the ROS graph are left out", "too many")
                     return
                 self._tokens[key] = key
             wake, self._due = not self._due, True
@@ -97,7 +97,7 @@ class Graph:
                 # copy.
                 entity = parse_token(key)
                 if entity is None:
-                    self._complaints.tell("a token of the ROS graph is not understood", key[:200])
+                    self._warning_log.tell("a token of the ROS graph is not understood", key[:200])
                 with self._lock:
                     # The entity may have left the graph during the parsing.
                     if key in self._tokens:

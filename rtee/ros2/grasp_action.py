@@ -8,9 +8,9 @@ from typing import Any
 from rtee.errors import GoalRejected, MessageError
 from rtee.messages.goals import GOAL, OPTIONAL
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
+from rtee.ros2.served_hand import ServedHand
 from rtee.types import Feedback, Goal, Result, new_goal_id
 
 GRASP = "~/grasp"
@@ -20,13 +20,13 @@ GRASP = "~/grasp"
 class Grasp(ActionPart):
     """Offers the action ``~/grasp``."""
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self._type = face.node.context.interfaces.action("rtee_msgs/action/Grasp")
-        self._server = ActionServer(face.node, GRASP, Offer(self._type, self._accept))
+    def __init__(self, served: ServedHand) -> None:
+        self._served = served
+        self._type = served.node.context.interfaces.action("rtee_msgs/action/Grasp")
+        self._server = ActionServer(served.node, GRASP, Offer(self._type, self._accept))
 
     async def _accept(self, message: Any) -> HandJob:
-        running = await self._face.hand.start_goal(goal_in(message))
+        running = await self._served.hand.start_goal(goal_in(message))
         return HandJob(running, self._result, _feedback)
 
     def _result(self, result: Result) -> Message:

@@ -21,10 +21,10 @@ from rtee.messages.goals import goal_of
 from rtee.messages.state import State
 from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
+from rtee.ros2.served_hand import ServedHand
 from rtee.types import ActuatorSpec, Feedback, Goal, Intensity, Named, Result
 
 GRIPPER = "~/gripper_cmd"
@@ -83,15 +83,15 @@ class Gripper(ActionPart):
     Raises `ConfigError` if the settings name an actuator that the hand does not have.
     """
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self._joint = joint_of(face.settings, face.actuators)
-        known, package = face.node.context.interfaces, "control_msgs/action"
+    def __init__(self, served: ServedHand) -> None:
+        self._served = served
+        self._joint = joint_of(served.settings, served.actuators)
+        known, package = served.node.context.interfaces, "control_msgs/action"
         self._simple = known.action(f"{package}/GripperCommand")
         self._parallel = known.action(f"{package}/ParallelGripperCommand")
-        self._joint_state = face.message("sensor_msgs/msg/JointState")
+        self._joint_state = served.message("sensor_msgs/msg/JointState")
         self._server = ActionServer(
-            face.node,
+            served.node,
             GRIPPER,
             Offer(self._simple, self._accept_simple),
             Offer(self._parallel, self._accept_parallel),
@@ -142,7 +142,7 @@ class Gripper(ActionPart):
             joint = self._configured_joint
         else:
             # An actuator of that name takes precedence over the gap.
-            joint = "" if names[0] == GAP and GAP not in self._face.actuators else names[0]
+            joint = "" if names[0] == GAP and GAP not in self._served.actuators else names[0]
         command = Command(
             joint,
             float(request.position[0]),
@@ -153,7 +153,7 @@ class Gripper(ActionPart):
 
         def state(fields: dict[str, Any]) -> Message:
             return self._joint_state(
-                header=self._face.header(self._face.latest.wall_ns),
+                header=self._served.header(self._served.latest.wall_ns),
                 name=name,
                 position=[fields["position"]],
                 effort=[fields["effort"]],
@@ -170,14 +170,14 @@ class Gripper(ActionPart):
 
     @property
     def _configured_joint(self) -> str:
-        return str(self._face.parameters.values[JOINT])
+        return str(self._served.parameters.values[JOINT])
 
     def _actuator(self, name: str) -> ActuatorSpec:
         """Return an actuator by name; raise `GoalRejected` if there is none."""
-        names = self._face.actuators
+        names = self._served.actuators
         if name not in names:
             raise GoalRejected(f"there is no actuator '{name[:100]}'; {suggestion(name, names)}")
-        return self._face.model.actuators[names.index(name)]
+        return self._served.model.actuators[names.index(name)]
 
     # --- goals of the hand
 
@@ -187,7 +187,7 @@ class Gripper(ActionPart):
         result: Callable[[dict[str, Any]], Message],
         feedback: Callable[[dict[str, Any]], dict[str, Any]],
     ) -> HandJob:
-        hand = self._face.hand
+        hand = self._served.hand
         if command.joint:
             actuator = self._actuator(command.joint)
             goal = joint_goal(command, actuator, await hand.actions())
@@ -203,13 +203,13 @@ class Gripper(ActionPart):
         )
 
     def _stalled(self, result: Result) -> str:
-        allowed = self._face.parameters.values[ALLOW_STALLING]
+        allowed = self._served.parameters.values[ALLOW_STALLING]
         return "" if allowed or not result.stalled else f"it stalled, and {ALLOW_STALLING} is off"
 
     def _check_unit(self, gap: float) -> None:
         """Refuse what must be a joint's value; raises `GoalRejected`."""
-        widest = max((known.widest for known in self._face.openings), default=math.inf)
-        for actuator in self._face.model.actuators:
+        widest = max((known.widest for known in self._served.openings), default=math.inf)
+        for actuator in self._served.model.actuators:
             if widest * (1.0 + _BEYOND) < gap <= actuator.upper:
                 raise GoalRejected(
                     f"{gap:g} m is too wide, and the nearest is {1e3 * widest:.0f} mm; if it is"
@@ -220,18 +220,18 @@ class Gripper(ActionPart):
     def _gap_goal(self, command: Command) -> Goal:
         """Return the goal for a gap between the fingertips."""
         gap = command.position
-        action, *elements = str(self._face.parameters.values[ACTION]).split() or [""]
-        if not action and self._face.openings:
+        action, *elements = str(self._served.parameters.values[ACTION]).split() or [""]
+        if not action and self._served.openings:
             # The hand's best action for a width opens wider than it, to get around an object. To
             # open as wide as possible, take the action that opens widest.
-            widest = max(self._face.openings, key=lambda known: known.widest)
+            widest = max(self._served.openings, key=lambda known: known.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
         # The hand, too, finds actions whatever their spelling and the order of their elements.
         wanted = normalise(action), sorted(elements)
         ranges = [
             known
-            for known in self._face.openings
+            for known in self._served.openings
             if not action or (normalise(known.action), sorted(known.elements)) == wanted
         ]
         return goal_of(
@@ -247,11 +247,11 @@ class Gripper(ActionPart):
     def _now(self, joint: str, _: Feedback) -> dict[str, Any]:
         """Return the fields of feedback."""
         position, effort = self._measured(joint)
-        limits = [actuator.velocity for actuator in self._face.model.actuators]
+        limits = [actuator.velocity for actuator in self._served.model.actuators]
         return {
             "position": position,
             "effort": effort,
-            "stalled": is_stalled(self._face.latest, limits),
+            "stalled": is_stalled(self._served.latest, limits),
             "reached_goal": False,
         }
 
@@ -273,7 +273,7 @@ class Gripper(ActionPart):
 
     def _measured(self, joint: str) -> tuple[float, float]:
         """Return the newest position [rad | m] and effort [N·m | N], of a joint or of the gap."""
-        state = self._face.latest
+        state = self._served.latest
         if not joint:
             opening, force = state.opening, state.force
             return math.nan if opening is None else opening, math.nan if force is None else force

@@ -9,8 +9,8 @@ from rtee.remote.running_goal import RunningGoal
 from rtee.remote.words import ending
 from rtee.ros2.action_server import ActionServer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome
-from rtee.ros2.face import Part
 from rtee.ros2.message import Message
+from rtee.ros2.served_hand import Part
 from rtee.types import Feedback, Result
 from rtee.types import Outcome as End
 

@@ -13,9 +13,9 @@ from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.errors import NoHand, RteeError
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.words import sentence
-from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
+from rtee.ros2.served_hand import Part, ServedHand
 from rtee.ros2.services import Service
 from rtee.ros2.topics import ros_name
 from rtee.types import Result
@@ -37,10 +37,10 @@ _TRIGGER = "std_srvs/srv/Trigger"
 class Services(Part):
     """Offers the actions and queries of a hand as services, and its gains as parameters."""
 
-    def __init__(self, face: Face, actions: Iterable[Action], status: HandStatus) -> None:
-        self._face, self._status = face, status
+    def __init__(self, served: ServedHand, actions: Iterable[Action], status: HandStatus) -> None:
+        self._served, self._status = served, status
         self._offered: dict[str, tuple[Action, Service]] = {}
-        node = face.node
+        node = served.node
         self._trigger = node.context.interfaces.service(_TRIGGER)
         for name, answer in (("stop", self._stop), ("recover", self._recover)):
             self._offer(f"~/{name}", answer)
@@ -56,7 +56,7 @@ class Services(Part):
             kind = node.context.interfaces.service(f"rtee_msgs/srv/{name}")
             node.service(f"~/{snake_case(name)}", kind, partial(_with, kind.response, handler))
         self._update(actions)
-        face.on_status.append(self._keep_gains)
+        served.on_status.append(self._keep_gains)
 
     def parameters(self) -> Iterable[Parameter]:
         """Return the parameters of goals, the gains and the limits."""
@@ -66,7 +66,7 @@ class Services(Part):
             SPEED, 1.0, f"Scale of the velocity limits {goals}.", lower=0.001, upper=1.0
         )
         yield Parameter(INTENSITY, 1.0, f"Intensity {goals}: 0 (rest) to 1.", lower=0.0, upper=1.0)
-        hand = self._face.hand
+        hand = self._served.hand
         yield Parameter(
             GRIP_EFFORT,
             self._status.grip_effort,
@@ -84,7 +84,7 @@ class Services(Part):
                     f"Gain {gain} of the device {device}.",
                     change=partial(self._set_gain, device, gain),
                 )
-        model = self._face.model
+        model = self._served.model
         for name, values in (("lower", model.lower), ("upper", model.upper)):
             text = f"{name.capitalize()} limits of the actuators [rad | m]."
             yield Parameter(f"limits.{name}", values.tolist(), text, read_only=True)
@@ -93,22 +93,22 @@ class Services(Part):
         )
 
     async def _set_gain(self, device: str, gain: str, value: float) -> None:
-        await self._face.hand.set_gains({gain: value}, device)
+        await self._served.hand.set_gains({gain: value}, device)
 
     async def run(self) -> None:
         """Follow changes of the hand's actions until the hand ends."""
-        events = self._face.hand.events()
+        events = self._served.hand.events()
         # Again after subscribing, since the actions may have changed while the node was made.
-        self._update(await self._face.hand.actions())
+        self._update(await self._served.hand.actions())
         async for event in events:
             if event.kind == CHANGED:
-                self._update(await self._face.hand.actions())
+                self._update(await self._served.hand.actions())
 
     def _keep_gains(self, status: HandStatus) -> None:
         """Update the parameters of gains, which other clients may have changed."""
         gains = {gain_name(device, gain): value for device, gain, value in _gains(status)}
         gains[GRIP_EFFORT] = status.grip_effort
-        parameters = self._face.parameters
+        parameters = self._served.parameters
         known = parameters.values
         # A gain unknown at the start has no parameter, and NaN would count as a change each time.
         parameters.update({n: v for n, v in gains.items() if n in known and not math.isnan(v)})
@@ -125,31 +125,31 @@ class Services(Part):
                 success, text = False, str(error)
             return self._trigger.response(success=success, message=text)
 
-        return self._face.node.service(name, self._trigger, handle)
+        return self._served.node.service(name, self._trigger, handle)
 
     async def _stop(self) -> tuple[bool, str]:
-        confirmed = await self._face.hand.stop()
+        confirmed = await self._served.hand.stop()
         silent = [device for device, done in confirmed.items() if not done]
         if silent:
             return False, f"no answer of {', '.join(silent)}"
         return True, "all devices have stopped"
 
     async def _recover(self) -> tuple[bool, str]:
-        await self._face.hand.recover()
+        await self._served.hand.recover()
         return True, "all devices have recovered"
 
     async def _goal(
         self, name: str, elements: tuple[str, ...], kind: ActionKind | None = None
     ) -> tuple[bool, str]:
-        face = self._face
-        result: Result = await face.hand.do(
+        served = self._served
+        result: Result = await served.hand.do(
             name,
             *elements,
             kind=kind,
-            tolerance=face.number(TOLERANCE),
-            speed=face.number(SPEED),
+            tolerance=served.number(TOLERANCE),
+            speed=served.number(SPEED),
             # The hand opens completely, whatever intensity is set for other goals.
-            intensity=face.number(INTENSITY) if kind is not None else 1.0,
+            intensity=served.number(INTENSITY) if kind is not None else 1.0,
         )
         return result.succeeded, sentence(result, elements)
 
@@ -162,14 +162,14 @@ class Services(Part):
                 name = f"{name}_{kind_of(action)}"
             wanted[name] = action
         for name in [name for name in self._offered if name not in wanted]:
-            self._face.node.discard(self._offered.pop(name)[1])
+            self._served.node.discard(self._offered.pop(name)[1])
         for name, action in wanted.items():
             same = self._offered.get(name)
             # Replaced only if it means another action, since closing it loses a pending response.
             if same is not None and _reference(same[0]) == _reference(action):
                 continue
             if same is not None:
-                self._face.node.discard(same[1])
+                self._served.node.discard(same[1])
             service = self._offer(f"~/do/{name}", partial(self._goal, *_reference(action)))
             self._offered[name] = action, service
 
@@ -177,15 +177,15 @@ class Services(Part):
 
     async def _list_actions(self, request: Any) -> dict[str, Any]:
         fields = {"kind": request.kind, "name": request.name, "elements": request.elements}
-        return await self._face.hand.ask("actions", fields)
+        return await self._served.hand.ask("actions", fields)
 
     async def _primitives(self, request: Any) -> dict[str, Any]:
-        groups = (await self._face.hand.ask("primitives"))["groups"]
+        groups = (await self._served.hand.ask("primitives"))["groups"]
         wanted = normalise(request.name)
         return {"groups": [g for g in groups if wanted in ("", normalise(g["name"]))]}
 
     async def _partners(self, request: Any) -> dict[str, Any]:
-        return {"partners": await self._face.hand.partners(request.action, request.element)}
+        return {"partners": await self._served.hand.partners(request.action, request.element)}
 
     async def _new_generic(self, request: Any) -> dict[str, Any]:
         if len(request.actuator) != len(request.position):
@@ -193,7 +193,7 @@ class Services(Part):
             return {"accepted": False, "reason": reason}
         where = dict(zip(request.actuator, request.position.tolist(), strict=True))
         try:
-            await self._face.hand.add_generic(
+            await self._served.hand.add_generic(
                 request.name, where, store=request.store, replace=request.replace
             )
         # A hand that has ended does not refuse; its services just give no answer.
@@ -205,10 +205,10 @@ class Services(Part):
 
     async def _info(self, request: Any) -> dict[str, Any]:
         fields = {"name": request.name, "position": request.position}
-        return {"info": await self._face.hand.ask("info", fields)}
+        return {"info": await self._served.hand.ask("info", fields)}
 
     async def _openings(self, _: Any) -> dict[str, Any]:
-        return await self._face.hand.ask("openings")
+        return await self._served.hand.ask("openings")
 
 
 def service_name(action: Action) -> str:

@@ -14,7 +14,7 @@ from rtee import monotonic
 T = TypeVar("T")
 
 
-class Complaints:
+class WarningLog:
     """Logs problems with the messages of others: each problem once, however often it occurs.
 
     Args:

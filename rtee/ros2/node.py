@@ -193,14 +193,14 @@ class Context:
         domain: The domain.
         interfaces: The interfaces of the distribution.
         graph: The ROS graph.
-        complaints: Problems with the messages of others.
+        warning_log: Problems with the messages of others.
         log: Logger of its nodes.
     """
 
     def __init__(self, settings: Ros2Settings, participant: Participant) -> None:
         self.settings, self.participant = settings, participant
         self.domain, self.interfaces = participant.domain, participant.interfaces
-        self.graph, self.complaints = participant.graph, participant.complaints
+        self.graph, self.warning_log = participant.graph, participant.warning_log
         self.log = log
         self._nodes: list[Node] = []
 

@@ -11,7 +11,7 @@ from typing import Any
 import zenoh
 
 from rtee.ros2.graph import Graph
-from rtee.ros2.inbox import Complaints
+from rtee.ros2.inbox import WarningLog
 from rtee.ros2.types import interfaces
 
 log = logging.getLogger(__name__)
@@ -31,14 +31,14 @@ class Participant:
         zid: Identifier of the session.
         interfaces: The interfaces of the distribution.
         graph: The ROS graph.
-        complaints: Problems with the messages of others.
+        warning_log: Problems with the messages of others.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, distro: str) -> None:
         self.session, self.domain, self.zid = session, domain, str(session.zid())
         self.interfaces = interfaces(distro)
-        self.complaints = Complaints(log)
-        self.graph = Graph(session, domain, self.complaints)
+        self.warning_log = WarningLog(log)
+        self.graph = Graph(session, domain, self.warning_log)
         self._ids = itertools.count()
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False

@@ -10,8 +10,8 @@ import anyio
 from rtee import monotonic
 from rtee.errors import GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.remote.stream import Stream
-from rtee.ros2.face import Face
 from rtee.ros2.parameters import Parameter
+from rtee.ros2.served_hand import ServedHand
 from rtee.ros2.trajectory import Motion, Posture, movable_joints
 
 STREAM_RATE = "stream_rate"
@@ -50,10 +50,10 @@ class Player:
         last: The motion that began last, unless the hand refused to follow it.
     """
 
-    def __init__(self, face: Face) -> None:
-        self.joints = movable_joints(face.model)
+    def __init__(self, served: ServedHand) -> None:
+        self.joints = movable_joints(served.model)
         self.last: Play | None = None
-        self._face = face
+        self._served = served
         self._current: Play | None = None
         self._wake = anyio.Event()
 
@@ -77,7 +77,7 @@ class Player:
 
     def where(self, name: str) -> float:
         """Return the measured position of a joint [rad | m]."""
-        state = self._face.latest
+        state = self._served.latest
         position = state.positions.get(name)
         return state.joints[name] if position is None else position
 
@@ -101,7 +101,9 @@ class Player:
                 self._wake = anyio.Event()
                 continue
             try:
-                async with self._face.hand.stream(rate=self._face.number(STREAM_RATE)) as stream:
+                async with self._served.hand.stream(
+                    rate=self._served.number(STREAM_RATE)
+                ) as stream:
                     await self._follow(stream)
             except NoHand:
                 # The hand has ended, and with it the node: this ends all parts.
@@ -114,7 +116,7 @@ class Player:
 
     async def _follow(self, stream: Stream) -> None:
         """Send set-points until there are none for `LINGER`."""
-        period = 1.0 / self._face.number(STREAM_RATE)
+        period = 1.0 / self._served.number(STREAM_RATE)
         while True:
             # A new event before anything is awaited, so that no later motion is missed.
             play, self._wake = self._current, anyio.Event()

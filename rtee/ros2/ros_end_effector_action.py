@@ -11,10 +11,10 @@ from rtee.actions.types import ActionKind
 from rtee.errors import ActionError, GoalRejected, LeaseHeld, RequestRejected
 from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome
-from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.ros_end_effector import name_here
+from rtee.ros2.served_hand import ServedHand
 from rtee.types import Feedback, Goal, Intensity, Named, Result
 
 COMMAND = "action_command"
@@ -30,15 +30,15 @@ _FULL = 100.0
 class ActionCommand(ActionPart):
     """Offers the action ``action_command``."""
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self._type = face.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
-        self._server = ActionServer(face.node, COMMAND, Offer(self._type, self._accept))
+    def __init__(self, served: ServedHand) -> None:
+        self._served = served
+        self._type = served.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
+        self._server = ActionServer(served.node, COMMAND, Offer(self._type, self._accept))
 
     async def _accept(self, message: Any) -> Job:
         command = message.goal_action
         try:
-            running = await self._face.hand.start_goal(goal_of(command))
+            running = await self._served.hand.start_goal(goal_of(command))
         except (ActionError, RequestRejected, LeaseHeld) as error:
             # ROS End-Effector accepts every goal, and aborts what it cannot do.
             return _Aborted(self._type.result(completed_action=command), str(error))

@@ -110,15 +110,15 @@ class Service:
         try:
             yield
         except RteeError as error:
-            self._participant.complaints.tell(f"a request of {self.name} fails", str(error))
+            self._participant.warning_log.tell(f"a request of {self.name} fails", str(error))
         except Exception:
             log.exception("the service %s failed", self.name)
 
     def _drop(self, why: str) -> None:
-        self._participant.complaints.tell(f"a request of {self.name} is dropped", why)
+        self._participant.warning_log.tell(f"a request of {self.name} is dropped", why)
 
     def _too_many(self) -> None:
-        self._participant.complaints.tell(
+        self._participant.warning_log.tell(
             f"requests of {self.name} are dropped", "too many at once"
         )
 

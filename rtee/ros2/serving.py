@@ -18,7 +18,6 @@ from rtee.remote.client import RemoteHand, connect
 from rtee.remote.model import model_of
 from rtee.remote.session import LOCAL, TLS, is_safe
 from rtee.ros2.diagnostics import Diagnostics
-from rtee.ros2.face import Face, Part
 from rtee.ros2.grasp_action import Grasp
 from rtee.ros2.grip_actions import Gripper
 from rtee.ros2.hand_services import Services
@@ -26,6 +25,7 @@ from rtee.ros2.keys import node_name
 from rtee.ros2.node import Context
 from rtee.ros2.ros_end_effector import RosEndEffector
 from rtee.ros2.ros_end_effector_action import ActionCommand
+from rtee.ros2.served_hand import Part, ServedHand
 from rtee.ros2.setpoints import Setpoints
 from rtee.ros2.topics import Topics, ros_name
 from rtee.ros2.type_descriptions import TypeDescriptions
@@ -38,7 +38,7 @@ _AGAIN = 0.5
 _AFTER_FAILURE = 10.0
 """Time until a node is made again after an unexpected error [s]: each further failure is logged."""
 
-PARTS: tuple[Callable[[Face], Part], ...] = (
+PARTS: tuple[Callable[[ServedHand], Part], ...] = (
     Topics,
     Diagnostics,
     Setpoints,
@@ -176,7 +176,7 @@ async def shown(
     actions, status = await remote.actions(), await remote.status()
     node = context.node(ros_name(hand.name), hand.settings.namespace)
     try:
-        face = Face(
+        served = ServedHand(
             hand=remote,
             model=model,
             info=info,
@@ -186,12 +186,12 @@ async def shown(
             latest=latest,
             thermal=hand.thermal,
         )
-        parts: list[Part] = [make(face) for make in PARTS]
-        parts.append(Services(face, actions, status))
+        parts: list[Part] = [make(served) for make in PARTS]
+        parts.append(Services(served, actions, status))
         # The node keeps the services of these two, which need no task.
         RosEndEffector(node, remote)
         TypeDescriptions(node)
-        face.declare(parameter for part in parts for parameter in part.parameters())
+        served.declare(parameter for part in parts for parameter in part.parameters())
         log.info("%s is the node %s of ROS 2", hand.name, node.name.full)
         yield parts
     finally:

@@ -11,9 +11,9 @@ from typing import Any
 
 from rtee import monotonic
 from rtee.errors import MessageError
-from rtee.ros2.face import Face, Part
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.player import LINGER, SETTLED, Play, Player
+from rtee.ros2.served_hand import Part, ServedHand
 from rtee.ros2.trajectory import Jog, Motion, Posture, checked_position, jog_of, trajectory_of
 from rtee.ros2.trajectory_action import TrajectoryAction
 
@@ -32,23 +32,23 @@ _JOGGED_FOR = 0.1
 class Setpoints(Part):
     """Moves the hand by the topics and the action of trajectories; the newest command counts."""
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
-        self._player = Player(face)
-        self._action = TrajectoryAction(face, self._player)
+    def __init__(self, served: ServedHand) -> None:
+        self._served = served
+        self._player = Player(served)
+        self._action = TrajectoryAction(served, self._player)
         self._refused: dict[str, tuple[float, int]] = {}
         for topic, kind, read in (
             (COMMANDS, "std_msgs/msg/Float64MultiArray", self._commands),
             (TRAJECTORY, "trajectory_msgs/msg/JointTrajectory", self._trajectory),
             (JOG, "control_msgs/msg/JointJog", self._jog),
         ):
-            face.node.subscription(topic, kind, partial(self._take, topic, read))
+            served.node.subscription(topic, kind, partial(self._take, topic, read))
 
     def parameters(self) -> Iterable[Parameter]:
         """Return the parameters for the order of commands, the stream's rate and the action."""
         yield Parameter(
             "joints",
-            list(self._face.actuators),
+            list(self._served.actuators),
             f"The actuators in the order of {COMMANDS}.",
             read_only=True,
         )
@@ -83,13 +83,13 @@ class Setpoints(Part):
         if now < logged + _LOGGED_AGAIN:
             self._refused[topic] = logged, unlogged + 1
             return
-        name = self._face.node.name.resolve(topic)
+        name = self._served.node.name.resolve(topic)
         more = f" ({unlogged} more were refused before)" if unlogged else ""
         log.warning("a message on %s is refused: %s%s", name, reason, more)
         self._refused[topic] = now, 0
 
     def _commands(self, message: Any) -> Motion:
-        actuators = self._face.actuators
+        actuators = self._served.actuators
         values = [float(value) for value in message.data]
         if len(values) != len(actuators):
             raise MessageError(

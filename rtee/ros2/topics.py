@@ -21,10 +21,10 @@ from rtee.messages.layout import TransformsEncoder
 from rtee.messages.state import State
 from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, measured_at, sensors_fields
 from rtee.ros2.endpoints import Publisher
-from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.qos import LATCHED, Qos
+from rtee.ros2.served_hand import Part, ServedHand
 from rtee.touch import TouchState
 
 T = TypeVar("T")
@@ -83,50 +83,50 @@ class JointStates:
 class Topics(Part):
     """Publishes the states of a hand, its description, and the feedback and results of goals."""
 
-    def __init__(self, face: Face) -> None:
-        self._face, node, model = face, face.node, face.model
+    def __init__(self, served: ServedHand) -> None:
+        self._served, node, model = served, served.node, served.model
         self._again = anyio.CancelScope()
         self._joint_states = JointStates(model)
         self._joints = node.publisher("joint_states", "sensor_msgs/msg/JointState")
-        self._ros_end_effector = RosEndEffectorTopics(face)
-        urdf = description(model, face.info.urdf)
+        self._ros_end_effector = RosEndEffectorTopics(served)
+        urdf = description(model, served.info.urdf)
         node.publisher("robot_description", "std_msgs/msg/String", LATCHED).publish(
             encode_string(urdf)
         )
         self._transforms = self._tf = None
-        if face.settings.tf:
+        if served.settings.tf:
             self._transforms = JointFrames(model)
             self._moving = TransformsEncoder(*_ends(self._transforms.moving))
             self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", _TRANSFORMS)
             fixed = TransformsEncoder(*_ends(self._transforms.fixed))
             node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).publish(
-                fixed.encode(face.latest.wall_ns, *self._transforms.still())
+                fixed.encode(served.latest.wall_ns, *self._transforms.still())
             )
         number = "std_msgs/msg/Float64"
         self._opening = self._force = None
-        if face.openings:
+        if served.openings:
             self._opening = node.publisher("~/opening", number)
             self._force = node.publisher("~/force", number)
-        self._number = face.message(number)
+        self._number = served.message(number)
         self._tips: list[tuple[str, Publisher]] = []
         # Only hands that measure these forces have the topics.
-        if any(name.endswith(f"/{TIP_FORCE}") for name in face.latest.channels):
+        if any(name.endswith(f"/{TIP_FORCE}") for name in served.latest.channels):
             kind = "geometry_msgs/msg/WrenchStamped"
             self._tips = [
                 (finger.tip or finger.base, node.publisher(f"~/tip_forces/{ros_name(name)}", kind))
                 for name, finger in zip(model.finger_names, model.fingers, strict=True)
             ]
-        self._control = ControllerStates(face)
+        self._control = ControllerStates(served)
         self._feedback = node.publisher("~/feedback", "rtee_msgs/msg/Feedback")
         self._results = node.publisher("~/results", "rtee_msgs/msg/Result")
         self._events = node.publisher("~/events", "rtee_msgs/msg/Event")
-        self._touch = TouchTopics(face)
+        self._touch = TouchTopics(served)
 
     def parameters(self) -> Iterable[Parameter]:
         """Return the parameter `RATE`."""
         yield Parameter(
             RATE,
-            float(self._face.settings.rate),
+            float(self._served.settings.rate),
             "Rate of joint_states and of the other topics with what is measured [Hz]; the nearest"
             " one that divides the rate of the loop is taken.",
             lower=1.0,
@@ -136,7 +136,7 @@ class Topics(Part):
 
     async def run(self) -> None:
         """Publish until the hand ends."""
-        hand = self._face.hand
+        hand = self._served.hand
         async with anyio.create_task_group() as group:
             group.start_soon(self._relay, hand.feedback(), self._feedback, FEEDBACK.encode)
             group.start_soon(self._relay, hand.results(), self._results, RESULT.encode)
@@ -146,8 +146,8 @@ class Topics(Part):
                 with anyio.CancelScope() as self._again:
                     # A changed rate is stored only after this scope was cancelled.
                     await anyio.lowlevel.checkpoint()
-                    async for state in hand.states(self._face.number(RATE)):
-                        self._face.latest = state
+                    async for state in hand.states(self._served.number(RATE)):
+                        self._served.latest = state
                         self.publish(state)
 
     @staticmethod
@@ -174,9 +174,9 @@ class Topics(Part):
 
     def _publish_forces(self, state: State) -> None:
         forces = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
-        wrench: Any = self._face.message("geometry_msgs/msg/WrenchStamped")
+        wrench: Any = self._served.message("geometry_msgs/msg/WrenchStamped")
         # All tips share a header, since a message is encoded before the next one changes it.
-        message = wrench(header=self._face.header(state.wall_ns))
+        message = wrench(header=self._served.header(state.wall_ns))
         for (frame, publisher), force in zip(self._tips, tip_forces(forces), strict=False):
             if not math.isnan(force):
                 message.header.frame_id, message.wrench.force.z = frame, force
@@ -190,11 +190,11 @@ class RosEndEffectorTopics:
     ``motor_reference_pos``, whose efforts are those that goals ask for, or 0.
     """
 
-    def __init__(self, face: Face) -> None:
+    def __init__(self, served: ServedHand) -> None:
         kind = "sensor_msgs/msg/JointState"
-        self._face, self._kind = face, face.message(kind)
-        self._joints = face.node.publisher("ros_end_effector/joint_states", kind)
-        self._references = face.node.publisher("motor_reference_pos", kind)
+        self._served, self._kind = served, served.message(kind)
+        self._joints = served.node.publisher("ros_end_effector/joint_states", kind)
+        self._references = served.node.publisher("motor_reference_pos", kind)
 
     def publish(self, state: State, joints: JointStates) -> None:
         """Publish a state on the topics that have subscribers."""
@@ -203,7 +203,7 @@ class RosEndEffectorTopics:
         if self._references.heard:
             effort = state.reference_effort
             message = self._kind(
-                header=self._face.header(state.wall_ns),
+                header=self._served.header(state.wall_ns),
                 name=list(state.names),
                 position=state.reference_position,
                 velocity=state.reference_velocity,
@@ -215,11 +215,11 @@ class RosEndEffectorTopics:
 class TouchTopics:
     """Publishes ``~/touch`` at each reading, and ``~/touch_sensors`` for later subscribers, too."""
 
-    def __init__(self, face: Face) -> None:
-        self._face = face
+    def __init__(self, served: ServedHand) -> None:
+        self._served = served
         self._encoder = TouchEncoder()
-        self._touch = face.node.publisher("~/touch", "rtee_msgs/msg/Touch")
-        self._sensors = face.node.publisher(
+        self._touch = served.node.publisher("~/touch", "rtee_msgs/msg/Touch")
+        self._sensors = served.node.publisher(
             "~/touch_sensors", "rtee_msgs/msg/TouchSensors", LATCHED
         )
 
@@ -227,10 +227,10 @@ class TouchTopics:
         """Publish until the hand ends."""
         known: dict[str, TouchState] = {}
         try:
-            async for state in self._face.hand.touch_states():
+            async for state in self._served.hand.touch_states():
                 before = known.get(state.device)
                 known[state.device] = state
-                now = self._face.latest
+                now = self._served.latest
                 # Compare by identity: the states of one device share their tuple of sensors.
                 if before is None or before.sensors is not state.sensors:
                     fields = sensors_fields(known.values(), now.wall_ns)
@@ -248,12 +248,12 @@ class ControllerStates:
     The message holds the set-points of the actuators, their measured states, and the differences.
     """
 
-    def __init__(self, face: Face) -> None:
+    def __init__(self, served: ServedHand) -> None:
         kind = "control_msgs/msg/JointTrajectoryControllerState"
-        self._face = face
-        self._kind = face.message(kind)
-        self._point = face.message("trajectory_msgs/msg/JointTrajectoryPoint")
-        self._publisher = face.node.publisher("~/controller_state", kind)
+        self._served = served
+        self._kind = served.message(kind)
+        self._point = served.message("trajectory_msgs/msg/JointTrajectoryPoint")
+        self._publisher = served.node.publisher("~/controller_state", kind)
 
     def publish(self, state: State) -> None:
         """Publish a state if anybody subscribes."""
@@ -264,7 +264,7 @@ class ControllerStates:
         point = self._point
         reference = point(positions=state.reference_position, velocities=state.reference_velocity)
         return self._kind(
-            header=self._face.header(state.wall_ns),
+            header=self._served.header(state.wall_ns),
             joint_names=list(state.names),
             reference=reference,
             feedback=point(

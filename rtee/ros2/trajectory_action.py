@@ -24,10 +24,10 @@ from rtee.errors import MessageError, RteeError
 from rtee.messages.state import State
 from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome, time_fields
-from rtee.ros2.face import Face
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.player import SETTLED, Play, Player
+from rtee.ros2.served_hand import ServedHand
 from rtee.ros2.trajectory import (
     Motion,
     OldTrajectory,
@@ -120,14 +120,14 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
 class TrajectoryAction:
     """Serves the action; the player streams also the trajectories of topics to the hand."""
 
-    def __init__(self, face: Face, player: Player) -> None:
-        self.face, self.player = face, player
-        self.type: Final = face.node.context.interfaces.action(
+    def __init__(self, served: ServedHand, player: Player) -> None:
+        self.served, self.player = served, player
+        self.type: Final = served.node.context.interfaces.action(
             "control_msgs/action/FollowJointTrajectory"
         )
-        self.point = face.message("trajectory_msgs/msg/JointTrajectoryPoint")
-        self.duration = face.message("builtin_interfaces/msg/Duration")
-        self._server = ActionServer(face.node, ACTION, Offer(self.type, self._accept))
+        self.point = served.message("trajectory_msgs/msg/JointTrajectoryPoint")
+        self.duration = served.message("builtin_interfaces/msg/Duration")
+        self._server = ActionServer(served.node, ACTION, Offer(self.type, self._accept))
         self._following: set[_Following] = set()
 
     def parameters(self) -> Iterable[Parameter]:
@@ -183,7 +183,7 @@ class TrajectoryAction:
         goal_time = seconds(message.goal_time_tolerance)
         moving_time = goal_time if goal_time > 0.0 else math.inf
         if goal_time == 0.0:
-            goal_time = self.face.number(GOAL_TIME)
+            goal_time = self.served.number(GOAL_TIME)
         elif goal_time < 0.0:
             if goal_time != _ERASED:
                 raise _refusal(
@@ -194,7 +194,7 @@ class TrajectoryAction:
             goal_time = math.inf
         # Without points and names, all actuators stop where they are.
         if not message.trajectory.points:
-            names = names or list(self.face.actuators)
+            names = names or list(self.served.actuators)
         self._check_joints(names)
         limits = _Limits(
             tolerances_of(message.path_tolerance, names),
@@ -220,7 +220,7 @@ class TrajectoryAction:
     def _stopped(self, names: Sequence[str], given: Iterable[Any]) -> dict[str, float]:
         """Return the speeds below which joints have stopped, unless their goal gives some."""
         own = {tolerance.name for tolerance in given if tolerance.velocity != 0.0}
-        least, joints = self.face.number(STOPPED), self.player.joints
+        least, joints = self.served.number(STOPPED), self.player.joints
         return {name: max(least, _NOISE * joints[name].speed) for name in names if name not in own}
 
     def _check_joints(self, names: Sequence[str]) -> None:
@@ -228,10 +228,10 @@ class TrajectoryAction:
             checked_names(names, self.player.joints)
         except MessageError as error:
             raise _refusal(Code.INVALID_JOINTS, str(error)) from None
-        model, by_actuator = self.face.model, dict[int | None, str]()
+        model, by_actuator = self.served.model, dict[int | None, str]()
         for name in names:
-            if name in self.face.actuators:
-                actuator: int | None = self.face.actuators.index(name)
+            if name in self.served.actuators:
+                actuator: int | None = self.served.actuators.index(name)
             else:
                 actuator = model.transmission.moves(model.joint_names.index(name))
             other = by_actuator.setdefault(actuator, name)
@@ -242,8 +242,8 @@ class TrajectoryAction:
 
     def measured(self, state: State) -> _Joints:
         """Return the measured positions and velocities of joints and actuators."""
-        rates = self.face.model.transmission.velocities(state.position, state.velocity)
-        names = self.face.model.joint_names
+        rates = self.served.model.transmission.velocities(state.position, state.velocity)
+        names = self.served.model.joint_names
         joints = {
             name: (state.joints[name], rate)
             for name, rate in zip(names, rates.tolist(), strict=True)
@@ -324,7 +324,7 @@ class _Following:
 
     def _hold(self) -> None:
         def failed(reason: str) -> None:
-            self._action.face.node.context.log.warning("%s is not held: %s", ACTION, reason)
+            self._action.served.node.context.log.warning("%s is not held: %s", ACTION, reason)
 
         self._action.player.hold(self._names, f"the end of a goal of {ACTION}", failed)
 
@@ -347,7 +347,7 @@ class _Following:
         """Check the hand's states until the goal is reached or a tolerance violated."""
         try:
             for_feedback = partial(next, count())
-            async for state in self._action.face.hand.states(_RATE):
+            async for state in self._action.served.hand.states(_RATE):
                 now = monotonic.now()
                 lag = state.channels.get(_LAG)
                 # The stream plays set-points with a lag.
@@ -394,7 +394,7 @@ class _Following:
             )
 
         goal.feedback(
-            header=self._action.face.header(time.time_ns()),
+            header=self._action.served.header(time.time_ns()),
             joint_names=list(self._names),
             desired=point(wanted, speeds),
             actual=point([p for p, _ in measured], [v for _, v in measured]),

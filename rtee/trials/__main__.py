@@ -1,4 +1,4 @@
-"""Run one job of trials or of planning in this process: see `rtee.trials.apart`."""
+"""Run one job of trials or of planning in this process: see `rtee.trials.job`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from rtee.errors import RteeError, needing_extra
-from rtee.trials.apart import Job
+from rtee.trials.job import Job
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ import pytest
 from rtee import child
 from rtee.exchange.xacro_expand import expand
 from rtee.loop.shutdown_signals import beside_this_run, companion
-from rtee.trials.apart import command
+from rtee.trials.job import command
 
 TAKEN = """
 import pathlib, sys

@@ -16,7 +16,7 @@ from rtee.gui.panels.trying import folder_of, number, shape_text
 from rtee.gui.simulated_object import arrows_of, strongest
 from rtee.gui.trial_results import Tried, object_name, rate, verdict
 from rtee.hand.load import load_hand
-from rtee.trials.apart import Job, meshes_of
+from rtee.trials.job import Job, meshes_of
 from rtee.trials.result import Trial, TrialResult
 
 HAND = "robotiq_2f_85"

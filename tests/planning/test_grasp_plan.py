@@ -25,12 +25,12 @@ from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
 from rtee.objects.shape import parse_object
 from rtee.objects.table import Table, parse_table
-from rtee.planning.apart import Question, ask
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
 from rtee.planning.plan import grasp_plan, plan_grasps
 from rtee.planning.planner import rank
 from rtee.planning.poses import orientations
+from rtee.planning.question import Question, ask
 from rtee.planning.result import from_document, to_document
 from rtee.sample import FloatArray
 from rtee.trials.result import OBJECTS

@@ -9,13 +9,13 @@ import anyio.from_thread
 import pytest
 
 import rtee
-import rtee.planning.apart
+import rtee.planning.question
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.load import load_hand
 from rtee.hand.own_copy import copy_hand
-from rtee.planning.apart import LONGEST
 from rtee.planning.plan import grasp_plan
+from rtee.planning.question import LONGEST
 from rtee.remote.blocking import BlockingHand
 
 from .serving import serving
@@ -70,7 +70,7 @@ def test_a_hand_reads_no_file_that_a_client_names(
     remote: BlockingHand, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = str(repository / "experiments/objects/wedge.stl")
-    question = rtee.planning.apart.Question(path)
+    question = rtee.planning.question.Question(path)
     monkeypatch.setattr("rtee.remote.action_client.question_about", lambda *_, **__: question)
     with pytest.raises(RequestRejected, match="is not an object"):
         remote.grasp_plan(path)

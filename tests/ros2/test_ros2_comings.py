@@ -24,9 +24,9 @@ from rtee.loop.shutdown_signals import companion
 from rtee.remote.directory import running
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import GoalState
-from rtee.ros2.face import Face
 from rtee.ros2.keys import Kind
 from rtee.ros2.qos import LATCHED
+from rtee.ros2.served_hand import ServedHand
 from rtee.ros2.serving import Shown
 
 from .conftest import free_endpoint, open_router
@@ -97,8 +97,8 @@ class Broken:
 
     failed = 0
 
-    def __init__(self, face: Face) -> None:
-        self._fails = face.hand.name == "one" and not Broken.failed
+    def __init__(self, served: ServedHand) -> None:
+        self._fails = served.hand.name == "one" and not Broken.failed
 
     def parameters(self) -> tuple[()]:
         return ()

@@ -16,7 +16,7 @@ import zenoh
 from rtee.hand.config_schema import Ros2Settings
 from rtee.ros2 import Context, attachments, graph, services
 from rtee.ros2.endpoints import LONGEST
-from rtee.ros2.inbox import Complaints, Inbox, Limit
+from rtee.ros2.inbox import Inbox, Limit, WarningLog
 
 from .test_ros2_nodes import STRING, TRIGGER, until
 
@@ -67,7 +67,7 @@ async def test_messages_that_make_no_sense_are_dropped_and_told_once(
         publisher.put(good, attachment=numbered(2))
         await until(lambda: bool(got))
         assert got == ["good"]
-        assert context.complaints.count["a message on /a is dropped"] >= 10
+        assert context.warning_log.count["a message on /a is dropped"] >= 10
     assert len([text for text in warnings(caplog) if "/a is dropped" in text]) == 1
 
 
@@ -117,7 +117,7 @@ async def test_requests_that_make_no_sense_are_dropped(
         held.set()
         await until(lambda: replies.count(True) == 3)
         assert len(calls) == 2
-        assert context.complaints.count["a request of /stop is dropped"] == 7
+        assert context.warning_log.count["a request of /stop is dropped"] == 7
     assert len([text for text in warnings(caplog) if "/stop is dropped" in text]) == 1
 
 
@@ -154,7 +154,7 @@ async def test_too_many_requests_are_dropped_and_told_once(
             )
         await until(lambda: len(ended) == asked)  # dropped ones end at once: nothing is kept
         assert max(most) <= 3
-        assert context.complaints.count["requests of /slow are dropped"] >= asked - len(most) - 1
+        assert context.warning_log.count["requests of /slow are dropped"] >= asked - len(most) - 1
         assert len(most) >= services._MOST_WAITING
     assert len([text for text in warnings(caplog) if "too many at once" in text]) == 1
 
@@ -180,7 +180,7 @@ async def test_nodes_that_come_and_go_leave_nothing(
             await context.graph.wait_until(lambda: not context.graph._tokens)
         monkeypatch.setattr(graph, "MOST", 10)
         tokens = [liveliness.declare_token(f"@ros2_lv/0/b/{n}/{n}/NN/%/%/n") for n in range(50)]
-        await until(lambda: "entities of the ROS graph are left out" in context.complaints.count)
+        await until(lambda: "entities of the ROS graph are left out" in context.warning_log.count)
         assert len(context.graph._tokens) == 10
     assert len([text for text in warnings(caplog) if "not understood" in text]) == 1
 
@@ -235,10 +235,10 @@ async def test_boxes_keep_the_newest_or_the_oldest() -> None:
 
 
 def test_complaints_are_bounded(caplog: pytest.LogCaptureFixture) -> None:
-    complaints = Complaints(logging.getLogger("rtee.ros2.test"))
+    warning_log = WarningLog(logging.getLogger("rtee.ros2.test"))
     for number in range(1000):
-        complaints.tell(f"thing {number}")
-    assert len(complaints.count) == Complaints.MOST == len(warnings(caplog))
+        warning_log.tell(f"thing {number}")
+    assert len(warning_log.count) == WarningLog.MOST == len(warnings(caplog))
 
 
 async def test_an_answer_may_take_for_ever_and_be_given_up(settings: Ros2Settings) -> None:

@@ -115,7 +115,7 @@ async def test_services_answer_and_errors_are_empty_answers(settings: Ros2Settin
         assert [(one.success, one.message) for one in answers] == [(True, "stopped")] * 2
         failed = await asking.client("/hand/fail", trigger).call(trigger.request(), 300)
         assert (failed.success, failed.message) == (False, "")
-        assert "a request of /hand/fail fails" in hand.complaints.count
+        assert "a request of /hand/fail fails" in hand.warning_log.count
         with pytest.raises(TimeoutError, match="nobody offers the service /nothing"):
             await asking.client("/nothing", trigger).wait(0.05)
         with pytest.raises(MessageError, match="Trigger_Request expected"):

@@ -34,7 +34,7 @@ from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
-from rtee.drivers.deadlines import Unhurried, cycle_deadline
+from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.tare import Tare
@@ -180,8 +180,8 @@ class AbilityHandDriver(Driver):
         self._attached = Attached(spec.actuators)
         self._tare = Tare(options.touch_threshold)
         self._parser = ReplyParser()
-        self._pace = Unhurried()
-        self._pace.deadline = Unhurried.PATIENCE
+        self._pace = RelaxedDeadline()
+        self._pace.deadline = RelaxedDeadline.PATIENCE
         self._reply: Reply | None = None
         self._doubted: Reply | None = None
         self._waiting = False
@@ -217,7 +217,7 @@ class AbilityHandDriver(Driver):
         self._in_api = self._moved = self._waiting = False
         self._reply = self._doubted = None
         self._tare.reset()
-        self._pace.deadline = Unhurried.PATIENCE
+        self._pace.deadline = RelaxedDeadline.PATIENCE
         bus = await self.open(
             self.buses.serial,
             options.port,
@@ -256,7 +256,7 @@ class AbilityHandDriver(Driver):
     async def activate(self) -> None:
         """Attach to the hand as it is: only a reference that asks for motion enters API mode."""
         await self._check()
-        with self._pace.unhurried():
+        with self._pace.relaxed_deadline():
             self._control.hold(await self._read())
         self._attached.begin(range(len(self._motors)))
 
@@ -403,12 +403,12 @@ class AbilityHandDriver(Driver):
         with contextlib.suppress(RteeError, OSError):
             # The next command powers all motors again, so it waits for a reference with a motion.
             self._attached.begin(range(len(self._motors)))
-            with self._pace.unhurried():
+            with self._pace.relaxed_deadline():
                 await patiently(lambda: self._exchange(Header.DUTY, (0,) * COUNT))
 
     async def recover(self) -> None:
         """Start again from the measured positions; nothing is sent until a reference asks to."""
-        with self._pace.unhurried():
+        with self._pace.relaxed_deadline():
             self._control.hold(await self._read())
         self._in_api = self._moved = self._waiting = False
         self._attached.begin(range(len(self._motors)))

@@ -402,7 +402,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`."""
         link, self.active = self.connection.link, False
-        with link.unhurried():
+        with link.relaxed_deadline():
             broken = []
             for number in self.ids:
                 try:

@@ -125,7 +125,7 @@ class DynamixelLink:
         self._groups: dict[tuple[int, int], GroupRead] = {}
 
     @contextmanager
-    def unhurried(self) -> Iterator[None]:
+    def relaxed_deadline(self) -> Iterator[None]:
         """Let exchanges take longer, outside the cycle."""
         before, self.patient = self.patient, True
         try:

@@ -348,7 +348,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         # From here on, missing torque is no fault.
         self.active = False
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             hurt = {n for n, error in (await self._readings()).errors.items() if error}
             for number in self.ids:
                 if (await self._condition(number))[1]:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
-from rtee.drivers.deadlines import Unhurried
+from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.feetech.codec import (
     OVERHEAD,
     Frame,
@@ -24,7 +24,7 @@ _ATTEMPTS = 4
 """Attempts to write a register that has another value afterwards."""
 
 
-class FeetechLink(Unhurried):
+class FeetechLink(RelaxedDeadline):
     """Talks to servos on one line; several devices may share it.
 
     A frame counts as the answer if it has the servo's id and the right length. Adapters with an

@@ -122,7 +122,7 @@ class InspireRh56Driver(Driver):
         self._forces = self._speeds = None
         self._angles = [KEEP] * COUNT
         with (
-            link.unhurried(),
+            link.relaxed_deadline(),
             self.identifying(
                 "an RH56",
                 f"no RH56 answers as unit {options.unit} at {options.port}",
@@ -147,7 +147,7 @@ class InspireRh56Driver(Driver):
 
     async def _open(self) -> Rh56Link:
         options = self.options
-        # The deadline is set when the best rate is known; so far, exchanges are `unhurried`.
+        # The deadline is set when the best rate is known; so far, exchanges are `relaxed_deadline`.
         arguments = options.unit, 0.0, options.retries
         line: dict[str, Any] = {"emulator": "inspire_rh56", "baudrate": options.baudrate}
         if options.modbus:
@@ -198,7 +198,7 @@ class InspireRh56Driver(Driver):
     async def activate(self) -> None:
         """Attach to the hand as it is: its motors are always on and keep their set-points."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             self._check(await self._read(link))
             await self._read_back(link)
         # Its set-points may hold a grip, which a reference at the measured posture would end.
@@ -207,7 +207,7 @@ class InspireRh56Driver(Driver):
     async def examine(self) -> str:
         """Raise the fault that the hand reports."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             self._check(await self._read(link))
         return ""
 
@@ -357,7 +357,7 @@ class InspireRh56Driver(Driver):
     async def recover(self) -> None:
         """Clear the errors; motors that had one hold their measured position."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             report = await self._measured()
             faulty = [m for m in self._motors if report.errors[m]]
             if faulty:
@@ -404,7 +404,7 @@ class InspireRh56Driver(Driver):
         angles = [KEEP] * COUNT
         for motor, scale, position in zip(self._motors, self._scales, rest.tolist(), strict=True):
             angles[motor] = scale.position.to_count(position)
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             return await calibrate(
                 self.connection.link,
                 self._measured,

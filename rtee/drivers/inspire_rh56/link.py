@@ -9,7 +9,7 @@ from rtee.buses.bus import Bus
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
-from rtee.drivers.deadlines import Unhurried
+from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.inspire_rh56.codec import OVERHEAD, Command, Frame, ReplyParser, RequestParser
 from rtee.errors import BusError
 
@@ -21,7 +21,7 @@ class WriteRefused(BusError):
         super().__init__(bus, f"the hand refused a write to register {address} ({answer:#04x})")
 
 
-class Rh56Link(Unhurried, ABC):
+class Rh56Link(RelaxedDeadline, ABC):
     """Talks to one hand; several may share a line.
 
     Args:

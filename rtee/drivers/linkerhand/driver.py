@@ -207,7 +207,7 @@ class LinkerHandDriver(Driver):
         link = await self._open()
         name, check = f"a LinkerHand {self._model.name}", "check `model` and `unit`"
         with (
-            link.unhurried(),
+            link.relaxed_deadline(),
             self.identifying(
                 name,
                 f"no {name[2:]} answers as unit {options.unit} on {options.where}",
@@ -264,13 +264,13 @@ class LinkerHandDriver(Driver):
 
     async def activate(self) -> None:
         """Attach to the hand as it is: its motors are always on and keep their set-points."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             await self._examine()
         self._attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
         """Raise the fault that the hand reports."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             await self._examine()
         return ""
 
@@ -405,7 +405,7 @@ class LinkerHandDriver(Driver):
     async def recover(self) -> None:
         """Make motors that had a fault hold their position, and check that the fault is gone."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             _, codes = await link.health()
             faulty = tuple(motor for motor in self._motors if codes[motor])
             if faulty or self._targets is None:

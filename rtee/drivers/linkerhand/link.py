@@ -14,7 +14,7 @@ from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_INPUT
 from rtee.buses.timing import silence, wire_time
-from rtee.drivers.deadlines import Unhurried
+from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.codec import Fault, LinkerFrameError, Model, Table, Version
 from rtee.errors import FrameError
@@ -23,7 +23,7 @@ _CAN_BITS = 130
 """Bits of a CAN frame with eight bytes, stuffing bits included."""
 
 
-class LinkerLink(Unhurried, ABC):
+class LinkerLink(RelaxedDeadline, ABC):
     """Talks to one hand.
 
     Args:

@@ -354,7 +354,7 @@ class SchunkEguDriver(Driver):
     async def activate(self) -> None:
         """Attach to a ready gripper; acknowledge the errors that are normal after power-up."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             now = self._input = await self.connection.link.read()
             if now.error not in _EXPECTED:
                 self._refuse(now)
@@ -591,7 +591,7 @@ class SchunkEguDriver(Driver):
 
     async def recover(self) -> None:
         """Acknowledge the error; the interrupted command is not continued."""
-        with self.connection.link.unhurried():
+        with self.connection.link.relaxed_deadline():
             await self._read_on()
             if not self._ready(self._input):
                 await self._acknowledge()

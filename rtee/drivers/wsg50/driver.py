@@ -151,7 +151,7 @@ class Wsg50Driver(Driver):
             emulated={"emulator": {"referenced": options.home == "on_demand", **options.emulator}},
         )
         with (
-            link.unhurried(),
+            link.relaxed_deadline(),
             self.identifying(
                 "a WSG 50",
                 f"no answer at {options.port}",
@@ -180,7 +180,7 @@ class Wsg50Driver(Driver):
     async def activate(self) -> None:
         """Attach to a referenced gripper; home one that is not referenced where that is allowed."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             self._report = await link.report()
             self._refuse(self._report)
             if not self._report.state & State.REFERENCED:
@@ -326,7 +326,7 @@ class Wsg50Driver(Driver):
     async def recover(self) -> None:
         """Clear a fast stop; a gripper that lost its reference may then home."""
         link = self.connection.link
-        with link.unhurried():
+        with link.relaxed_deadline():
             self._report = await link.report()
             if self._report.state & State.FAST_STOP:
                 await link.ask(acknowledge())

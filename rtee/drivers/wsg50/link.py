@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from rtee.buses.serial import SerialBus
-from rtee.drivers.deadlines import Unhurried
+from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.wsg50.codec import (
     MOTIONS,
     Command,
@@ -97,7 +97,7 @@ class _Reports:
             return []
 
 
-class WsgLink(Unhurried):
+class WsgLink(RelaxedDeadline):
     """Talks to one gripper.
 
     Attributes:

@@ -26,7 +26,7 @@ from rtee.planning.result import GraspPlan, Ranking
 from rtee.planning.result import from_document as ranking_of
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal_values import GoalOptions
-from rtee.trials.apart import MOST_VARIATIONS, Job, check_installed, meshes_of
+from rtee.trials.job import MOST_VARIATIONS, Job, check_installed, meshes_of
 from rtee.trials.result import OBJECTS, TrialResult
 from rtee.trials.store import from_document as result_of
 

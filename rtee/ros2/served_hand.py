@@ -20,7 +20,7 @@ from rtee.ros2.parameters import Parameter, Parameters
 
 
 @dataclass(eq=False)
-class Face:
+class ServedHand:
     """A running hand and its node; made anew each time the hand starts.
 
     Attributes:
