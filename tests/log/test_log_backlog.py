@@ -106,7 +106,7 @@ def test_the_buffer_of_a_long_chunk_is_given_back() -> None:
         for number in range(blocks):
             builder.add_block(number, bytes(500))
         assert builder.pack() is not None
-        usual.append(len(builder._room))
+        usual.append(len(builder._room._memory))
     first, long, _, last = usual
     assert long > 10_000_000
     assert last <= 2 * first
