@@ -37,8 +37,8 @@ test: .venv/.ready
 
 tests: .ros2-peers/.ready .device-peers/.ready
 	$(BIN)/python -m pytest -m "not browser" -n $(TEST_PROCESSES) --durations 25
-	@# Alone: a page that the processors draw leaves too little of them to what it shows.
-	$(BIN)/python -m pytest -m browser tests/gui/browser --durations 10
+	@# After the others: pages that the processors draw leave too little of them to real time.
+	$(BIN)/python -m pytest -m browser tests/gui/browser -n $(TEST_PROCESSES) --durations 10
 
 # How long the files of tests take, by which they are shared out: the longest first.
 times: .ros2-peers/.ready .device-peers/.ready

@@ -142,19 +142,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
-    """Share the tests out to processes (``-n 2``): those of a file, and all in a browser, to one.
-
-    Tests of a file share its fixtures; and a browser draws with all the CPU it gets, so one is
-    enough at a time.
-    """
+    """Share the tests out to processes (``-n 2``) by files, whose tests share fixtures."""
     from xdist.scheduler import LoadFileScheduling
 
-    class Files(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            return "browser" if "browser" in nodeid else super()._split_scope(nodeid)
-
     config.option.loadscopereorder = False
-    return Files(config, log)
+    return LoadFileScheduling(config, log)
 
 
 @pytest.fixture(autouse=True)

@@ -30,6 +30,8 @@ _ARGUMENTS: Final = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    # Pages are put together by the processor itself, not by its copy of a graphics card.
+    "--disable-gpu-compositing",
     "--disable-gpu-rasterization",
     "--disable-accelerated-2d-canvas",
 )

@@ -47,12 +47,9 @@ for (const name of ["clear", ...kinds.map((kind) => `draw${kind}`)]) {
     if (window.drawing) draw.apply(this, given);
   };
 }
-const next = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = (draw) => setTimeout(() => next(draw), 100);
-window.cancelAnimationFrame = (timer) => clearTimeout(timer);
 """
 """Draws the 3D view, in which the processor draws each frame for 0.4 s, only while somebody looks
-at it, and ten times a second at most."""
+at it."""
 
 _NOTE_WHAT_IS_TOLD = """
 window.told = [];

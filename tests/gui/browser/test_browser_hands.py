@@ -134,13 +134,17 @@ def test_gains_and_the_grip_effort_are_tuned(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
     window.tab("Teach")
     panel = window.folder("Tune", unfold=True)
-    window.choose("Gain", "mujoco: kd.finger_joint", panel)
-    window.wait(window.field("Value", panel), "field => Number(field.value) > 0")
-    window.type("Value", "0.5", panel)
-    window.button("Set gain", panel).click()
-    window.told("kd.finger_joint is 0.5")
-    window.type("Holding effort [%]", "70", panel)
     with rtee.connect_blocking(SQUEEZER) as hand:
+        (device,) = hand.status().devices
+        present = dict(zip(device.gains, device.gain_values, strict=True))["kd.finger_joint"]
+        window.choose("Gain", "mujoco: kd.finger_joint", panel)
+        # Typed before it is shown, the new value would be overwritten.
+        shown = f"field => Math.abs(Number(field.value) / {present} - 1) < 0.01"
+        window.wait(window.field("Value", panel), shown)
+        window.type("Value", "0.5", panel)
+        window.button("Set gain", panel).click()
+        window.told("kd.finger_joint is 0.5")
+        window.type("Holding effort [%]", "70", panel)
         window.until(lambda: hand.status().grip_effort == 0.7)
 
 
