@@ -79,7 +79,7 @@ def _names(endpoint: str | None) -> Collection[str]:
     """Return the hands that run here, or at an endpoint."""
     from rtee.errors import NoHand
     from rtee.remote.find import alive, hands_running
-    from rtee.remote.session import open_client
+    from rtee.remote.session import close_session, open_client
 
     if endpoint is None:
         return hands_running()
@@ -90,7 +90,7 @@ def _names(endpoint: str | None) -> Collection[str]:
     try:
         return alive(session)
     finally:
-        session.close()  # type: ignore[no-untyped-call]
+        close_session(session)
 
 
 async def _check_running(hand: str | None, endpoint: str | None) -> None:

@@ -20,7 +20,7 @@ from rtee.messages import network_key
 from rtee.messages.requests import CLIENTS
 from rtee.remote.access import router_access_control
 from rtee.remote.credentials import Credentials, router_certificates
-from rtee.remote.session import check_endpoints, is_safe, open_listening
+from rtee.remote.session import check_endpoints, close_session, is_safe, open_listening
 
 _MOST_SESSIONS = 1000
 """Most connections: Zenoh's own limit for routers, 200 hands with four clients each."""
@@ -58,7 +58,7 @@ async def route(
                 with suppress(ConfigError):
                     _ = site and site.read()
         finally:
-            session.close()  # type: ignore[no-untyped-call]
+            close_session(session)
 
 
 def _names(hands: Mapping[str, str]) -> str:

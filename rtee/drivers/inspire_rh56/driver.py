@@ -147,7 +147,7 @@ class InspireRh56Driver(Driver):
 
     async def _open(self) -> Rh56Link:
         options = self.options
-        # The deadline is set when the best rate is known; so far, exchanges are `relaxed_deadline`.
+        # The deadline is set when the best rate is known; until then, a relaxed one holds.
         arguments = options.unit, 0.0, options.retries
         line: dict[str, Any] = {"emulator": "inspire_rh56", "baudrate": options.baudrate}
         if options.modbus:
