@@ -71,7 +71,7 @@ def squeeze(simulation: Simulation, hand: Hand) -> float:
     links together: links of one finger that press against each other add nothing.
     """
     model, data = simulation.model, simulation.data
-    thing = model.body(OBJECT).id
+    obj = model.body(OBJECT).id
     finger_of = {
         model.body(LINK + link).id: number
         for number, finger in enumerate(hand.fingers)
@@ -81,8 +81,8 @@ def squeeze(simulation: Simulation, hand: Hand) -> float:
     for number in range(data.ncon):
         contact = data.contact[number]
         first, second = (int(model.geom_bodyid[geom]) for geom in contact.geom)
-        finger = finger_of.get(first if second == thing else second)
-        if thing not in (first, second) or finger is None:
+        finger = finger_of.get(first if second == obj else second)
+        if obj not in (first, second) or finger is None:
             continue
         mujoco.mj_contactForce(model, data, number, force)
         found[finger] += contact.frame.reshape(3, 3).T @ force[:3]

@@ -61,52 +61,52 @@ def best_stored(ready: Bench) -> Action:
     return there[known[0]] if known else next(iter(ready.library))
 
 
-def tried(ready: Bench, action: Action, thing: GraspObject, places: int) -> bool:
+def tried(ready: Bench, action: Action, obj: GraspObject, places: int) -> bool:
     """Return whether an action holds an object at one of the places that `rtee try` finds."""
-    trial = Trial(action.name, action.elements, thing.name, mass=thing.mass, places=places)
+    trial = Trial(action.name, action.elements, obj.name, mass=obj.mass, places=places)
     try:
         return run_trial(ready.hand, ready.library, ready.settings, trial).held
     except RteeError:
         return False
 
 
-def planned(ready: Bench, thing: GraspObject) -> tuple[str, bool, bool, float, float]:
+def planned(ready: Bench, obj: GraspObject) -> tuple[str, bool, bool, float, float]:
     """Return the first choice, whether it holds, whether any of those that ``--check`` tries does.
 
     And how long planning took: wall and processor time [s].
     """
     began, used = time.perf_counter(), time.process_time()
     try:
-        ranking = plan_grasps(ready.hand, ready.library, thing)
+        ranking = plan_grasps(ready.hand, ready.library, obj)
     except RteeError:
         return "", False, False, time.perf_counter() - began, time.process_time() - used
     took = time.perf_counter() - began, time.process_time() - used
     if not ranking.plans:
         return "", False, False, *took
     label = ranking.plans[0].label
-    tried = checked(ready.hand, ready.library, ready.settings, thing, ranking, CHECKED).plans
+    tried = checked(ready.hand, ready.library, ready.settings, obj, ranking, CHECKED).plans
     held = [plan.label for plan in tried if plan.check is not None and plan.check.held]
     return label, label in held, bool(held), *took
 
 
 def from_table(hands: list[str], only: str) -> None:
     """Print how often first choices for what stands on a table hold there, and with variations."""
-    table = Table("hand", "thing", "first choice", "score", "held", "varied", "pressed [N]")
+    table = Table("hand", "object", "first choice", "score", "held", "varied", "pressed [N]")
     for name in hands:
         ready = bench(name)
         held, varied, things = 0, 0, [*sorted(MASSES), *SHAPES]
-        things = [thing for thing in things if only in thing]
-        for thing in things:
-            mass = MASSES.get(thing, 0.1)
-            target = read_object(str(FOLDER / f"{thing}.stl") if thing in MASSES else thing, mass)
-            up = LYING.get(thing, (0.0, 0.0, 1.0))
+        things = [obj for obj in things if only in obj]
+        for obj in things:
+            mass = MASSES.get(obj, 0.1)
+            target = read_object(str(FOLDER / f"{obj}.stl") if obj in MASSES else obj, mass)
+            up = LYING.get(obj, (0.0, 0.0, 1.0))
             try:
                 ranking = plan_grasps(ready.hand, ready.library, target, table=Plane(up))
             except RteeError as error:
-                table.row(name, thing, str(error), "", "", "", "")
+                table.row(name, obj, str(error), "", "", "", "")
                 continue
             if not ranking.plans:
-                table.row(name, thing, "none", "", "", "", "")
+                table.row(name, obj, "none", "", "", "", "")
                 continue
             plan, draws = ranking.plans[0], [None, *(_small(number) for number in range(VARIED))]
             first, *others = [
@@ -119,7 +119,7 @@ def from_table(hands: list[str], only: str) -> None:
             held, varied = held + first.held, varied + count
             pressed = max(check.pressed for check in (first, *others))
             words = "held" if first.held else first.reason
-            table.row(name, thing, plan.label, plan.score, words, count, f"{pressed:.0f}")
+            table.row(name, obj, plan.label, plan.score, words, count, f"{pressed:.0f}")
         table.row(name, f"{len(things)} things", "", "", held, varied, "")
 
 
@@ -131,13 +131,13 @@ def _small(number: int) -> Variation:
 
 
 def planning_times(hands: list[str], things: list[str]) -> None:
-    """Print the processor time that planning takes for each hand and thing [s]."""
+    """Print the processor time that planning takes for each hand and object [s]."""
     table = Table("hand", *things)
     for name in hands:
         ready = bench(name)
         times = []
-        for thing in things:
-            target = replace(read_object(str(FOLDER / f"{thing}.stl")), mass=MASSES[thing])
+        for obj in things:
+            target = replace(read_object(str(FOLDER / f"{obj}.stl")), mass=MASSES[obj])
             began = time.process_time()
             plan_grasps(ready.hand, ready.library, target)
             times.append(time.process_time() - began)
@@ -152,7 +152,7 @@ def main() -> None:
     parser.add_argument("--no-trials", action="store_true", help="time planning only")
     arguments = parser.parse_args()
     if arguments.no_trials:
-        things = [thing for thing in sorted(MASSES) if arguments.only in thing]
+        things = [obj for obj in sorted(MASSES) if arguments.only in obj]
         planning_times(arguments.hands, things)
         return
     if arguments.table:
@@ -160,7 +160,7 @@ def main() -> None:
         return
     table = Table(
         "hand",
-        "thing",
+        "object",
         "first choice",
         "planned",
         "checked",
@@ -174,9 +174,9 @@ def main() -> None:
         ready = bench(name)
         stored, draw = best_stored(ready), random.Random(SEED)
         held, times = Counter[str](), []
-        things = [thing for thing in sorted(MASSES) if arguments.only in thing]
-        for thing in things:
-            target = replace(read_object(str(FOLDER / f"{thing}.stl")), mass=MASSES[thing])
+        things = [obj for obj in sorted(MASSES) if arguments.only in obj]
+        for obj in things:
+            target = replace(read_object(str(FOLDER / f"{obj}.stl")), mass=MASSES[obj])
             label, one, best, wall, used = planned(ready, target)
             two = tried(ready, stored, target, arguments.places)
             three = tried(ready, draw.choice(list(ready.library)), target, arguments.places)
@@ -184,7 +184,7 @@ def main() -> None:
             held.update(planned=one, checked=best, stored=two, random=three)
             times.append(wall)
             words = ["held" if found else "lost" for found in (one, best, two, three)]
-            table.row(name, thing, label or "none", *words, f"{wall:.1f}", f"{used:.1f}")
+            table.row(name, obj, label or "none", *words, f"{wall:.1f}", f"{used:.1f}")
         totals.append((name, len(things), held, sorted(times)[len(times) // 2]))
     print()
     table = Table("hand", "planned", "checked", "stored", "random", "median of planning [s]")

@@ -125,8 +125,8 @@ def choose(page: Page, label: str, option: str) -> None:
 
 def picture_of_a_plan(folder: Path) -> None:
     """Picture a grasp that was planned for a simulated box, and done."""
-    hand, thing = "robotiq_2f_85", "box:0.04x0.04x0.1"
-    simulated = ("--driver", "mujoco", "--object", thing, "--rate", "100", "--no-log")
+    hand, obj = "robotiq_2f_85", "box:0.04x0.04x0.1"
+    simulated = ("--driver", "mujoco", "--object", obj, "--rate", "100", "--no-log")
     with (
         tempfile.TemporaryDirectory(prefix="rtee-") as name,
         program(Path(name), hand, "run", hand, *simulated),
@@ -140,7 +140,7 @@ def picture_of_a_plan(folder: Path) -> None:
         page.wait_for_timeout(3000)
         page.locator(".mantine-Notification-closeButton").first.click()
         page.get_by_role("tab", name="Simulate").click()
-        choose(page, "Object", thing)
+        choose(page, "Object", obj)
         page.get_by_role("button", name="Suggest grasps", exact=True).click()
         page.get_by_text(re.compile("^best: ")).first.wait_for()
         page.get_by_role("button", name="Grasp", exact=True).first.click()

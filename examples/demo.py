@@ -111,11 +111,11 @@ def online() -> None:
 def emulated() -> None:
     """Real drivers, real bytes, emulated devices that hold something, the same primitive."""
     title("Three grippers on emulated wires, something between the fingers of each")
-    for hand, _, thing, wire in GRIPPERS:
-        print(f"  {hand:<14} on {wire}; between the fingers: {thing}")
+    for hand, _, obj, wire in GRIPPERS:
+        print(f"  {hand:<14} on {wire}; between the fingers: {obj}")
     with ExitStack() as grippers:
-        for hand, _, thing, _ in GRIPPERS:
-            grippers.enter_context(running(hand, "--emulated", "--ideal", "--object", thing))
+        for hand, _, obj, _ in GRIPPERS:
+            grippers.enter_context(running(hand, "--emulated", "--ideal", "--object", obj))
         for hand, fingers, *_ in GRIPPERS:
             wait_for(hand)
             rtee("do", "PinchTight", *fingers, "--hand", hand)

@@ -84,7 +84,7 @@ def main(name: str = "schunk_svh") -> None:
     try:
         ball, pose = read_object("sphere:0.015"), np.eye(4)
         pose[:3, 3] = middle
-        reached = reach_contacts(hand, library, contacts, tips=tips, thing=ball, object_pose=pose)
+        reached = reach_contacts(hand, library, contacts, tips=tips, obj=ball, object_pose=pose)
         show("Contact points", reached)
     except ConfigError as error:  # they are the SVH's; another hand may not reach them
         print(f"Contact points: {error}")

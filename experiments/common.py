@@ -185,8 +185,8 @@ def steadiest(ready: Bench, trial: Trial) -> int:
     options = SimOptions(object=trial.object, object_mass=trial.mass, carrier="arm")
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
     action = library.find(trial.action, trial.elements)
-    thing = read_object(trial.object, trial.mass)
-    count = len(robust_places(simulation, library, action, thing, trial.places))
+    obj = read_object(trial.object, trial.mass)
+    count = len(robust_places(simulation, library, action, obj, trial.places))
     tried = [
         run_trial(hand, library, settings, replace(trial, places=number + 1), skip=number)
         for number in range(count)

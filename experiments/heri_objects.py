@@ -36,11 +36,11 @@ PRESSING = 20.0
 links than those of the action's fingers."""
 
 
-def _into(action: str, elements: tuple[str, ...], thing: str) -> Transfer:
+def _into(action: str, elements: tuple[str, ...], obj: str) -> Transfer:
     return Transfer(
         action,
         elements,
-        thing,
+        obj,
         by=(0.32, 0.05),
         turn=0.0,
         reach="down",

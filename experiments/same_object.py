@@ -209,7 +209,7 @@ def _gripper_of(grippers: Sequence[Gripper], path: Path) -> Gripper:
 
 
 async def _on_wire(gripper: Gripper, folder: Path, outcome: Outcome) -> None:
-    async with on_the_wire(wired(gripper.name, thing=gripper.wired), folder) as hand:
+    async with on_the_wire(wired(gripper.name, obj=gripper.wired), folder) as hand:
         grasp = await hand.do(Goal(Named(gripper.action, (gripper.actuator,)), goal_id="grasp"))
         at = hand.loop.snapshot().position
         await anyio.sleep(HOLD)

@@ -75,15 +75,15 @@ class WiredHand(Observer):
         return self._results[goal.goal_id]
 
 
-def wired(name: str, rate: float | None = None, *, thing: str | None = None) -> PreparedHand:
+def wired(name: str, rate: float | None = None, *, obj: str | None = None) -> PreparedHand:
     """Read a hand that is to run against its emulated devices.
 
     Args:
         name: The hand.
         rate: Ticks per second [Hz]; ``None``: its own.
-        thing: What is between its fingers, such as ``50mm``.
+        obj: What is between its fingers, such as ``50mm``.
     """
-    return prepare(name, RunOptions(emulated=True, rate=rate, object_in_hand=thing))
+    return prepare(name, RunOptions(emulated=True, rate=rate, object_in_hand=obj))
 
 
 async def _activate(loop: HandLoop) -> None:

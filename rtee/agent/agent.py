@@ -78,13 +78,13 @@ class Agent:
             raise NoHand(self._lost)
         return self._remote
 
-    async def move(self, goal: Goal, words: str, thing: str = "") -> dict[str, Any]:
+    async def move(self, goal: Goal, words: str, obj: str = "") -> dict[str, Any]:
         """Bring a goal through the gate, do it, and return how it ended.
 
         Args:
             goal: The goal.
             words: What the agent wants, for the person who approves it.
-            thing: What the hand closes on in simulation; empty: nothing.
+            obj: What the hand closes on in simulation; empty: nothing.
 
         Raises:
             GoalRejected: if the gate does not let it through, with the reason.
@@ -98,14 +98,14 @@ class Agent:
             remote = await self.remote()
             if out := (await remote.status()).agents_out:
                 raise GoalRejected(f"agents are out since the hand was {out}; ask a person")
-            played = await self._pass(remote, goal, words, thing)
+            played = await self._pass(remote, goal, words, obj)
             result = texts.result(await _done(remote, goal))
         finally:
             self._moving = False
         self._note({"result": result})
         return {**result, "in_simulation": texts.outside(played)} if played else result
 
-    async def _pass(self, remote: RemoteHand, goal: Goal, words: str, thing: str) -> str:
+    async def _pass(self, remote: RemoteHand, goal: Goal, words: str, obj: str) -> str:
         """Return how the goal went in simulation, if the gate asks for one; raises `GoalRejected`.
 
         With a person to decide, a goal that cannot be simulated is shown as such.
@@ -114,7 +114,7 @@ class Agent:
         if gate is Gate.ACT:
             return ""
         try:
-            played, against = await self._rehearsed(remote, goal, thing)
+            played, against = await self._rehearsed(remote, goal, obj)
         except RteeError as error:
             if gate is not Gate.APPROVE:
                 raise GoalRejected(f"it cannot be played in simulation first: {error}") from None
@@ -128,13 +128,13 @@ class Agent:
             await approve(" ".join(filter(None, asked)))
         return played
 
-    async def _rehearsed(self, remote: RemoteHand, goal: Goal, thing: str) -> tuple[str, str]:
+    async def _rehearsed(self, remote: RemoteHand, goal: Goal, obj: str) -> tuple[str, str]:
         """Return what happens in simulation, and why the goal should not be done, in words."""
         with needing_extra("playing a motion in simulation", "sim"):
             from rtee.trials.rehearsal import rehearse
         position = (await remote.state()).positions
         urdf = await remote.robot_description()
-        play = partial(rehearse, self.name, urdf, goal, thing, position)
+        play = partial(rehearse, self.name, urdf, goal, obj, position)
         rehearsal = await anyio.to_thread.run_sync(play, abandon_on_cancel=True)
         return rehearsal.words, rehearsal.refusal(self.limits.force)
 

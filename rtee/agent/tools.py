@@ -46,7 +46,7 @@ Names = Annotated[
     list[Name], Field(strict=True, max_length=20, description="Fingers, or the actuator.")
 ]
 HandName = Annotated[str, _text(description="The hand; empty if there is only one.")]
-Thing = Annotated[str, _text(pattern=_SHAPE, description=f"The object, as {_SHAPES}.")]
+GraspedObject = Annotated[str, _text(pattern=_SHAPE, description=f"The object, as {_SHAPES}.")]
 Force = Annotated[float, _number(gt=0, description="Force to hold it with [N].")]
 Width = Annotated[float, _number(ge=0, description="Its width [m]: 0.03 is 30 mm.")]
 Intensity = Annotated[float, _number(ge=0, le=1, description="0: rest; 1: as far as it goes.")]
@@ -103,7 +103,7 @@ class Tools:
 
     async def grasp_plan(
         self,
-        object: Thing,  # noqa: A002 - as everywhere in rtee
+        object: GraspedObject,  # noqa: A002 - as everywhere in rtee
         hand: HandName = "",
         mass: Mass = 0.1,
         friction: Friction = 0.5,
@@ -124,7 +124,7 @@ class Tools:
         intensity: Intensity = 1.0,
         effort: Effort | None = None,
         speed: Speed | None = None,
-        object: Thing | None = None,  # noqa: A002
+        object: GraspedObject | None = None,  # noqa: A002
     ) -> dict[str, Any]:
         """Do an action that 'describe' lists; name the object if it closes on one."""
         agent = self._agent(hand)
@@ -153,7 +153,7 @@ class Tools:
         fingers: Names = [],  # noqa: B006
         hand: HandName = "",
         speed: Speed | None = None,
-        object: Thing | None = None,  # noqa: A002
+        object: GraspedObject | None = None,  # noqa: A002
     ) -> dict[str, Any]:
         """Open wider than an object, close on it, and hold it with a force."""
         agent = self._agent(hand)

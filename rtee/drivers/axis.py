@@ -138,10 +138,10 @@ class Axis:
     def _bounds(self) -> tuple[float, float]:
         """Return the range that it can reach, limited by the stops and by the squeezed object."""
         lower, upper = self.lower, self.upper
-        thing = self.obstacle
-        if thing is not None:
-            deepest = thing.contact + thing.closing * self.max_effort / thing.stiffness
-            if thing.closing > 0:
+        obstacle = self.obstacle
+        if obstacle is not None:
+            deepest = obstacle.contact + obstacle.closing * self.max_effort / obstacle.stiffness
+            if obstacle.closing > 0:
                 upper = max(min(upper, deepest), lower)
             else:
                 lower = min(max(lower, deepest), upper)
@@ -155,10 +155,10 @@ class Axis:
 
     def _contact(self) -> float:
         """Return the effort with which the object resists, not negative."""
-        thing = self.obstacle
-        if thing is None:
+        obstacle = self.obstacle
+        if obstacle is None:
             return 0.0
-        return max(0.0, (self.position - thing.contact) * thing.closing * thing.stiffness)
+        return max(0.0, (self.position - obstacle.contact) * obstacle.closing * obstacle.stiffness)
 
     def step(self, now: float) -> None:
         """Let time pass up to ``now`` [s]; the first call only sets the clock."""

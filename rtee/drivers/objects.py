@@ -140,15 +140,15 @@ class Grasps(ABC):
             "which they meet the object, 0 to 1"
         )
 
-    def place_object(self, thing: ObjectInHand) -> None:
+    def place_object(self, obj: ObjectInHand) -> None:
         """Put an object between the fingers, replacing one that is there.
 
         Raises:
             ConfigError: if the object is too wide, or the fingers are closed further already.
         """
-        at = thing.closure if thing.width is None else self.closure_at(thing.width)
+        at = obj.closure if obj.width is None else self.closure_at(obj.width)
         if not 0.0 <= at <= 1.0:
-            width = 0.0 if thing.width is None else thing.width
+            width = 0.0 if obj.width is None else obj.width
             raise ConfigError(f"an object {width * 1e3:g} mm wide is not between the fingers")
         closings = self.closings()
         # Motors that press on an object are not compared: the new object replaces it.
@@ -158,7 +158,7 @@ class Grasps(ABC):
             way = one.closed - one.opened
             one.motor.obstacle = VirtualObject(
                 one.opened + at * way,
-                thing.stiffness * one.effort / abs(way),
+                obj.stiffness * one.effort / abs(way),
                 # Whether the motor's counts rise or fall while the fingers close.
                 math.copysign(1.0, way),
             )

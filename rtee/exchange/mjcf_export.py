@@ -195,9 +195,9 @@ def _in_full(text: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     assert world is not None  # noqa: S101 - every model has one
     for tag, attributes in _EXACT.items():
         for element in world.iter(tag):
-            thing = getattr(spec, tag)(element.get("name", ""))
+            obj = getattr(spec, tag)(element.get("name", ""))
             for attribute in attributes:
-                _set(element, attribute, getattr(thing, attribute))
+                _set(element, attribute, getattr(obj, attribute))
     for element in root.iterfind("./equality/joint"):
         _set(element, "polycoef", spec.equality(element.get("name", "")).data[:5])
     for element in root.iterfind("./tendon/fixed"):

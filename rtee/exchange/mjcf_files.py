@@ -345,8 +345,8 @@ def _reduce(spec: mujoco.MjSpec, missing: dict[str, str], path: Path) -> list[st
     for site in spec.sites:
         site.material = ""
     for kind_of in _UNSEEN:
-        for thing in list(getattr(spec, kind_of)):
-            spec.delete(thing)
+        for obj in list(getattr(spec, kind_of)):
+            spec.delete(obj)
     for material in list(spec.materials):
         spec.delete(material)
     # Drop memory and sizes requested by the file, since nothing is simulated here.

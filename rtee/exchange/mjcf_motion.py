@@ -396,11 +396,11 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> frozenset[int]:
     carriers: list[set[int]] = []
     first = int(model.tendon_adr[tendon])
     for i in range(first, first + int(model.tendon_num[tendon])):
-        thing, kind = int(model.wrap_objid[i]), mujoco.mjtWrap(int(model.wrap_type[i]))
+        obj, kind = int(model.wrap_objid[i]), mujoco.mjtWrap(int(model.wrap_type[i]))
         if kind == mujoco.mjtWrap.mjWRAP_SITE:
-            carriers.append(_joints_to(model, int(model.site_bodyid[thing])))
+            carriers.append(_joints_to(model, int(model.site_bodyid[obj])))
         elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
-            carriers.append(_joints_to(model, int(model.geom_bodyid[thing])))
+            carriers.append(_joints_to(model, int(model.geom_bodyid[obj])))
     if not carriers:
         return frozenset()
     # A joint that carries all of the tendon does not change its length.

@@ -305,9 +305,9 @@ class Recorder:
         """Record the plan of a goal."""
         self._put(plan, stamp)
 
-    def on_object(self, thing: ObjectDescription, stamp: float) -> None:
+    def on_object(self, obj: ObjectDescription, stamp: float) -> None:
         """Record the object in a simulated hand."""
-        self._put(thing, stamp)
+        self._put(obj, stamp)
 
     def on_command(self, record: CommandRecord) -> None:
         """Record a command."""

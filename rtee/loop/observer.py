@@ -125,11 +125,11 @@ class Observers:
         self._each(lambda observer: observer.on_goal(goal, stamp))
         self._each(lambda observer: getattr(observer, "on_plan", _ignore)(plan, stamp))
 
-    def describe_object(self, thing: ObjectDescription | None, stamp: float) -> None:
+    def describe_object(self, obj: ObjectDescription | None, stamp: float) -> None:
         """Report a new simulated object to observers that have ``on_object``."""
-        if thing is not self._object and thing is not None:
-            self._object = thing
-            self._each(lambda observer: getattr(observer, "on_object", _ignore)(thing, stamp))
+        if obj is not self._object and obj is not None:
+            self._object = obj
+            self._each(lambda observer: getattr(observer, "on_object", _ignore)(obj, stamp))
 
     def command(self, record: CommandRecord) -> None:
         """Report a command."""

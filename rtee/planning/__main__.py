@@ -43,11 +43,11 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
         file = Path(place) / f"object{question['format']}"
         if mesh:
             file.write_bytes(mesh)
-        thing = read_object(str(file) if mesh else text, mass, scale)
+        obj = read_object(str(file) if mesh else text, mass, scale)
     axis = question["weight_axis"] or None
     # The temporary file's path means nothing to whoever asked.
-    thing = dataclasses.replace(thing, name=text)
-    ranking = plan_grasps(hand, library, thing, friction=question["friction"], weight_axis=axis)
+    obj = dataclasses.replace(obj, name=text)
+    ranking = plan_grasps(hand, library, obj, friction=question["friction"], weight_axis=axis)
     return to_document(dataclasses.replace(ranking, plans=ranking.plans[: question["top"]]))
 
 
@@ -74,7 +74,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     # No path from outside is opened; see `answer`.
     if text:
         refuse_paths(text)
-    thing = read_object(text) if text else None
+    obj = read_object(text) if text else None
     approach, retreat = asked["approach"] or None, asked["retreat"]
     if not asked["points"]:
         assert pose is not None  # noqa: S101 - `ReachQuestion.check` has seen to that
@@ -87,7 +87,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
             fingers=asked["fingers"],
             approach=approach,
             retreat=retreat,
-            thing=thing,
+            obj=obj,
             object_pose=where,
         )
         return to_document(found)
@@ -105,7 +105,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
             approach=approach,
             retreat=retreat,
             tolerance=tolerance,
-            thing=thing,
+            obj=obj,
             object_pose=where,
         )
     )

@@ -72,8 +72,8 @@ def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) ->
     ways = np.array([approach.way for approach in approaches])
     poses = np.array([approach.pose for approach in approaches])
     # Its near side, not its middle, begins beyond the reach of the fingers.
-    thing = scene.object
-    first = WAY + np.array([near_side(thing, e.pose, e.way, thing.inside) for e in approaches])
+    obj = scene.object
+    first = WAY + np.array([near_side(obj, e.pose, e.way, obj.inside) for e in approaches])
     depths = first.copy()
     poses[:, :3, 3] += depths[:, None] * ways
     near = DistanceBounds(scene, at, poses)
@@ -94,10 +94,10 @@ def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) ->
         left = left[depths[left] > -_DEEPEST]
 
 
-def near_side(thing: GraspObject, pose: FloatArray, way: FloatArray, origin: FloatArray) -> float:
+def near_side(obj: GraspObject, pose: FloatArray, way: FloatArray, origin: FloatArray) -> float:
     """Return how far an object reaches against a way ``(3,)`` from a point of its frame [m]."""
     along = way @ pose[:3, :3]
-    return float(thing.support(-along[None])[0] + along @ origin)
+    return float(obj.support(-along[None])[0] + along @ origin)
 
 
 def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:

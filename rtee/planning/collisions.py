@@ -38,7 +38,7 @@ class Collisions:
     Args:
         hand: The hand.
         geometry: Its geometry.
-        thing: The object, or anything else that is in the way, if there is something.
+        obj: The object, or anything else that is in the way, if there is something.
         pose: Pose ``(4, 4)`` of that in the hand's base frame.
     """
 
@@ -46,7 +46,7 @@ class Collisions:
         self,
         hand: Hand,
         geometry: HandGeometry,
-        thing: GraspObject | None = None,
+        obj: GraspObject | None = None,
         pose: FloatArray | None = None,
     ) -> None:
         self._hand, self._geometry = hand, geometry
@@ -63,7 +63,7 @@ class Collisions:
                 self._pairs.append(links)
         self._tips = hand.tip_links
         self._at_rest = kinematics.placements(np.array(hand.rest))
-        self._scene = None if thing is None else GraspScene(hand, thing, geometry)
+        self._scene = None if obj is None else GraspScene(hand, obj, geometry)
         self._pose = np.eye(4) if pose is None else pose
 
     def at(

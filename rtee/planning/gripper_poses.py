@@ -183,7 +183,7 @@ def reach_gripper_pose(
     retreat: float = 0.1,
     margin: float = MARGIN,
     tips: Fingertips | None = None,
-    thing: GraspObject | None = None,
+    obj: GraspObject | None = None,
     object_pose: FloatArray | None = None,
 ) -> ReachedGrasp:
     """Return the action, the posture and the palm's pose by which a hand takes a gripper's grasp.
@@ -202,7 +202,7 @@ def reach_gripper_pose(
         retreat: How far back along it the palm is before [m].
         margin: How much wider the hand opens before it closes [m].
         tips: The fingertips, where their geometry was read already.
-        thing: The object, or what else must not be met, to look for collisions with it; without
+        obj: The object, or what else must not be met, to look for collisions with it; without
             one, the hand's own collisions are looked for.
         object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
 
@@ -223,7 +223,7 @@ def reach_gripper_pose(
     palm = checked_pose(grasp.pose, "the gripper's pose") @ np.linalg.inv(there)
     way = grasp.pose[:3, 0] if approach is None else checked_direction(approach)
     object_in_palm = np.linalg.inv(palm) @ checked_pose(object_pose, "the object's pose")
-    collisions = Collisions(hand, tips.geometry, thing, object_in_palm)
+    collisions = Collisions(hand, tips.geometry, obj, object_in_palm)
     goal, rest = ActionWay.of(hand, action).end, np.array(hand.rest)
     touching = collisions.at(from_rest(rest, goal, at), opening.fingers)
     early = collisions.at(from_rest(rest, goal, before), (), "pre_grasp")

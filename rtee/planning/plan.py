@@ -53,7 +53,7 @@ def grasp_plan(
 def plan_grasps(
     hand: Hand,
     library: ActionLibrary,
-    thing: GraspObject,
+    obj: GraspObject,
     *,
     friction: float = FRICTION,
     weight_axis: Sequence[float] | None = None,
@@ -67,7 +67,7 @@ def plan_grasps(
     Args:
         hand: The hand.
         library: Its actions.
-        thing: The object.
+        obj: The object.
         friction: Coefficient of friction between hand and object.
         weight_axis: Where the object's weight pulls, a vector of the hand's base frame; along its
             reach, as of a hand that reaches down, unless given.
@@ -79,7 +79,7 @@ def plan_grasps(
         ConfigError: if the object fits into no opening of the hand, or an argument makes no sense.
         ModelError: if a mesh of the hand cannot be read.
     """
-    planner = Planner(hand, thing, friction, weight_axis, table)
+    planner = Planner(hand, obj, friction, weight_axis, table)
     if not len(library):
         raise ConfigError(
             f"hand '{hand.name}' has no actions; find its primitives first: "
@@ -94,7 +94,7 @@ def plan_grasps(
         plans = [replace(p, score=share_held(len(hand.fingers), p.score)) for p in plans]
     if not plans and planner.too_wide:
         raise ConfigError(
-            f"'{thing.name}' does not fit: width {planner.narrowest * 1e3:.0f} mm, the hand opens "
+            f"'{obj.name}' does not fit: width {planner.narrowest * 1e3:.0f} mm, the hand opens "
             f"to {planner.widest * 1e3:.0f} mm"
         )
     return planner.ranking(plans, rejected)

@@ -117,7 +117,7 @@ class Planner:
     def __init__(
         self,
         hand: Hand,
-        thing: GraspObject,
+        obj: GraspObject,
         friction: float = FRICTION,
         weight_axis: Sequence[float] | None = None,
         table: Table | None = None,
@@ -125,8 +125,8 @@ class Planner:
         """Read the geometry; see `plan_grasps`."""
         if not (math.isfinite(friction) and 0.0 < friction <= 10.0):
             raise ConfigError(f"a friction is above 0 and at most 10, not {friction:g}")
-        self.hand, self.thing = hand, thing
-        self.scene = GraspScene(hand, thing)
+        self.hand, self.obj = hand, obj
+        self.scene = GraspScene(hand, obj)
         self._open = self.scene.posed(np.array(hand.rest))
         self.out = outward(self.scene)
         axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
@@ -140,7 +140,7 @@ class Planner:
                     "a table with a normal says where the weight pulls: give it or a weight axis"
                 )
             self.ground = Ground(self.scene, table, self.task.weight_axis)
-        self.turns = orientations(thing, None if self.ground is None else self.ground.up)
+        self.turns = orientations(obj, None if self.ground is None else self.ground.up)
         self.too_wide, self.widest, self.narrowest = True, 0.0, math.inf
 
     def plan(self, actions: Iterable[Action]) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
@@ -172,15 +172,15 @@ class Planner:
         """Return grasps with what they were planned for."""
         x, y, z = (float(v) for v in self.task.weight_axis)
         unlimited = [a.name for a in self.hand.actuators if not math.isfinite(a.effort)]
-        notes = [*self.thing.notes]
+        notes = [*self.obj.notes]
         if unlimited:
             notes.append(
                 f"no effort limit is known of {', '.join(unlimited)}; the load is not theirs"
             )
         return Ranking(
             self.hand.name,
-            self.thing.name,
-            self.thing.mass,
+            self.obj.name,
+            self.obj.mass,
             self.task.friction,
             (x, y, z),
             tuple(plans),
@@ -271,16 +271,14 @@ class Planner:
         points = np.array([contact.point for contact in contacts])
         off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
         links = len(by_link)
-        return (
-            4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.thing.length))
-        )
+        return 4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.obj.length))
 
     def _centre(self, closure: Closure) -> FloatArray:
-        centre: FloatArray = closure.pose[:3, :3] @ self.thing.centre + closure.pose[:3, 3]
+        centre: FloatArray = closure.pose[:3, :3] @ self.obj.centre + closure.pose[:3, 3]
         return centre
 
     def _wrenches(self, closure: Closure, contacts: Sequence[Contact]) -> FloatArray:
-        return wrenches(contacts, self.task.friction, self._centre(closure), self.thing.length)
+        return wrenches(contacts, self.task.friction, self._centre(closure), self.obj.length)
 
     def _efforts(
         self, closure: Closure, contacts: Sequence[Contact], found: FloatArray
@@ -305,7 +303,7 @@ class Planner:
         contacts = closure.contacts[:_MOST_CONTACTS]
         found = self._wrenches(closure, contacts)
         points = np.array([contact.point for contact in contacts])
-        off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure))) / self.thing.length
+        off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure))) / self.obj.length
         # Scores are compared when they are rounded: half of the last place below counts as well.
         wanted = least - _HALF_PLACE
         ball = quality(found, _least_quality(wanted, off))
@@ -316,8 +314,8 @@ class Planner:
         weights = np.zeros((1 + len(_SHAKEN), 6))
         top = None if self.ground is None else self.ground.top(candidate.pose, candidate.way)
         down = self.task.weight_axis if top is None else -top.up
-        weights[:, :3] = self.thing.mass * GRAVITY * down
-        weights[1:, :3] += self.thing.mass * _SHAKEN
+        weights[:, :3] = self.obj.mass * GRAVITY * down
+        weights[1:, :3] += self.obj.mass * _SHAKEN
         score = _score(load(found, efforts, weights, SAFETY * wanted / highest), ball, off)
         if round(score, 4) < least:
             return None

@@ -97,24 +97,24 @@ def outward(scene: GraspScene) -> FloatArray:
     return axis
 
 
-def orientations(thing: GraspObject, up: FloatArray | None = None) -> list[FloatArray]:
+def orientations(obj: GraspObject, up: FloatArray | None = None) -> list[FloatArray]:
     """Return the turns ``(3, 3)`` of an object's box that look different, to three axes.
 
     An object that stands on a table looks different where its upward axis ``(3,)`` is another.
     """
     directions = _OUTLOOK / np.linalg.norm(_OUTLOOK, axis=1, keepdims=True)
-    middle, _ = thing.box
-    limit = _SAME * max(thing.extents)
+    middle, _ = obj.box
+    limit = _SAME * max(obj.extents)
     found: list[FloatArray] = []
     seen: list[FloatArray] = []
     stands = np.zeros(3) if up is None else up
     for turn in _TURNS:
         if np.linalg.det(turn) < 0.0:
             continue
-        whole = turn @ thing.frame.T
+        whole = turn @ obj.frame.T
         local = directions @ whole  # the directions in the object's frame
         # From the box's middle: where a mesh has its origin does not change its looks.
-        outline = np.append(thing.support(local) - local @ middle, whole @ stands)
+        outline = np.append(obj.support(local) - local @ middle, whole @ stands)
         if all(np.abs(outline - other).max() > limit for other in seen):
             found.append(whole)
             seen.append(outline)
@@ -424,8 +424,8 @@ class Poses:
             deepest = approach.depth
             if deepest is None:
                 continue
-            thing = self._scene.object
-            out_of_reach = near_side(thing, begin, way, thing.box[0]) - _TIPS
+            obj = self._scene.object
+            out_of_reach = near_side(obj, begin, way, obj.box[0]) - _TIPS
             # The deepest first: the turn's share of poses may be used up before the others.
             depths = [max(least, d) for d in (deepest, 0.0, 0.5 * deepest, out_of_reach)]
             if self._ground is not None and self._ground.edge:

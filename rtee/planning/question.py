@@ -137,17 +137,17 @@ class ReachQuestion:
         return {"reach": asdict(self)}
 
 
-def question_about(thing: str, **options: Any) -> Question:
+def question_about(obj: str, **options: Any) -> Question:
     """Return the question about an object, with the content of a mesh.
 
     Args:
-        thing: A shape, or the path of a mesh.
+        obj: A shape, or the path of a mesh.
         options: Other fields of `Question`.
 
     Raises:
         ConfigError: if it cannot be asked.
     """
-    path = Path(thing)
+    path = Path(obj)
     if path.suffix.lower() in FORMATS:
         try:
             mesh = path.read_bytes()
@@ -155,7 +155,7 @@ def question_about(thing: str, **options: Any) -> Question:
             raise ConfigError("no such mesh", path=path) from None
         question = Question(path.name, mesh, path.suffix.lower(), **options)
     else:
-        question = Question(thing, **options)
+        question = Question(obj, **options)
     question.check()
     return question
 

@@ -108,7 +108,7 @@ def reach_contacts(
     retreat: float = 0.1,
     tolerance: float = TOLERANCE,
     tips: Fingertips | None = None,
-    thing: GraspObject | None = None,
+    obj: GraspObject | None = None,
     object_pose: FloatArray | None = None,
 ) -> ReachedGrasp:
     """Return the posture in which fingertips touch where a planner wants it.
@@ -124,7 +124,7 @@ def reach_contacts(
         retreat: How far back along it the palm is before [m].
         tolerance: Farthest that a fingertip may be from its contact [m].
         tips: The fingertips, where their geometry was read already.
-        thing: The object, or what else must not be met, to look for collisions with it; without
+        obj: The object, or what else must not be met, to look for collisions with it; without
             one, the hand's own collisions are looked for.
         object_pose: Its pose ``(4, 4)`` in the frame of the contacts; that frame's unless given.
 
@@ -141,7 +141,7 @@ def reach_contacts(
     if not (math.isfinite(retreat) and retreat >= 0.0):
         raise ConfigError(f"a retreat is 0 m or more, not {retreat:g}")
     there = np.linalg.inv(base) @ checked_pose(object_pose, "the object's pose")
-    collisions = Collisions(hand, tips.geometry, thing, there)
+    collisions = Collisions(hand, tips.geometry, obj, there)
     search = _Search(hand, tips, _starts(hand, actions), collisions)
     u, fingers = search.best(wanted)
     residuals = [search.residual(u, c, f) for c, f in zip(wanted, fingers, strict=True)]

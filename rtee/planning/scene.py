@@ -57,26 +57,24 @@ class GraspScene:
         finger: Per shape, the finger that alone has its link; empty for the palm and linkages.
     """
 
-    def __init__(
-        self, hand: Hand, thing: GraspObject, geometry: HandGeometry | None = None
-    ) -> None:
+    def __init__(self, hand: Hand, obj: GraspObject, geometry: HandGeometry | None = None) -> None:
         """Read the hand's geometry, unless it is given.
 
         Raises:
             ModelError: A mesh of the hand is missing or cannot be read.
         """
-        self.hand, self.object = hand, thing
+        self.hand, self.object = hand, obj
         self.geometry = geometry or HandGeometry(hand)
         self.postures = Postures(self.geometry)
         self.finger = tuple(_finger_of(hand, shape.link) for shape in self.geometry.shapes)
         self._convex = [shape.convex for shape in self.geometry.shapes]
-        self._pieces = [piece.shape for piece in thing.pieces]
+        self._pieces = [piece.shape for piece in obj.pieces]
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
         # Kept, since every action asks for those of the same few turns.
         self._sizes: dict[bytes, tuple[float, float, float]] = {}
         # A box around each piece, along the axes of the object's box.
-        high = np.array([piece.support(thing.frame.T) for piece in thing.pieces])
-        low = -np.array([piece.support(-thing.frame.T) for piece in thing.pieces])
+        high = np.array([piece.support(obj.frame.T) for piece in obj.pieces])
+        low = -np.array([piece.support(-obj.frame.T) for piece in obj.pieces])
         self._middles, self._halves = 0.5 * (high + low), 0.5 * (high - low)
 
     def posed(self, u: FloatArray) -> HandPose:

@@ -123,12 +123,12 @@ class Ground:
             pose: Pose of the object ``(4, 4)`` in the base frame.
             way: From where it comes, relative to the hand ``(3,)``: an edge is on the other side.
         """
-        thing, turn = self._scene.object, pose[:3, :3]
+        obj, turn = self._scene.object, pose[:3, :3]
         z = -self._axis if self.up is None else turn @ self.up
         up = turn.T @ z
         height = self._table.height
         if height is None:
-            height = -float(thing.support(-up[None])[0])
+            height = -float(obj.support(-up[None])[0])
         out = -(way - (way @ z) * z)
         size = float(np.linalg.norm(out))
         edge = self.edge and size > STEEP * float(np.linalg.norm(way))
@@ -138,11 +138,11 @@ class Ground:
             size = float(np.linalg.norm(out))
         x = out / size
         # Below the centre of mass, on the top.
-        origin = turn @ (thing.centre + (height - float(up @ thing.centre)) * up) + pose[:3, 3]
+        origin = turn @ (obj.centre + (height - float(up @ obj.centre)) * up) + pose[:3, 3]
         overhang = 0.0
         if edge:
             along = turn.T @ x
-            beyond = float(thing.support(along[None])[0] - along @ thing.centre)
+            beyond = float(obj.support(along[None])[0] - along @ obj.centre)
             origin = origin + _STANDS * beyond * x
             overhang = (1.0 - _STANDS) * beyond
         placed = np.eye(4)

@@ -28,9 +28,9 @@ from rtee.running.prepare import RunOptions, prepare
 def test_an_object_is_a_width_or_a_part_of_the_way(
     text: object, closure: float, width: float | None, stiffness: float
 ) -> None:
-    thing = ObjectInHand.parse(text)
-    assert (thing.closure, thing.stiffness) == (closure, stiffness)
-    assert thing.width == (None if width is None else pytest.approx(width))
+    obj = ObjectInHand.parse(text)
+    assert (obj.closure, obj.stiffness) == (closure, stiffness)
+    assert obj.width == (None if width is None else pytest.approx(width))
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,6 @@ def test_a_file_is_what_the_script_makes(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(THINGS))
 def test_a_thing_is_of_convex_parts(name: str) -> None:
-    thing = read_object(str(FOLDER / f"{name}.stl"))
-    assert len(thing.pieces) == len(THINGS[name]())
-    assert not thing.notes
+    obj = read_object(str(FOLDER / f"{name}.stl"))
+    assert len(obj.pieces) == len(THINGS[name]())
+    assert not obj.notes

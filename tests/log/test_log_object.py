@@ -42,11 +42,11 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_object_is_recorded_and_stays_in_the_hand_that_lifts_it(file: Path) -> None:
     recording = read(file)
-    thing = recording.object_description
-    assert thing is not None
-    assert (thing.name, thing.parts[0].kind) == ("box:0.04x0.04x0.1", "box")
+    obj = recording.object_description
+    assert obj is not None
+    assert (obj.name, obj.parts[0].kind) == ("box:0.04x0.04x0.1", "box")
     playback = Playback(recording, bench(HAND).hand)
-    assert playback.object_description is thing
+    assert playback.object_description is obj
     places = []
     for share in (0.5, 0.95):
         playback.time = share * playback.duration

@@ -57,9 +57,9 @@ def _distance(scene: GraspScene, shape: int, piece: int, at: HandPose, pose: Flo
     return scene.measured(shape, piece, at.where(shape), here)[0]
 
 
-@pytest.mark.parametrize("thing", THINGS)
-def test_gaps_are_never_wider_than_the_distance(thing: str) -> None:
-    scene, draw = GraspScene(HAND, THINGS[thing]), np.random.default_rng(1)
+@pytest.mark.parametrize("obj", THINGS)
+def test_gaps_are_never_wider_than_the_distance(obj: str) -> None:
+    scene, draw = GraspScene(HAND, THINGS[obj]), np.random.default_rng(1)
     for u in _postures(draw, 20):
         at, pose = scene.posed(u), _pose(draw)
         gaps, normals = scene.gaps(at, pose)
@@ -68,9 +68,9 @@ def test_gaps_are_never_wider_than_the_distance(thing: str) -> None:
             assert gaps[shape, piece] <= _distance(scene, shape, piece, at, pose) + 1e-6
 
 
-@pytest.mark.parametrize("thing", THINGS)
-def test_what_touches_is_found_while_the_object_is_pushed_and_the_hand_closes(thing: str) -> None:
-    scene, draw = GraspScene(HAND, THINGS[thing]), np.random.default_rng(2)
+@pytest.mark.parametrize("obj", THINGS)
+def test_what_touches_is_found_while_the_object_is_pushed_and_the_hand_closes(obj: str) -> None:
+    scene, draw = GraspScene(HAND, THINGS[obj]), np.random.default_rng(2)
     touched = 0
     for begin, end in zip(_postures(draw, 12), _postures(draw, 12), strict=True):
         pose = _pose(draw)
@@ -113,9 +113,9 @@ def test_the_least_time_counts_how_fast_shapes_come() -> None:
     assert until == pytest.approx(float(((distances - 0.01) / paces[0]).min()))
 
 
-@pytest.mark.parametrize("thing", THINGS)
-def test_several_hands_are_looked_at_as_each_alone(thing: str) -> None:
-    scene, draw = GraspScene(HAND, THINGS[thing]), np.random.default_rng(5)
+@pytest.mark.parametrize("obj", THINGS)
+def test_several_hands_are_looked_at_as_each_alone(obj: str) -> None:
+    scene, draw = GraspScene(HAND, THINGS[obj]), np.random.default_rng(5)
     begin, ends = _postures(draw, 1)[0], _postures(draw, 6)
     poses = np.array([_pose(draw) for _ in ends])
     at = scene.posed(begin)

@@ -111,24 +111,24 @@ def test_the_intensity_closes_the_jaws_on_the_object(library: ActionLibrary) -> 
 
 def test_jaws_carry_what_friction_and_their_force_allow(library: ActionLibrary) -> None:
     # 40 N drive both jaws, so each presses with 20: 2 * 0.5 * 20 N of friction, 0.5 kg * 9.81.
-    thing = read_object("box:0.03x0.06x0.06", mass=0.5)
-    plan = plan_grasps(library.hand, library, thing, friction=0.5).plans[0]
+    obj = read_object("box:0.03x0.06x0.06", mass=0.5)
+    plan = plan_grasps(library.hand, library, obj, friction=0.5).plans[0]
     assert plan.load == pytest.approx(20.0 / (0.5 * 9.81), rel=0.12)
-    less = plan_grasps(library.hand, library, thing, friction=0.25).plans[0]
+    less = plan_grasps(library.hand, library, obj, friction=0.25).plans[0]
     assert less.load == pytest.approx(plan.load / 2.0, rel=0.12)
 
 
 def test_a_weight_along_the_jaws_way_presses_on_one_of_them(library: ActionLibrary) -> None:
-    thing = read_object("box:0.03x0.06x0.06", mass=0.5)
-    plan = plan_grasps(library.hand, library, thing, weight_axis=(1.0, 0.0, 0.0)).plans[0]
+    obj = read_object("box:0.03x0.06x0.06", mass=0.5)
+    plan = plan_grasps(library.hand, library, obj, weight_axis=(1.0, 0.0, 0.0)).plans[0]
     assert plan.load == pytest.approx(40.0 / (0.5 * 9.81), rel=0.12)
 
 
 def test_on_a_table_the_hand_stays_above_it_and_the_weight_pulls_to_it(
     library: ActionLibrary,
 ) -> None:
-    thing = read_object("box:0.03x0.06x0.02", mass=0.5)
-    plan = plan_grasps(library.hand, library, thing, table=Table((0.0, 0.0, 2.0))).plans[0]
+    obj = read_object("box:0.03x0.06x0.02", mass=0.5)
+    plan = plan_grasps(library.hand, library, obj, table=Table((0.0, 0.0, 2.0))).plans[0]
     assert plan.table is not None
     top = _pose(plan.pose) @ _pose(plan.table)
     assert (_pose(plan.table) @ [0.0, 0.0, 0.0, 1.0])[2] == pytest.approx(-0.01)
@@ -233,20 +233,20 @@ def test_turns_that_look_the_same_are_one(text: str, turns: int) -> None:
 
 
 def test_measures_of_an_object() -> None:
-    thing = read_object("capsule:0.01x0.06")
-    assert thing.extents == pytest.approx((0.02, 0.02, 0.06))
-    assert thing.length == pytest.approx(0.03)
-    assert thing.centre == pytest.approx(np.zeros(3))
+    obj = read_object("capsule:0.01x0.06")
+    assert obj.extents == pytest.approx((0.02, 0.02, 0.06))
+    assert obj.length == pytest.approx(0.03)
+    assert obj.centre == pytest.approx(np.zeros(3))
 
 
 def test_loose_parts_of_a_mesh_are_convex_pieces(tmp_path: Path) -> None:
     vertices, faces = box((0.02, 0.02, 0.02))
     aside = vertices + np.array([0.1, 0.0, 0.0])
     mesh = _stl(tmp_path / "two.stl", (vertices, faces), (aside, faces))
-    thing = read_object(str(mesh))
-    assert len(thing.pieces) == 2
-    assert thing.centre == pytest.approx([0.05, 0.0, 0.0], abs=1e-6)
-    assert not thing.notes
+    obj = read_object(str(mesh))
+    assert len(obj.pieces) == 2
+    assert obj.centre == pytest.approx([0.05, 0.0, 0.0], abs=1e-6)
+    assert not obj.notes
 
 
 def test_a_mesh_that_lies_askew_has_a_box_of_its_own(tmp_path: Path) -> None:
@@ -260,13 +260,13 @@ def test_a_composed_action_is_made_where_no_single_one_is_good() -> None:
     hand = load_hand(ROOT / "config/leap_hand")
     library = ActionLibrary.load(hand, ROOT / "config/leap_hand/actions")
     trigs = ActionLibrary(hand, [a for a in library.all("primitive") if a.name == "Trig"])
-    thing = read_object("cylinder:0.025x0.12")
-    plan = plan_grasps(hand, trigs, thing).plans[0]
+    obj = read_object("cylinder:0.025x0.12")
+    plan = plan_grasps(hand, trigs, obj).plans[0]
     assert not plan.action
     assert len(plan.parts) > 1
     assert {part.action for part in plan.parts} == {"Trig"}
     assert all(0.0 < part.scale <= 1.0 for part in plan.parts)
-    singles = plan_grasps(hand, trigs, thing, compose=False).plans
+    singles = plan_grasps(hand, trigs, obj, compose=False).plans
     assert all(plan.score > single.score for single in singles)
     action = action_of(trigs, "Rod", plan, "A rod.")
     assert action.description == "A rod."
@@ -287,11 +287,11 @@ def test_every_standard_object_is_known_to_planner_and_simulation(text: str) -> 
 
 
 def test_a_drill_is_planned_for_as_a_handle_with_a_motor_above_it(library: ActionLibrary) -> None:
-    thing = read_object("drill", mass=0.4)
-    assert len(thing.pieces) == 3
+    obj = read_object("drill", mass=0.4)
+    assert len(obj.pieces) == 3
     # The motor is 140 mm long and 50 mm wide; with the handle below it, the drill is 180 mm high.
-    assert thing.extents == pytest.approx((0.05, 0.14, 0.18), abs=1e-3)
-    assert plan_grasps(library.hand, library, thing).plans
+    assert obj.extents == pytest.approx((0.05, 0.14, 0.18), abs=1e-3)
+    assert plan_grasps(library.hand, library, obj).plans
 
 
 @pytest.mark.parametrize(

@@ -378,13 +378,13 @@ def test_links_that_meet_the_object_are_named(gripper: Made) -> None:
     actions = with_openings(gripper.library, gripper.library.openings)
     grasp = GripperPose(POSE, 0.04)
 
-    def met(thing: str, pose: np.ndarray) -> list[tuple[str, str, str]]:
+    def met(obj: str, pose: np.ndarray) -> list[tuple[str, str, str]]:
         found = reach_gripper_pose(
             gripper.hand,
             actions,
             grasp,
             tips=gripper.tips,
-            thing=read_object(thing),
+            obj=read_object(obj),
             object_pose=pose,
         )
         return [(*each.links, each.posture) for each in found.collisions]

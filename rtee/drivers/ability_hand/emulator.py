@@ -296,9 +296,11 @@ class AbilityHandEmulator(Emulator, Grasps):
             return (0,) * SENSORS
         words: list[int] = []
         for axis in self.axes[:5]:
-            thing = axis.obstacle
-            depth = 0.0 if thing is None else (axis.position - thing.contact) * thing.closing
-            force = 0.0 if thing is None else max(0.0, depth) * thing.stiffness / _ARM
+            obstacle = axis.obstacle
+            depth = (
+                0.0 if obstacle is None else (axis.position - obstacle.contact) * obstacle.closing
+            )
+            force = 0.0 if obstacle is None else max(0.0, depth) * obstacle.stiffness / _ARM
             noise = self.wear.touch_noise
             for part, rest in zip(_SPREAD, self.rest, strict=True):
                 word = codec.touch_word(force * part + codec.touch_force(rest))

@@ -96,11 +96,11 @@ class _Joint:
 
     def advance(self, dt: float, made: AllegroProperties) -> None:
         push = self.torque - made.damping * self.velocity
-        thing = self.obstacle
-        if thing is not None:
-            depth = (self.angle - thing.contact) * thing.closing
+        obstacle = self.obstacle
+        if obstacle is not None:
+            depth = (self.angle - obstacle.contact) * obstacle.closing
             if depth > 0.0:
-                push -= thing.closing * (depth * thing.stiffness) + 0.05 * self.velocity
+                push -= obstacle.closing * (depth * obstacle.stiffness) + 0.05 * self.velocity
         drag = made.friction
         if self.velocity == 0.0 and abs(push) <= drag:
             return

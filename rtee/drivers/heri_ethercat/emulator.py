@@ -240,8 +240,8 @@ class HeriEmulator(Emulator, Grasps):
         )
 
     def _pressures(self, motor: Axis) -> tuple[int, int, int]:
-        thing = motor.obstacle
-        if thing is None or motor.position <= thing.contact:
+        obstacle = motor.obstacle
+        if obstacle is None or motor.position <= obstacle.contact:
             return 0, 0, 0
         raw = min(round(abs(motor.effort) * self.properties.pressure), 4095)
         # The outermost phalanx has most of the contact.

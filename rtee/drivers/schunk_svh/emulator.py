@@ -106,10 +106,10 @@ class SchunkSvhEmulator(Emulator, Grasps):
             closures = [self.closure(index) for index in range(codec.CHANNELS)]
         self.channels = [self._channel(index, closures[index]) for index in range(codec.CHANNELS)]
         for old, new in zip(before, self.channels, strict=False):
-            thing = old.axis.obstacle
-            if thing is not None:
+            obstacle = old.axis.obstacle
+            if obstacle is not None:
                 # The object stays in its place, but the encoders start again from 0.
-                new.axis.obstacle = replace(thing, contact=thing.contact - old.axis.position)
+                new.axis.obstacle = replace(obstacle, contact=obstacle.contact - old.axis.position)
         self._state = ControllerState()
         self._fault = 0
         self._hot = 0

@@ -49,12 +49,12 @@ def squeezed(**options: object) -> Simulation:
 def test_a_shape_is_described_as_it_was_asked(
     text: str, parts: list[tuple[str, tuple[float, ...]]]
 ) -> None:
-    thing = simulated(object=text, object_mass=0.25).object_description
-    assert thing is not None
-    assert (thing.name, thing.mass) == (text, pytest.approx(0.25))
-    assert [part.kind for part in thing.parts] == [kind for kind, _ in parts]
-    assert thing.parts[0].size == pytest.approx(parts[0][1])
-    assert thing.parts[0].pose == pytest.approx([0, 0, 0, 1, 0, 0, 0])
+    obj = simulated(object=text, object_mass=0.25).object_description
+    assert obj is not None
+    assert (obj.name, obj.mass) == (text, pytest.approx(0.25))
+    assert [part.kind for part in obj.parts] == [kind for kind, _ in parts]
+    assert obj.parts[0].size == pytest.approx(parts[0][1])
+    assert obj.parts[0].pose == pytest.approx([0, 0, 0, 1, 0, 0, 0])
 
 
 def test_without_an_object_there_is_none() -> None:
@@ -68,10 +68,10 @@ def test_a_mesh_is_described_where_its_file_puts_it(tmp_path: Path) -> None:
     mesh = trimesh.creation.cone(radius=0.02, height=0.05)
     mesh.apply_translation([0.01, 0.02, 0.0])
     mesh.export(tmp_path / "cone.stl")
-    thing = simulated(object=str(tmp_path / "cone.stl")).object_description
-    assert thing is not None
-    assert thing.name == "cone.stl", "the folder is nobody's business"
-    (part,) = OBJECT.decode(OBJECT.encode(thing)).parts
+    obj = simulated(object=str(tmp_path / "cone.stl")).object_description
+    assert obj is not None
+    assert obj.name == "cone.stl", "the folder is nobody's business"
+    (part,) = OBJECT.decode(OBJECT.encode(obj)).parts
     pose = pose_matrix(part.pose)
     corners = part.vertices[part.faces].reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
     assert corners.min(axis=0) == pytest.approx(mesh.bounds[0], abs=1e-5)
@@ -82,11 +82,11 @@ def test_the_parts_of_a_mesh_are_solids_of_their_own(repository: Path) -> None:
     """What is between a mug and its handle stays free, as the planner has it."""
     file = str(repository / "experiments/objects/mug.stl")
     simulation = simulated(object=file, object_mass=0.3)
-    thing = simulation.object_description
-    assert thing is not None
-    assert thing.mass == pytest.approx(0.3)
+    obj = simulation.object_description
+    assert obj is not None
+    assert obj.mass == pytest.approx(0.3)
     assert not [note for note in simulation.notes if "mug.stl" in note]
-    corners = [part.vertices @ pose_matrix(part.pose)[:3, :3].T for part in thing.parts]
+    corners = [part.vertices @ pose_matrix(part.pose)[:3, :3].T for part in obj.parts]
     sizes = [np.ptp(points, axis=0) for points in corners]
     wanted = [np.ptp(piece.points, axis=0) for piece in read_object(file).pieces]
     assert np.sort(sizes, axis=0) == pytest.approx(np.sort(wanted, axis=0), abs=1e-4)
@@ -116,27 +116,27 @@ def test_a_mesh_with_too_many_triangles_is_described_by_its_hull(tmp_path: Path)
     mesh.vertices[below, 2] *= 0.1
     mesh.vertices[:, :2] *= np.where(mesh.vertices[:, 2:] > 0.01, 0.5, 1.0)
     mesh.export(tmp_path / "ball.stl")
-    thing = simulated(object=str(tmp_path / "ball.stl")).object_description
-    assert thing is not None
-    (part,) = thing.parts
+    obj = simulated(object=str(tmp_path / "ball.stl")).object_description
+    assert obj is not None
+    (part,) = obj.parts
     assert 0 < len(part.faces) <= 20_000
     corners = part.vertices[np.unique(part.faces)] @ pose_matrix(part.pose)[:3, :3].T
     assert np.ptp(corners, axis=0) == pytest.approx(np.ptp(mesh.vertices, axis=0), abs=1e-4)
 
 
 def test_a_drill_has_a_handle_a_motor_and_a_trigger() -> None:
-    thing = simulated(object="drill").object_description
-    assert thing is not None
-    handle, _, _, motor, trigger = thing.parts  # the handle has a round edge on either side
+    obj = simulated(object="drill").object_description
+    assert obj is not None
+    handle, _, _, motor, trigger = obj.parts  # the handle has a round edge on either side
     assert motor.pose[2] > handle.pose[2]
     assert trigger.pose[1] > 0.02
 
 
 def test_a_capsule_is_a_cylinder_between_two_balls() -> None:
-    thing = simulated(object="capsule:0.01x0.06", object_mass=0.2).object_description
-    assert thing.name == "capsule:0.01x0.06"
-    assert thing.mass == pytest.approx(0.2)
-    tube, low, high = thing.parts
+    obj = simulated(object="capsule:0.01x0.06", object_mass=0.2).object_description
+    assert obj.name == "capsule:0.01x0.06"
+    assert obj.mass == pytest.approx(0.2)
+    tube, low, high = obj.parts
     assert (tube.kind, tube.size) == ("cylinder", pytest.approx((0.01, 0.04)))
     assert [(end.kind, end.size) for end in (low, high)] == [("sphere", (0.01,))] * 2
     assert [end.pose[2] for end in (low, high)] == pytest.approx([-0.02, 0.02])
