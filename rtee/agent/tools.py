@@ -229,11 +229,11 @@ async def _picture(name: str, plans: Sequence[GraspPlan]) -> list[str | Image]:
 def _draw(name: str, plan: GraspPlan) -> bytes:
     """Return a PNG file of a hand, whose files are read here, as it closes on the object."""
     with needing_extra("a picture of a grasp", "plot"):
-        from rtee.planning.closing import ActionWay
+        from rtee.planning.closing import ActionPath
         from rtee.render.hand import HandRenderer
 
     hand, _ = load_configured(name)
     library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
-    posture = ActionWay.of(hand, library.find(plan.action, plan.elements)).at(plan.touch)
+    posture = ActionPath.of(hand, library.find(plan.action, plan.elements)).at(plan.touch)
     contacts = [(each.point, each.normal) for each in plan.contacts]
     return HandRenderer(hand, postures=[posture]).picture(posture, contacts=contacts, ghost=True)

@@ -17,8 +17,8 @@ from rtee.sample import FloatArray
 GAP: Final = 1e-3
 """What an object leaves free at the hand when it is brought in [m]: models are that exact."""
 
-WAY: Final = 0.15
-"""From where an object is brought in [m]: beyond the reach of fingers that stand open."""
+APPROACH_LENGTH: Final = 0.15
+"""Distance from which an object is brought in [m]: beyond the reach of open fingers."""
 
 _DEEPEST: Final = 0.08
 """How far beyond the fingertips' middle an object is brought at most [m]: palms are nearer."""
@@ -30,14 +30,14 @@ class Candidate:
 
     Attributes:
         pose: Pose of the object ``(4, 4)`` in the base frame.
-        way: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
+        approach_from: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
         width: Its width between the fingers [m].
         opening: How far apart they are at rest [m].
         raised: It was moved once already, so that the closing hand clears the table.
     """
 
     pose: FloatArray
-    way: FloatArray
+    approach_from: FloatArray
     width: float
     opening: float
     raised: bool = False
@@ -45,16 +45,16 @@ class Candidate:
 
 @dataclass(slots=True)
 class Approach:
-    """A way of the object towards the open hand; where it ends is to be found by `bring_in`.
+    """A straight approach of the object to the open hand; `bring_in` finds where it ends.
 
     Attributes:
         pose: Pose of the object at depth 0 ``(4, 4)``.
-        way: From where it comes, a unit vector ``(3,)``.
+        direction: From where it comes, a unit vector ``(3,)``.
         depth: How far before the pose it stops [m]; negative beyond it; ``None`` if it can't come.
     """
 
     pose: FloatArray
-    way: FloatArray
+    direction: FloatArray
     depth: float | None = None
 
 
@@ -63,19 +63,18 @@ Found: TypeAlias = Candidate | Approach
 
 
 def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) -> None:
-    """Find how far the object comes towards the open hand, before it touches.
-
-    The depths of its ways are filled in.
-    """
+    """Set the depths of approaches: how far the object comes before it touches the open hand."""
     if not approaches:
         return
-    ways = np.array([approach.way for approach in approaches])
+    directions = np.array([approach.direction for approach in approaches])
     poses = np.array([approach.pose for approach in approaches])
     # Its near side, not its middle, begins beyond the reach of the fingers.
     obj = scene.object
-    first = WAY + np.array([near_side(obj, e.pose, e.way, obj.inside) for e in approaches])
+    first = APPROACH_LENGTH + np.array(
+        [near_side(obj, e.pose, e.direction, obj.inside) for e in approaches]
+    )
     depths = first.copy()
-    poses[:, :3, 3] += depths[:, None] * ways
+    poses[:, :3, 3] += depths[:, None] * directions
     near = DistanceBounds(scene, at, poses)
     left = np.arange(len(approaches))
     while len(left):
@@ -83,20 +82,22 @@ def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) ->
         free = near.least(at, first[left], left) - GAP
         there = free < 0.5 * GAP
         for row in left[there].tolist():
-            # What touches before its first step has no way in.
+            # It touches before its first step: the approach is blocked.
             depth = float(depths[row])
             approaches[row].depth = None if depth >= first[row] else depth
         left, free = left[~there], free[~there]
         depths[left] -= free
-        near.pushed(-free[:, None] * ways[left], left)
+        near.pushed(-free[:, None] * directions[left], left)
         for row in left[depths[left] <= -_DEEPEST].tolist():
             approaches[row].depth = -_DEEPEST
         left = left[depths[left] > -_DEEPEST]
 
 
-def near_side(obj: GraspObject, pose: FloatArray, way: FloatArray, origin: FloatArray) -> float:
-    """Return how far an object reaches against a way ``(3,)`` from a point of its frame [m]."""
-    along = way @ pose[:3, :3]
+def near_side(
+    obj: GraspObject, pose: FloatArray, direction: FloatArray, origin: FloatArray
+) -> float:
+    """Return how far an object extends against a direction from a point of its frame [m]."""
+    along = direction @ pose[:3, :3]
     return float(obj.support(-along[None])[0] + along @ origin)
 
 

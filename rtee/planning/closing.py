@@ -25,13 +25,13 @@ from rtee.planning.wrench import balanced, cones
 from rtee.sample import BoolArray, FloatArray
 
 STEPS: Final = 16
-"""Steps of the table of an action's way; a step of a finger is about 6 mm."""
+"""Steps of the table of an action's path; a step of a finger is about 6 mm."""
 
 TICKS: Final = 120
-"""Intensities at which the hand is looked at; less than 1 mm of a fingertip's way apart."""
+"""Intensities at which the hand is looked at; less than 1 mm of a fingertip's path apart."""
 
 _STEP: Final = 4
-"""Ticks of a step while links touch: about 3 mm of a fingertip's way."""
+"""Ticks of a step while links touch: about 3 mm of a fingertip's path."""
 
 _SOON: Final = 4.0
 """Ticks ahead for which distances are measured before the hand touches; farther, bounds will do."""
@@ -50,8 +50,8 @@ _MOVES: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class ActionWay:
-    """The way of an action from rest, at intensities.
+class ActionPath:
+    """The path of an action from rest, by intensity.
 
     Attributes:
         hand: The hand.
@@ -62,8 +62,8 @@ class ActionWay:
     knots: FloatArray
 
     @classmethod
-    def of(cls, hand: Hand, action: Action) -> ActionWay:
-        """Return the way of an action."""
+    def of(cls, hand: Hand, action: Action) -> ActionPath:
+        """Return the path of an action."""
         knots = [np.array(hand.rest)]
         for posture in action.waypoints:
             after = knots[-1].copy()
@@ -129,11 +129,11 @@ class Closure:
 
 
 class Closing:
-    """What closes a hand by an action; its table of the way serves all poses of the object.
+    """Closes a hand by an action; the table of its path serves all poses of the object.
 
     Attributes:
         scene: The hand and the object.
-        way: The action's way.
+        path: The action's path.
         friction: Coefficient of friction between the hand and the object.
         grid: Intensities of the table ``(STEPS + 1,)``.
         table: Where the hand is at these.
@@ -142,18 +142,18 @@ class Closing:
         drives: Which moving actuators move each shape ``(shapes, n)``.
     """
 
-    def __init__(self, scene: GraspScene, way: ActionWay, friction: float) -> None:
+    def __init__(self, scene: GraspScene, path: ActionPath, friction: float) -> None:
         """Make the table."""
-        self.scene, self.way, self.friction = scene, way, friction
+        self.scene, self.path, self.friction = scene, path, friction
         self.grid: FloatArray = np.linspace(0.0, 1.0, STEPS + 1)
         postures = scene.postures
-        table = postures.frames(way.along(self.grid))
+        table = postures.frames(path.along(self.grid))
         self.table: list[HandPose] = [postures.posed(frames) for frames in table]
-        self.frames = postures.frames(way.along(np.arange(TICKS + 1) / TICKS))
+        self.frames = postures.frames(path.along(np.arange(TICKS + 1) / TICKS))
         self.speed = postures.farthest_steps(table) * STEPS
         # Absolute values, so that joints which move against each other do not cancel.
-        drive = postures.carried @ np.abs(scene.hand.transmission.jacobian(way.at(1.0))) > 0.0
-        self.drives: BoolArray = drive & way.moving
+        drive = postures.carried @ np.abs(scene.hand.transmission.jacobian(path.at(1.0))) > 0.0
+        self.drives: BoolArray = drive & path.moving
 
     def close(self, pose: FloatArray) -> Closure | None:
         """Close on an object; see `close_all`."""
@@ -291,7 +291,7 @@ class _HandBatch:
 
     def _rest_closed(self, rows: Slots) -> list[Closure]:
         """Let the actuators go on that are not blocked, where contacts oppose each other."""
-        ways = [self._closings[row].way for row in rows.tolist()]
+        paths = [self._closings[row].path for row in rows.tolist()]
         drives = np.array([self._closings[row].drives for row in rows.tolist()])
         touches = [self._touches[row] for row in rows.tolist()]
         there = [{touch.shape for touch in found} for found in touches]
@@ -299,7 +299,7 @@ class _HandBatch:
         s = first.copy()
         shares = np.repeat(s[:, None], drives.shape[2], axis=1)
         # Those that never move count as blocked, so that the loop can end early.
-        blocked = np.array([~way.moving for way in ways])
+        blocked = np.array([~path.moving for path in paths])
         for k, found in enumerate(touches):
             blocked[k] |= drives[k, [touch.shape for touch in found]].any(axis=0)
         free = (drives & ~blocked[:, None]).any(axis=2)
@@ -323,11 +323,11 @@ class _HandBatch:
                 among=free[left],
                 below=shortest,
             )
-            # At least one step: a link inside the object has a negative way left.
+            # At least one step: a link inside the object may have a negative distance left.
             after = np.minimum(1.0, s[left] + np.maximum(shortest, least))
             gone, s[left] = after - s[left], after
             shares[left] = np.where(blocked[left], shares[left], after[:, None])
-            u = np.array([ways[k].at(shares[k]) for k in left.tolist()])
+            u = np.array([paths[k].at(shares[k]) for k in left.tolist()])
             self._at.put(mine, self._scene.postures.frames(u))
             free[left] = (drives[left] & ~blocked[left, None]).any(axis=2)
             moved = np.where(free[left], self._speed[mine] * gone[:, None], 0.0)
@@ -342,14 +342,14 @@ class _HandBatch:
         self, row: int, first: float, shares: FloatArray, blocked: BoolArray, touches: list[Touch]
     ) -> Closure:
         """Return a hand that has closed."""
-        way, pose, at = self._closings[row].way, self._poses[row].copy(), self._at.one(row)
+        path, pose, at = self._closings[row].path, self._poses[row].copy(), self._at.one(row)
         pose[:3, 3] = self._near.places[row]
         found = [self._near.touch(row, touch.shape, self._at) for touch in touches]
         contacts = tuple(self._scene.contacts(found, at, pose))
-        return Closure(pose, shares, way.at(shares), first, contacts, blocked & way.moving)
+        return Closure(pose, shares, path.at(shares), first, contacts, blocked & path.moving)
 
 
 def _clear_of(touch: Touch) -> FloatArray:
-    """Return the way that brings an object out of a link, but still in touch ``(3,)`` [m]."""
-    way: FloatArray = (TOUCH / 2.0 - touch.distance) * touch.normal
-    return way
+    """Return the shift that moves an object out of a link, still in touch ``(3,)`` [m]."""
+    shift: FloatArray = (TOUCH / 2.0 - touch.distance) * touch.normal
+    return shift

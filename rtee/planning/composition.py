@@ -115,12 +115,12 @@ def _scaled(
         wanted = 0.0
         for name in posture.involved:
             index = hand.actuator_index(name)
-            way = posture.position[name] - rest[index]
-            if abs(way) < 1e-6:
+            travel = posture.position[name] - rest[index]
+            if abs(travel) < 1e-6:
                 continue
             beyond = squeeze(hand.actuators[index]) if closure.blocked[index] else 0.0
             # One scale serves all of a part's actuators: the one with the farthest to go decides.
-            wanted = max(wanted, (target[index] - rest[index]) / way + beyond / abs(way))
+            wanted = max(wanted, (target[index] - rest[index]) / travel + beyond / abs(travel))
         # Rounded up: rounded down, the part might no longer press.
         scales.append(min(1.0, math.ceil(20.0 * wanted) / 20.0))
     parts = (

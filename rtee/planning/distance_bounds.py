@@ -61,25 +61,25 @@ class DistanceBounds:
         count, shapes, self._pieces = self._bounds.shape
         normals = np.array([normals for _, normals in found])
         self._in_body = (normals @ at.bodies).reshape(-1, 3)
-        ways = self.places[:, None] - at.middles
-        self._begin = (self._bounds - np.einsum("knpi,kni->knp", normals, ways)).ravel()
+        shifts = self.places[:, None] - at.middles
+        self._begin = (self._bounds - np.einsum("knpi,kni->knp", normals, shifts)).ravel()
         self._normals = normals.reshape(-1, 3)
         self._radii = np.tile(scene.postures.radii, count)
         self._shapes, self._rows = shapes, np.arange(count)
         self._known: list[dict[int, Measured]] = [{} for _ in poses]
 
-    def pushed(self, ways: FloatArray, rows: Slots | None = None) -> None:
+    def pushed(self, shifts: FloatArray, rows: Slots | None = None) -> None:
         """Take into account that the object has moved in some rows, by ``(len(rows), 3)`` [m]."""
         rows = self._moved(rows)
         normals = self._normals.reshape(*self._bounds.shape, 3)
-        self._bounds[rows] += (normals[rows] * ways[:, None, None]).sum(axis=-1)
-        self.places[rows] += ways
+        self._bounds[rows] += (normals[rows] * shifts[:, None, None]).sum(axis=-1)
+        self.places[rows] += shifts
         for row in rows.tolist():
             self._here[row] = None
 
-    def closed(self, ways: FloatArray, rows: Slots | None = None) -> None:
+    def closed(self, shifts: FloatArray, rows: Slots | None = None) -> None:
         """Take into account that shapes have moved, by at most ``(len(rows), shapes)`` [m]."""
-        self._bounds[self._moved(rows)] -= ways[:, :, None]
+        self._bounds[self._moved(rows)] -= shifts[:, :, None]
 
     def touching(
         self, at: Placed, rows: Slots | None = None, among: BoolArray | None = None
@@ -219,8 +219,8 @@ class DistanceBounds:
         # than the shape turns times its radius.
         turned = (normals[:, None] @ turns)[:, 0] - self._in_body[pairs]
         swung = np.sqrt(np.add.reduce(turned * turned, axis=1)) * self._radii[slots]
-        ways = self.places[slots // self._shapes] - middles
-        gaps = self._begin[pairs] + np.add.reduce(normals * ways, axis=1) - swung
+        shifts = self.places[slots // self._shapes] - middles
+        gaps = self._begin[pairs] + np.add.reduce(normals * shifts, axis=1) - swung
         all_bounds = self._bounds.reshape(-1)
         bounds: FloatArray = np.maximum(all_bounds[pairs], gaps)
         all_bounds[pairs] = bounds

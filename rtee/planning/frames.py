@@ -17,8 +17,8 @@ _RIGID: Final = 1e-3
 """How far a rotation's columns may be from orthonormal: single precision and a few products."""
 
 
-_LEAST_WAY: Final = 1e-3
-"""A shorter way has no direction [m]: rounding and models' errors would decide it."""
+_LEAST_LENGTH: Final = 1e-3
+"""A shorter vector has no direction [m]: rounding and models' errors would decide it."""
 
 
 def checked_pose(pose: object, what: str) -> FloatArray:
@@ -64,19 +64,19 @@ def checked_direction(values: Sequence[float]) -> FloatArray:
     return found / length
 
 
-def direction_of(way: FloatArray, unknown: str) -> FloatArray:
-    """Return the unit vector along a way ``(3,)`` [m].
+def direction_of(vector: FloatArray, unknown: str) -> FloatArray:
+    """Return the unit vector along a vector ``(3,)`` [m].
 
     Raises:
-        ConfigError: with this sentence, if the way is too short to have a direction.
+        ConfigError: with the sentence ``unknown``, if the vector is too short.
     """
-    length = float(np.linalg.norm(way))
-    if length < _LEAST_WAY:
+    length = float(np.linalg.norm(vector))
+    if length < _LEAST_LENGTH:
         raise ConfigError(unknown)
-    return way / length
+    return vector / length
 
 
-def retreated(pose: FloatArray, way: FloatArray, by: float) -> FloatArray:
+def retreated(pose: FloatArray, direction: FloatArray, by: float) -> FloatArray:
     """Return a pose moved back by a length [m] along a direction.
 
     Raises:
@@ -85,7 +85,7 @@ def retreated(pose: FloatArray, way: FloatArray, by: float) -> FloatArray:
     if not (np.isfinite(by) and by >= 0.0):
         raise ConfigError(f"a retreat is 0 m or more, not {by:g}")
     moved = pose.copy()
-    moved[:3, 3] -= by * way / np.linalg.norm(way)
+    moved[:3, 3] -= by * direction / np.linalg.norm(direction)
     return moved
 
 

@@ -25,7 +25,7 @@ from rtee.actions.openings import MARGIN, Opening, suitability
 from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
-from rtee.planning.closing import ActionWay
+from rtee.planning.closing import ActionPath
 from rtee.planning.collisions import Collisions
 from rtee.planning.frames import (
     checked_direction,
@@ -221,10 +221,10 @@ def reach_gripper_pose(
     before = opening.intensity_at(min(grasp.width + margin, opening.widest))
     there = grasp_frame(tips, action, opening, at)
     palm = checked_pose(grasp.pose, "the gripper's pose") @ np.linalg.inv(there)
-    way = grasp.pose[:3, 0] if approach is None else checked_direction(approach)
+    direction = grasp.pose[:3, 0] if approach is None else checked_direction(approach)
     object_in_palm = np.linalg.inv(palm) @ checked_pose(object_pose, "the object's pose")
     collisions = Collisions(hand, tips.geometry, obj, object_in_palm)
-    goal, rest = ActionWay.of(hand, action).end, np.array(hand.rest)
+    goal, rest = ActionPath.of(hand, action).end, np.array(hand.rest)
     touching = collisions.at(from_rest(rest, goal, at), opening.fingers)
     early = collisions.at(from_rest(rest, goal, before), (), "pre_grasp")
     return ReachedGrasp(
@@ -233,9 +233,9 @@ def reach_gripper_pose(
         posture=_positions(hand, action, opening, at),
         pre_grasp=_positions(hand, action, opening, before),
         palm_pose=rows(palm),
-        pre_palm_pose=rows(retreated(palm, way, retreat)),
+        pre_palm_pose=rows(retreated(palm, direction, retreat)),
         flange_pose=flange_rows(hand, palm),
-        pre_flange_pose=flange_rows(hand, retreated(palm, way, retreat)),
+        pre_flange_pose=flange_rows(hand, retreated(palm, direction, retreat)),
         action=action.name,
         elements=action.elements,
         intensity=at,
@@ -302,10 +302,10 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
         ConfigError: if the tips meet at the base frame's origin: they reach in no direction.
     """
     hand = tips.hand
-    goal = ActionWay.of(hand, action).end
+    goal = ActionPath.of(hand, action).end
     one, *others = opening.sides
     other = [finger for side in others for finger in side]
-    # Backwards at the end of the way: beyond intensity 1 there is no posture.
+    # Backwards at the end of the path: beyond intensity 1 there is no posture.
     step = _STEP if intensity + _STEP <= 1.0 else -_STEP
 
     tips.go(from_rest(np.array(hand.rest), goal, intensity))
@@ -340,5 +340,5 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
 
 
 def _positions(hand: Hand, action: Action, opening: Opening, intensity: float) -> dict[str, float]:
-    u = from_rest(np.array(hand.rest), ActionWay.of(hand, action).end, intensity)
+    u = from_rest(np.array(hand.rest), ActionPath.of(hand, action).end, intensity)
     return {name: float(u[hand.actuator_index(name)]) for name in opening.actuators}

@@ -17,7 +17,7 @@ from rtee.hand.flange import base_in_flange, flange_with
 from rtee.hand.model import Hand
 from rtee.objects.table import Table
 from rtee.planning.approaches import GAP, Candidate
-from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.closing import ActionPath, Closing, Closure
 from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.objects import GraspObject
 from rtee.planning.poses import Poses, orientations, outward
@@ -52,7 +52,7 @@ _ENOUGH: Final = 3
 are asked for, if that is more."""
 
 _TOGETHER: Final = 64
-"""Actions that close together: a table of a way takes 0.3 MB."""
+"""Actions that close together: the table of a path takes 0.3 MB."""
 
 _JUDGED: Final = 12
 """Actions whose quality and load are worked out: the most promising."""
@@ -218,9 +218,9 @@ class Planner:
 
     def _search(self, action: Action, most: int) -> Search:
         """Return the search for poses at which an action holds the object."""
-        closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
+        closing = Closing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
         poses = None
-        if closing.way.moving.any():
+        if closing.path.moving.any():
             poses = Poses(self.scene, closing, action, self.out, self.ground)
         candidates = iter(()) if poses is None else poses.search(self.turns, most)
         return Search(
@@ -259,7 +259,7 @@ class Planner:
 
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
         """Return the hand as it has closed by an action where a plan says."""
-        closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
+        closing = Closing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
         return closing.close(np.array(plan.pose))
 
     def promise(self, closure: Closure) -> float:
@@ -312,7 +312,11 @@ class Planner:
             return None
         efforts = self._efforts(closure, contacts, found)
         weights = np.zeros((1 + len(_SHAKEN), 6))
-        top = None if self.ground is None else self.ground.top(candidate.pose, candidate.way)
+        top = (
+            None
+            if self.ground is None
+            else self.ground.top(candidate.pose, candidate.approach_from)
+        )
         down = self.task.weight_axis if top is None else -top.up
         weights[:, :3] = self.obj.mass * GRAVITY * down
         weights[1:, :3] += self.obj.mass * _SHAKEN
@@ -321,7 +325,7 @@ class Planner:
             return None
         times = load(found, efforts, weights[0])
         preshape, opening, clearance = self._before(grasp)
-        x, y, z = (float(v) for v in candidate.way)
+        x, y, z = (float(v) for v in candidate.approach_from)
         kind = kind_of(action)
         plan = GraspPlan(
             action=action.name,
@@ -340,23 +344,23 @@ class Planner:
             clearance=round(clearance, 4),
             pose=_rows(candidate.pose),
             held_pose=_rows(closure.pose),
-            way=(round(x, 4), round(y, 4), round(z, 4)),
+            approach_from=(round(x, 4), round(y, 4), round(z, 4)),
             contacts=contacts,
             reasons=self._reasons(candidate, opening, contacts, times, ball, clearance),
             table=None if top is None else _rows(_inverse(candidate.pose) @ top.pose),
             overhang=0.0 if top is None else round(top.overhang, 4),
         )
-        return self._mounted(plan, candidate.pose, candidate.way, points)
+        return self._mounted(plan, candidate.pose, candidate.approach_from, points)
 
     def _mounted(
-        self, plan: GraspPlan, pose: FloatArray, way: FloatArray, points: FloatArray
+        self, plan: GraspPlan, pose: FloatArray, approach_from: FloatArray, points: FloatArray
     ) -> GraspPlan:
         """Return a plan with what an arm needs, if it is known where the hand sits on it."""
         flange = self.hand.flange
         if flange is None:
             return plan
         before = pose.copy()
-        before[:3, 3] += way
+        before[:3, 3] += approach_from
         x, y, z = (base_in_flange(flange) @ [*points.mean(axis=0), 1.0])[:3].round(5) + 0.0
         return dataclasses.replace(
             plan,
@@ -367,11 +371,11 @@ class Planner:
 
     def _intensity(self, closing: Closing, closure: Closure) -> float:
         """Return how far the action goes so that all blocked actuators press."""
-        way = np.abs(closing.way.knots[-1] - closing.way.knots[0])
+        moved = np.abs(closing.path.knots[-1] - closing.path.knots[0])
         # At least to where the contacts oppose each other, even if no actuator is blocked.
         wanted = [closure.first]
         for index in np.flatnonzero(closure.blocked).tolist():
-            beyond = squeeze(self.hand.actuators[index]) / max(float(way[index]), 1e-6)
+            beyond = squeeze(self.hand.actuators[index]) / max(float(moved[index]), 1e-6)
             wanted.append(float(closure.shares[index]) + beyond)
         # Rounded up: rounded down, the set-points might no longer press.
         return min(1.0, math.ceil(100.0 * max(wanted)) / 100.0)
@@ -379,12 +383,14 @@ class Planner:
     def _before(self, grasp: Grasp) -> tuple[float, float, float]:
         """Return pre-shape, opening and clearance before the hand closes.
 
-        The hand closes as far as it can without coming near the object where it is and on its way.
+        The hand closes as far as it can without coming near the object at the end of its approach
+        or on it.
         """
         gaps, closing, candidate = grasp.search.gaps, grasp.search.closing, grasp.candidate
-        # Places on its way in, closer to each other near its end, where the fingers are.
-        ways = [
-            candidate.pose[:3, 3] + share * np.array(candidate.way) for share in (0, 0.1, 0.3, 1)
+        # Places on its approach, closer to each other near its end, where the fingers are.
+        places = [
+            candidate.pose[:3, 3] + share * np.array(candidate.approach_from)
+            for share in (0, 0.1, 0.3, 1)
         ]
         # A timed action always runs at intensity 1, so it has no pre-shape.
         steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.search.action, Timed) else (0,)
@@ -394,7 +400,7 @@ class Planner:
                 continue
             at, least = closing.table[step], math.inf
             near = DistanceBounds(self.scene, at, candidate.pose[None])
-            for place in ways:
+            for place in places:
                 near.pushed((place - near.places[0])[None])
                 least = float(near.least(at, min(least, _FAR))[0])
                 # Where a posture is ruled out, its other places do not matter.

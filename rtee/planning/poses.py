@@ -13,8 +13,8 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.hand.linalg import cross
 from rtee.planning.approaches import (
+    APPROACH_LENGTH,
     GAP,
-    WAY,
     Approach,
     Candidate,
     Found,
@@ -66,13 +66,14 @@ _DECIDED: Final = 4.0
 """They close along an axis if their motion along it has this many times the square of the next."""
 
 _TAKES_PART: Final = 0.1
-"""A fingertip moves along that axis if it goes this part of the way of the fastest one."""
+"""A fingertip moves along that axis if it moves this share of the fastest one's distance."""
 
 _STILL: Final = 1e-3
 """Motion below this is none [m]."""
 
 _SAME: Final = 0.03
-"""Two ways to turn an object are one if its outlines differ by less than this part of its size."""
+"""Two orientations of an object are one if its outlines differ by less than this part of its
+size."""
 
 _TURNS: Final = tuple(
     np.array([[sign[i] * (axis[i] == j) for j in range(3)] for i in range(3)], dtype=np.float64)
@@ -160,7 +161,7 @@ class Poses:
 
     def _involved(self, action: Action) -> tuple[str, ...]:
         """Return the fingers that close; with the nearest other one if it is one finger alone."""
-        hand, moving = self._scene.hand, self._closing.way.moving
+        hand, moving = self._scene.hand, self._closing.path.moving
         moved = {n for n, moves in zip(hand.actuator_names, moving, strict=True) if moves}
         there = [f for f in hand.fingers if f.tip is not None]
         chosen = [f for f in there if f.name in action.fingers] or [
@@ -169,7 +170,7 @@ class Poses:
         # A finger alone opposes nothing: the object goes between it and its neighbour.
         if len(chosen) == 1:
             pose = self._scene.geometry.kinematics.link_pose
-            u = self._closing.way.at(1.0)
+            u = self._closing.path.at(1.0)
             at = {f.name: pose(f.tip or "", u)[:3, 3] for f in there}
             others = [f for f in there if f is not chosen[0]]
             others.sort(key=lambda f: float(np.linalg.norm(at[f.name] - at[chosen[0].name])))
@@ -199,11 +200,11 @@ class Poses:
         count = len(self._fingers)
         if count < _SEVERAL:
             return None, np.array([-1.0, 1.0][:count])
-        ways = self._paths[-1] - self._paths[0]
+        motions = self._paths[-1] - self._paths[0]
         # Only motion across the reach closes on an object; curling tips also move along it.
-        ways = ways - np.outer(ways @ self._out, self._out)
-        sizes, axes = np.linalg.eigh(ways.T @ ways)
-        along = ways @ axes[:, -1]
+        motions = motions - np.outer(motions @ self._out, self._out)
+        sizes, axes = np.linalg.eigh(motions.T @ motions)
+        along = motions @ axes[:, -1]
         least = _TAKES_PART * float(np.abs(along).max())
         # A tip that moves along the axis starts at its lower end: on side -1.
         sides = np.where(along > least, -1.0, np.where(along < -least, 1.0, 0.0))
@@ -231,7 +232,7 @@ class Poses:
         return middle + self._shift * self._out, closing / size
 
     def _room(self, shift: float) -> float:
-        """Return how wide the fingers open, some way out from the tips' middle [m]."""
+        """Return how wide the fingers open, at a distance from the tips' middle [m]."""
         self._shift = shift
         # Beyond the ends of open jaws all is free, and nothing is between them. Hands with further
         # fingers compare places between other ones, too, and need no such care.
@@ -251,7 +252,7 @@ class Poses:
         )
 
     def _between(self, step: int) -> FloatArray:
-        """Return the way from the fingertips of one side to those of the other ``(3,)`` [m]."""
+        """Return the vector from the fingertips of one side to those of the other ``(3,)`` [m]."""
         tips = self._paths[step]
         low, high = (tips[self._sides == side].mean(axis=0) for side in (-1.0, 1.0))
         between: FloatArray = high - low
@@ -310,7 +311,7 @@ class Poses:
 
     @cached_property
     def gaps(self) -> FloatArray:
-        """How far apart the fingertips are along the way ``(steps + 1,)`` [m]."""
+        """How far apart the fingertips are along the path ``(steps + 1,)`` [m]."""
         # A gap takes many distances of each fingertip: with more tips, fewer gaps are measured.
         steps = np.arange(0, len(self._closing.table), 2 if len(self._fingers) < _SEVERAL else 4)
         found = [self._gap(int(step)) for step in steps]
@@ -332,7 +333,7 @@ class Poses:
         search goes on when `bring_in` has found its depth.
         """
         between = at_most(self._between_tips(turns, most), most)
-        if len(self._fingers) < _SEVERAL or len(self._ways()) == 1:
+        if len(self._fingers) < _SEVERAL or len(self._directions()) == 1:
             yield from between
             return
         wrapped = self._in_palm(turns, most)
@@ -350,14 +351,16 @@ class Poses:
             # The last step that leaves room: before the widest one, the tips are still opening.
             there = np.flatnonzero(self.gaps >= width + GAP)
             step = int(there[there >= open_at].max(initial=open_at))
-            placed = self._placed(step, turns[number], self._ways())
+            placed = self._placed(step, turns[number], self._directions())
             if len(self._fingers) < _SEVERAL:
                 there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
                 wide = int(there[there >= open_at].max(initial=open_at))
                 # Only where one jaw is fixed: where both move, the two places are the same one, and
                 # rounding would decide between equal candidates.
                 if self._aside(wide, step) > _STILL:
-                    placed = interleaved(self._placed(wide, turns[number], self._ways()), placed)
+                    placed = interleaved(
+                        self._placed(wide, turns[number], self._directions()), placed
+                    )
             yield from at_most(placed, _share(most, len(fitting)))
 
     def _aside(self, wide: int, step: int) -> float:
@@ -370,7 +373,7 @@ class Poses:
 
     def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
         _, closing = self._at(STEP_MIDDLE)
-        front = self._ways()[1:]
+        front = self._directions()[1:]
         across = front[0][0] @ np.stack([self._rotation(closing, turn) for turn in turns])
         thick = self._scene.object.support(across) + self._scene.object.support(-across)
         sized = [
@@ -387,7 +390,7 @@ class Poses:
         if up is None:
             return True
         along = self._rotation(self._at(0)[1], turn) @ up
-        return any(float(way @ along) < STEEP for way, _ in self._ways())
+        return any(float(direction @ along) < STEEP for direction, _ in self._directions())
 
     def narrowest(self, turns: list[FloatArray]) -> float:
         """Return the object's least width between the fingers [m]."""
@@ -404,7 +407,7 @@ class Poses:
         return rotation
 
     def _placed(
-        self, step: int, turn: FloatArray, ways: list[tuple[FloatArray, FloatArray]]
+        self, step: int, turn: FloatArray, directions: list[tuple[FloatArray, FloatArray]]
     ) -> Iterator[Found]:
         middle, closing = self._at(step)
         pose = np.eye(4)
@@ -412,20 +415,20 @@ class Poses:
         # The middle of its box, since a mesh may have its origin anywhere.
         pose[:3, 3] = middle - pose[:3, :3] @ self._scene.object.box[0]
         (width, _, _), opening = self._scene.sizes(turn), float(self.gaps.max())
-        for way, shift in ways:
+        for direction, shift in directions:
             begin = pose.copy()
             begin[:3, 3] += shift
-            least = self._stands(begin, way, width)
+            least = self._stands(begin, direction, width)
             if least is None:
                 self.blocked = True
                 continue
-            approach = Approach(begin, way)
+            approach = Approach(begin, direction)
             yield approach
             deepest = approach.depth
             if deepest is None:
                 continue
             obj = self._scene.object
-            out_of_reach = near_side(obj, begin, way, obj.box[0]) - _TIPS
+            out_of_reach = near_side(obj, begin, direction, obj.box[0]) - _TIPS
             # The deepest first: the turn's share of poses may be used up before the others.
             depths = [max(least, d) for d in (deepest, 0.0, 0.5 * deepest, out_of_reach)]
             if self._ground is not None and self._ground.edge:
@@ -437,10 +440,10 @@ class Poses:
                     continue
                 taken.append(depth)
                 there = begin.copy()
-                there[:3, 3] += depth * way
-                yield Candidate(there, WAY * way, width, opening)
+                there[:3, 3] += depth * direction
+                yield Candidate(there, APPROACH_LENGTH * direction, width, opening)
 
-    def _stands(self, begin: FloatArray, way: FloatArray, width: float) -> float | None:
+    def _stands(self, begin: FloatArray, direction: FloatArray, width: float) -> float | None:
         """Return the least depth at which the hand stays clear of the table [m].
 
         A hand that comes from the side is raised as far as it has to be: ``begin`` is changed.
@@ -449,14 +452,14 @@ class Poses:
         ground = self._ground
         if ground is None:
             return -np.inf
-        up = ground.top(begin, way).up
-        steep = -float(way @ up)
+        up = ground.top(begin, direction).up
+        steep = -float(direction @ up)
         if steep < -STEEP:
             return None
         if ground.edge:  # where there is room is found by trying
             return -np.inf
         steps = int(np.flatnonzero(self.gaps >= width).max(initial=0)) + 1
-        more = ground.missing(self._closing, steps, begin, way)
+        more = ground.missing(self._closing, steps, begin, direction)
         if steep > STEEP:
             return more / steep
         if more > 0.0:
@@ -465,16 +468,16 @@ class Poses:
         high = float(reach[0] - up @ begin[:3, :3] @ self._scene.object.box[0])
         return -np.inf if more < high else None
 
-    def _ways(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Return from where the object may come, as unit vectors, and shifts of it [m]."""
-        ways = [(self._out, np.zeros(3))]
+    def _directions(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the directions from which the object may come, and shifts of it ``(3,)`` [m]."""
+        directions = [(self._out, np.zeros(3))]
         curl = self._paths[len(self._paths) // 2].mean(axis=0) - self._paths[0].mean(axis=0)
         curl = curl - (curl @ self._out) * self._out
         size = float(np.linalg.norm(curl))
         if size > 5.0 * _STILL:
-            ways.append((curl / size, np.zeros(3)))
-            ways.append((curl / size, -_BACK * self._out))
-        return ways
+            directions.append((curl / size, np.zeros(3)))
+            directions.append((curl / size, -_BACK * self._out))
+        return directions
 
 
 def _share(most: int, turns: int) -> int:
@@ -483,4 +486,4 @@ def _share(most: int, turns: int) -> int:
 
 
 STEP_MIDDLE: Final = 8
-"""The step at which the axis of closing is looked at first: half of the way."""
+"""The step at which the axis of closing is looked at first: half of the path."""

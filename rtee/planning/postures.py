@@ -132,7 +132,7 @@ class Postures:
                 cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
                 basis[index, 0, :3, :3] = turn @ cross
                 basis[index, 1, :3, :3] = turn @ cross @ cross
-            # A joint's supports are those on its way from the base, itself and the universe.
+            # A joint's supports are the joints between the base and it, itself and the universe.
             levels.setdefault(len(model.supports[index + 1]), []).append(index + 1)
         self._basis = basis.reshape(-1, 3, 16)
         """What their sine, 1 - cosine and position add to that, row after row."""

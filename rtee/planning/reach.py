@@ -19,7 +19,7 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
-from rtee.planning.closing import ActionWay
+from rtee.planning.closing import ActionPath
 from rtee.planning.collisions import Collisions
 from rtee.planning.frames import (
     checked_direction,
@@ -148,19 +148,19 @@ def reach_contacts(
     _refuse(residuals, wanted, tolerance)
     before = search.before(u, wanted, fingers)
     involved = [hand.actuator_names[i] for i in search.involved(fingers)]
-    # The wanted points are in the palm's frame here: their middle is the way from its origin.
+    # The wanted points are in the palm's frame here: their middle is the vector from its origin.
     middle = base[:3, :3] @ np.mean([c.point for c in wanted], axis=0)
-    no_way = "the palm is in the middle of the contacts: give the direction of its approach"
-    way = direction_of(middle, no_way) if given is None else given
+    unknown = "the palm is in the middle of the contacts: give the direction of its approach"
+    direction = direction_of(middle, unknown) if given is None else given
     return ReachedGrasp(
         hand=hand.name,
         fingers=fingers,
         posture=_by_name(hand, u, involved),
         pre_grasp=_by_name(hand, before, involved),
         palm_pose=rows(base),
-        pre_palm_pose=rows(retreated(base, way, retreat)),
+        pre_palm_pose=rows(retreated(base, direction, retreat)),
         flange_pose=flange_rows(hand, base),
-        pre_flange_pose=flange_rows(hand, retreated(base, way, retreat)),
+        pre_flange_pose=flange_rows(hand, retreated(base, direction, retreat)),
         residuals=tuple(
             Residual(r.finger, _point(base[:3, :3] @ r.point + base[:3, 3]), r.distance, r.angle)
             for r in residuals
@@ -211,11 +211,11 @@ def _finite(values: Sequence[float], what: str) -> FloatArray:
 
 
 def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:
-    """Return rest, and the postures of actions on their way."""
+    """Return rest, and postures along the paths of actions."""
     rest = np.array(hand.rest)
     found = [rest]
     for action in actions:
-        goal = ActionWay.of(hand, action).end
+        goal = ActionPath.of(hand, action).end
         found += [from_rest(rest, goal, s) for s in _INTENSITIES]
     # A posture that several actions share would take up several of the `_STARTS`.
     return list({u.round(6).tobytes(): u for u in found}.values())
@@ -272,7 +272,7 @@ class _Search:
         return u, choice
 
     def _choices(self, wanted: Sequence[_Contact]) -> list[tuple[str, ...]]:
-        """Return which finger may touch where, in all ways."""
+        """Return all assignments of fingers to contacts."""
         named = {c.finger for c in wanted if c.finger}
         free = [name for name in self._tips.fingers if name not in named]
         count = sum(not c.finger for c in wanted)
@@ -383,7 +383,7 @@ class _Search:
     def before(
         self, u: FloatArray, wanted: Sequence[_Contact], fingers: Sequence[str]
     ) -> FloatArray:
-        """Return the posture on the way from rest in which every tip leaves room at its contact.
+        """Return the posture on the path from rest in which every tip leaves room at its contact.
 
         Rest, if that is nowhere so.
         """

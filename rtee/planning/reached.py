@@ -88,7 +88,7 @@ class ReachedGrasp(Value):
         pre_intensity: Its intensity before, with the margin.
         width: The width that was wanted [m]; 0 for contacts.
         collisions: Where links of the hand meet each other, or the object where one was given, in
-            the posture and before it, the deepest first. The way in between is not looked at.
+            the posture and before it, the deepest first. The path in between is not checked.
     """
 
     hand: str

@@ -75,7 +75,7 @@ class GraspPlan(Value):
         pose: Pose of the object ``(4, 4)`` in the hand's base frame before the hand closes, row by
             row [m].
         held_pose: The same after it has closed: the fingers may push the object.
-        way: From where the object comes, relative to the hand ``(3,)`` [m].
+        approach_from: From where the object comes, relative to the hand ``(3,)`` [m].
         contacts: Where the hand touches.
         reasons: Why it has its rank, one sentence each.
         check: How it ended in dynamics, if it was tried there.
@@ -105,7 +105,7 @@ class GraspPlan(Value):
     clearance: float
     pose: Matrix
     held_pose: Matrix
-    way: Point
+    approach_from: Point
     contacts: tuple[Contact, ...]
     reasons: tuple[str, ...]
     check: Check | None = None

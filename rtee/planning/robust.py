@@ -12,7 +12,7 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
 from rtee.planning.approaches import GAP, Candidate
-from rtee.planning.closing import ActionWay, Closing, Closure, close_all
+from rtee.planning.closing import ActionPath, Closing, Closure, close_all
 from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Poses
@@ -33,7 +33,7 @@ _PUSH: Final = 0.002
 """By how much at a time the object is pushed [m]."""
 
 _CANDIDATES: Final = 24
-"""Poses between all fingers that are compared: two or three depths of each way to turn it."""
+"""Poses between all fingers that are compared: two or three depths of each orientation."""
 
 _OF_GROUP: Final = 8
 """The same between the fingers of a group."""
@@ -76,8 +76,8 @@ def robust_poses(
         groups: Actions whose fingers it moves, too: the object may be between those alone.
         others: Poses that are compared, too.
     """
-    closing = Closing(planner.scene, ActionWay.of(planner.hand, action), planner.task.friction)
-    if not closing.way.moving.any():
+    closing = Closing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
+    if not closing.path.moving.any():
         return []
     candidates = [*others]
     for group in (action, *_largest(groups)):
@@ -108,8 +108,8 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
         action: The action.
         groups: Actions whose fingers it moves, too.
     """
-    closing = Closing(planner.scene, ActionWay.of(planner.hand, action), planner.task.friction)
-    if not closing.way.moving.any():
+    closing = Closing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
+    if not closing.path.moving.any():
         return ""
     widest, wide = 0.0, math.inf
     for group in (action, *_largest(groups)):
@@ -120,14 +120,14 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
         if opened > widest:  # the width across the direction in which this group closes
             widest, wide = opened, poses.narrowest(planner.turns)
     if wide <= widest - 2.0 * GAP:
-        return ""  # it has room; something else is in its way, which a trial tells
+        return ""  # it has room; a trial shows what else is in its way
     return f"{wide * 1e3:.0f} mm wide, the hand opens to {widest * 1e3:.0f} mm"
 
 
 def _two_tips(hand: Hand, action: Action, closing: Closing) -> frozenset[str]:
     """Return the fingers between whose tips an action grasps, if they are two; else nothing."""
     moved = {
-        name for name, moves in zip(hand.actuator_names, closing.way.moving, strict=True) if moves
+        name for name, moves in zip(hand.actuator_names, closing.path.moving, strict=True) if moves
     }
     tips = [
         finger.name
@@ -149,7 +149,7 @@ def _judged(
     """Return how well an object is held at a pose and nearby."""
     promises = [planner.promise(middle)]
     nearby = _nearby(candidate.pose)
-    free = [_pushed(closing, pose, candidate.way) for pose in nearby]
+    free = [_pushed(closing, pose, candidate.approach_from) for pose in nearby]
     closures = close_all([(closing, pose) for pose in free if pose is not None])
     promises += [planner.promise(closure) for closure in closures if closure is not None]
     # Poses nearby that are not held count in the mean, as promising nothing.
@@ -157,17 +157,17 @@ def _judged(
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
 
 
-def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray | None:
-    """Return the pose to which the open hand pushes an object on its way; none if out of reach."""
-    pose, length = pose.copy(), float(np.linalg.norm(way))
+def _pushed(closing: Closing, pose: FloatArray, approach_from: FloatArray) -> FloatArray | None:
+    """Return the pose to which the open hand pushes an object; ``None`` if out of reach."""
+    pose, length = pose.copy(), float(np.linalg.norm(approach_from))
     at = closing.table[0]
     for _ in range(round(_PUSHED / _PUSH)):
         if DistanceBounds(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
             return pose
-        # Without a way in, there is no direction to push it.
+        # Without an approach, there is no direction to push it.
         if not length:
             return None
-        pose[:3, 3] += _PUSH * way / length
+        pose[:3, 3] += _PUSH * approach_from / length
     return None
 
 

@@ -99,10 +99,10 @@ class GraspScene:
         swung = np.abs(turns)
         between = self._middles - ((at.middles - pose[:3, 3]) @ axes)[:, None]
         reach = self._halves + (swung @ halves[:, :, None]).swapaxes(1, 2)
-        gaps, ways = _box_gaps(between, reach)
+        gaps, offsets = _box_gaps(between, reach)
         others, aside = _box_gaps(between @ turns, halves[:, None] + self._halves @ swung)
         wider = others > gaps
-        normals = np.where(wider[:, :, None], aside @ at.turns.swapaxes(1, 2), ways @ axes.T)
+        normals = np.where(wider[:, :, None], aside @ at.turns.swapaxes(1, 2), offsets @ axes.T)
         return np.where(wider, others, gaps), normals
 
     def measured(
@@ -219,20 +219,20 @@ def _corners(points: list[FloatArray]) -> list[FloatArray]:
 def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gaps ``(n, k)`` between upright boxes and their unit normals ``(n, k, 3)``.
 
-    ``between`` are the ways between their middles ``(n, k, 3)`` [m], ``reach`` the sums of their
+    ``between`` are the offsets between their middles ``(n, k, 3)`` [m], ``reach`` the sums of their
     half extents [m]. Where boxes overlap, the axis along which they overlap least counts, with a
     negative gap.
     """
     separation = np.abs(between) - reach
-    ways = np.maximum(separation, 0.0)
-    gaps = np.sqrt(np.einsum("nki,nki->nk", ways, ways))
+    offsets = np.maximum(separation, 0.0)
+    gaps = np.sqrt(np.einsum("nki,nki->nk", offsets, offsets))
     inside = gaps <= 0.0
     if inside.any():
         axis = separation[inside].argmax(axis=-1)
-        ways[inside] = np.eye(3)[axis]
+        offsets[inside] = np.eye(3)[axis]
         gaps[inside] = separation[inside].max(axis=-1)
     size = np.where(inside, 1.0, gaps)
-    return gaps, np.copysign(ways, between) / size[:, :, None]
+    return gaps, np.copysign(offsets, between) / size[:, :, None]
 
 
 def _finger_of(hand: Hand, link: str) -> str:

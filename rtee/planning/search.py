@@ -68,7 +68,7 @@ class Search:
 
     @property
     def gaps(self) -> FloatArray:
-        """How far apart the fingertips are along the way ``(steps + 1,)`` [m]."""
+        """How far apart the fingertips are along the path ``(steps + 1,)`` [m]."""
         return np.zeros(1) if self.poses is None else self.poses.gaps
 
 

@@ -29,7 +29,8 @@ _TILT: Final = math.tan(math.radians(5.0))
 """… and how much more for each metre beside the object: an arm and a camera are that exact."""
 
 STEEP: Final = 0.5
-"""A hand comes from above if its way is less than 60 degrees off the table's normal: its cosine."""
+"""A hand comes from above if its approach is less than 60 degrees off the table's normal: the
+cosine."""
 
 _PRESSED: Final = 3e-3
 """An object that the closing hand pushes deeper into the table is pressed on it [m]."""
@@ -45,10 +46,10 @@ _RAISED: Final = 0.02
 """A hand is raised by no more than this to clear the table [m]: beyond, it is another grasp."""
 
 _SIZE: Final = (1.2, 1.2, 0.6)
-"""Of the block that stands for a table with an edge [m]: larger than hand and way."""
+"""Of the block that stands for a table with an edge [m]: larger than the hand and its approach."""
 
 _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
-"""Where on its way the hand is looked at, as shares of it, closer to each other near its end."""
+"""Shares of the approach at which the hand is checked, closer to each other near its end."""
 
 
 _JAWS_HELD: Final = (0.0, 0.5, 0.9), (0.0, 0.86, 0.95)
@@ -80,10 +81,10 @@ class Top:
         """Its upward normal ``(3,)``."""
         return np.asarray(self.pose[:3, 2])
 
-    def moved(self, way: FloatArray) -> Top:
-        """Return it after it went some way ``(3,)`` [m]."""
+    def moved(self, shift: FloatArray) -> Top:
+        """Return the table top moved by a shift ``(3,)`` [m]."""
         pose = self.pose.copy()
-        pose[:3, 3] += way
+        pose[:3, 3] += shift
         return Top(pose, self.overhang)
 
 
@@ -116,12 +117,13 @@ class Ground:
         self._first = np.cumsum([0, *(len(some) for some in points[:-1])])
         self._block = coal.Box(*_SIZE)
 
-    def top(self, pose: FloatArray, way: FloatArray) -> Top:
+    def top(self, pose: FloatArray, approach_from: FloatArray) -> Top:
         """Return where the table is.
 
         Args:
             pose: Pose of the object ``(4, 4)`` in the base frame.
-            way: From where it comes, relative to the hand ``(3,)``: an edge is on the other side.
+            approach_from: From where it comes, relative to the hand ``(3,)``: an edge is on the
+                other side.
         """
         obj, turn = self._scene.object, pose[:3, :3]
         z = -self._axis if self.up is None else turn @ self.up
@@ -129,9 +131,9 @@ class Ground:
         height = self._table.height
         if height is None:
             height = -float(obj.support(-up[None])[0])
-        out = -(way - (way @ z) * z)
+        out = -(approach_from - (approach_from @ z) * z)
         size = float(np.linalg.norm(out))
-        edge = self.edge and size > STEEP * float(np.linalg.norm(way))
+        edge = self.edge and size > STEEP * float(np.linalg.norm(approach_from))
         if not edge:  # any axis across
             out = np.eye(3)[int(np.argmin(np.abs(z)))]
             out = out - (out @ z) * z
@@ -173,26 +175,28 @@ class Ground:
             default=CLEAR,
         )
 
-    def missing(self, closing: Closing, steps: int, begin: FloatArray, way: FloatArray) -> float:
+    def missing(
+        self, closing: Closing, steps: int, begin: FloatArray, direction: FloatArray
+    ) -> float:
         """Return how much farther an object has to be for the closing hand to clear the table [m].
 
         Args:
             closing: What closes the hand.
             steps: Steps of its table until it touches the object.
             begin: Pose of the object ``(4, 4)``.
-            way: From where it comes, a unit vector.
+            direction: From where it comes, a unit vector.
         """
-        top = self.top(begin, way)
+        top = self.top(begin, direction)
         return CLEAR - min(self.gap(at, top) for at in closing.table[: steps + 1])
 
     def clears(self, closing: Closing, candidate: Candidate, closure: Closure) -> bool:
-        """Return whether a hand keeps clear of the table, from its way on until it has closed."""
-        top = self.top(candidate.pose, candidate.way)
+        """Return whether a hand keeps clear of the table, from its approach until it has closed."""
+        top = self.top(candidate.pose, candidate.approach_from)
         # What the fingers push deeper would be pressed on the table.
         if float((closure.pose[:3, 3] - candidate.pose[:3, 3]) @ top.up) < -_PRESSED:
             return False
         return self._least(closing, candidate, closure) >= _LEAST * CLEAR and all(
-            self.gap(closing.table[0], top.moved(share * candidate.way)) >= _LEAST * CLEAR
+            self.gap(closing.table[0], top.moved(share * candidate.approach_from)) >= _LEAST * CLEAR
             for share in _SHARES
         )
 
@@ -203,15 +207,15 @@ class Ground:
         more = CLEAR - self._least(closing, candidate, closure)
         if self.edge or candidate.raised or not 0.0 < more < _RAISED:
             return
-        up, pose = self.top(candidate.pose, candidate.way).up, candidate.pose.copy()
-        unit = candidate.way / np.linalg.norm(candidate.way)
+        up, pose = self.top(candidate.pose, candidate.approach_from).up, candidate.pose.copy()
+        unit = candidate.approach_from / np.linalg.norm(candidate.approach_from)
         steep = -float(unit @ up)
         pose[:3, 3] += more * (unit / steep if steep > STEEP else -up)
         yield replace(candidate, pose=pose, raised=True)
 
     def _least(self, closing: Closing, candidate: Candidate, closure: Closure) -> float:
         """Return the least gap between a hand that closes and the table [m]."""
-        top = self.top(candidate.pose, candidate.way)
+        top = self.top(candidate.pose, candidate.approach_from)
         steps = np.count_nonzero(closing.grid < closure.first)
         there = [*closing.table[:steps], self._scene.posed(closure.u)]
         return min(self.gap(at, top) for at in there)

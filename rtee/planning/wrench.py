@@ -263,7 +263,7 @@ def _climb(found: FloatArray, start: FloatArray) -> float:
     """Return the norm of a vertex of the polar polytope ``{x: found x <= 1}``, uphill of a point.
 
     Facets of the hull of the points ``(k, d)`` are vertices of its polar, and the nearer a facet
-    the longer its vertex. The way goes along faces of ever smaller dimension, then from vertex to
+    the longer its vertex. The path runs along faces of ever smaller dimension, then from vertex to
     vertex along edges that lead away from the origin.
     """
     x, active = start, list[int]()
@@ -271,28 +271,29 @@ def _climb(found: FloatArray, start: FloatArray) -> float:
         if active:
             basis = found[active]
             shares = np.linalg.lstsq(basis.T, x, rcond=None)[0]
-            way = x - basis.T @ shares
+            direction = x - basis.T @ shares
         else:
-            shares, way = np.zeros(0), x
-        if float(np.linalg.norm(way)) <= 1e-9 * float(np.linalg.norm(x)):
+            shares, direction = np.zeros(0), x
+        if float(np.linalg.norm(direction)) <= 1e-9 * float(np.linalg.norm(x)):
             # At a vertex of these faces; a negative share says which one to leave.
             if not len(shares) or shares.min() >= -1e-9 * np.abs(shares).max():
                 break
             left = int(np.argmin(shares))
             others = found[active[:left] + active[left + 1 :]]
-            way = -found[active[left]]
+            direction = -found[active[left]]
             if len(others):
-                way = way - others.T @ np.linalg.lstsq(others.T, way, rcond=None)[0]
+                shares_of = np.linalg.lstsq(others.T, direction, rcond=None)[0]
+                direction = direction - others.T @ shares_of
             del active[left]
-        rate = found @ way
-        # The way stays on these faces; rounding must not make one of them the next to be met.
+        rate = found @ direction
+        # The path stays on these faces; rounding must not make one of them the next to be met.
         rate[active] = 0.0
         room = np.where(rate > 1e-12, (1.0 - found @ x) / np.maximum(rate, 1e-12), np.inf)
         nearest = int(np.argmin(room))
         if not np.isfinite(room[nearest]):
             break
         # By rounding, the point may be just beyond a face: that is not a step back.
-        x = x + max(0.0, float(room[nearest])) * way
+        x = x + max(0.0, float(room[nearest])) * direction
         active.append(nearest)
     return float(np.linalg.norm(x))
 
@@ -314,7 +315,7 @@ def load(
 ) -> float:
     """Return how many times a weight a grasp can carry with the efforts of the actuators.
 
-    Where several are given, as of an object that is accelerated one way or the other, that many
+    Where several are given, as of an object that is accelerated in either direction, that many
     times each of them, one at a time.
 
     Args:
@@ -331,7 +332,7 @@ def load(
     heavy = float(np.linalg.norm(weights[0]))
     if not len(found) or heavy <= 0.0:
         return 0.0
-    # Both ways of each actuator; one in which nothing drives it needs no limit.
+    # Both directions of each actuator; one in which nothing drives it needs no limit.
     upper = np.vstack([torques.T, -torques.T]) * heavy
     upper = upper[upper.max(axis=1) > 0.0]
     # Columns: normal forces in units of the weight, then what is left of each effort.

@@ -13,7 +13,7 @@ from rtee.actions.types import Primitive as PrimitiveAction
 from rtee.drivers.mujoco.scene import approach, tip_geoms, tip_middles
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
-from rtee.planning.closing import ActionWay
+from rtee.planning.closing import ActionPath
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -79,7 +79,7 @@ def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:
     """Return the fingers that an action moves."""
     if action.fingers:
         return action.fingers
-    moved = np.abs(ActionWay.of(hand, action).end - hand.rest) > _MOVES
+    moved = np.abs(ActionPath.of(hand, action).end - hand.rest) > _MOVES
     names = {name for name, moves in zip(hand.actuator_names, moved, strict=True) if moves}
     return tuple(finger.name for finger in hand.fingers if names & set(finger.actuators))
 
@@ -92,7 +92,7 @@ class Places:
         self._simulation, self._hand = simulation, hand
         self._model = simulation.model
         self._data = mujoco.MjData(self._model)
-        self._goal = ActionWay.of(hand, action).end
+        self._goal = ActionPath.of(hand, action).end
         self._geoms = tip_geoms(self._model, hand, fingers_of(hand, action))
         self._shift = self._contact_point(action)
 

@@ -49,7 +49,9 @@ def robust_places(
     tips = Places(simulation, hand, action).find(_FROM_TIPS)
     others = [Candidate(place.pose, place.way, 0.0, 0.0) for place in tips]
     found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
-    places = [Place(pose.candidate.pose, pose.first, pose.candidate.way) for pose in found]
+    places = [
+        Place(pose.candidate.pose, pose.first, pose.candidate.approach_from) for pose in found
+    ]
     chosen: list[Place] = []
     # Where too few places are robust, those between the fingertips make up the number.
     for place in (*places, *tips):

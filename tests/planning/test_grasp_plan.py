@@ -392,7 +392,7 @@ def test_a_plan_for_the_arms_flange(jaws: Hand, library: ActionLibrary) -> None:
     object_in_base = np.array(first.pose)
     assert flange_in_object @ base_in_flange @ object_in_base == pytest.approx(np.eye(4), abs=1e-5)
     away = np.linalg.inv(np.array(first.pre_flange_pose) @ base_in_flange)[:3, 3]
-    assert away - object_in_base[:3, 3] == pytest.approx(np.array(first.way), abs=1e-5)
+    assert away - object_in_base[:3, 3] == pytest.approx(np.array(first.approach_from), abs=1e-5)
     middle = np.mean([contact.point for contact in first.contacts], axis=0)
     turned = [-middle[1], middle[0], middle[2] + 0.02]
     assert first.tcp == pytest.approx(turned, abs=1e-4)
