@@ -20,6 +20,7 @@ from rtee.agent.agent import Agent
 from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
 from rtee.hand.load import hand_folder, load_configured
 from rtee.messages.goals import goal_of
+from rtee.objects.table import TABLE, parse_table
 from rtee.planning.result import GraspPlan
 from rtee.remote.agents import AGENT
 from rtee.remote.client import stop_hand
@@ -54,6 +55,7 @@ Effort = Annotated[float, _share(description=f"Share of the effort limits{_MOST}
 Speed = Annotated[float, _share(description=f"Share of the velocity limits{_MOST}.")]
 Mass = Annotated[float, _number(gt=0, le=100, description="Its mass [kg].")]
 Friction = Annotated[float, _number(gt=0, le=10, description="Coefficient of friction.")]
+Stands = Annotated[str, _text(description=f"The table it stands on, {TABLE}; or empty.")]
 Number = Annotated[int, Field(strict=True, ge=0, description="Only later numbers.")]
 
 
@@ -107,10 +109,12 @@ class Tools:
         hand: HandName = "",
         mass: Mass = 0.1,
         friction: Friction = 0.5,
+        table: Stands = "",
     ) -> list[str | Image]:
         """Rank the actions for an object, with reasons and a picture of the best; nothing moves."""
         agent = self._agent(hand)
-        ranking = await (await agent.remote()).grasp_plan(object, mass=mass, friction=friction)
+        stands, remote = parse_table(table) if table else None, await agent.remote()
+        ranking = await remote.grasp_plan(object, mass=mass, friction=friction, table=stands)
         plans = [plan for plan in ranking.plans if plan.action and agent.limits.allows(plan.action)]
         cannot = {name: texts.outside(why) for name, why in ranking.rejected}
         found = {"grasps": list(map(_planned, plans[:_PLANS])), "cannot": cannot}

@@ -28,6 +28,7 @@ from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.objects.description import ObjectDescription, ObjectPart
+from rtee.objects.table import Table
 from rtee.types import (
     Aim,
     DeviceStatus,
@@ -123,6 +124,22 @@ def _parts(entries: Sequence[Mapping[str, Any]]) -> tuple[ObjectPart, ...]:
 
 
 OBJECT = Codec("rtee_msgs/msg/Object", ObjectDescription, parts=As({"parts": _part_fields}, _parts))
+
+
+def table_fields(table: Table | None) -> list[dict[str, Any]]:
+    """Return the tables of a ``rtee_msgs/GraspRequest``: one, or none."""
+    if table is None:
+        return []
+    return [{"up": table.up or (), "height": () if table.height is None else (table.height,)}]
+
+
+def table_of(entries: Sequence[Mapping[str, Any]]) -> Table | None:
+    """Return the table in such fields; raises `ConfigError` for one that makes no sense."""
+    for entry in entries:
+        up, height = (tuple(map(float, entry[name])) for name in ("up", "height"))
+        return Table(up or None, *height)  # type: ignore[arg-type]
+    return None
+
 
 Plain = tuple[str, str, Mapping[str, float]]
 """Kind of a command, text and numbers by name."""

@@ -11,6 +11,9 @@ from rtee.errors import ConfigError
 GRAVITY: Final = "gravity"
 """How a table is written that is across the weight."""
 
+TABLE: Final = f"X,Y,Z or X,Y,Z,HEIGHT [m], its upward normal in the object's frame, or '{GRAVITY}'"
+"""How a table is written."""
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
@@ -29,8 +32,8 @@ class Table:
     height: float | None = None
 
     def __post_init__(self) -> None:
-        numbers = (*(self.up or (1.0,)), self.height or 0.0)
-        if not all(map(math.isfinite, numbers)) or not any(numbers[:-1]):
+        up, height = self.up or (0.0, 0.0, 1.0), self.height or 0.0
+        if len(up) != 3 or not all(map(math.isfinite, (*up, height))) or not any(up):
             raise ConfigError("a table's normal is three finite numbers, not all of them 0")
 
 
@@ -47,8 +50,5 @@ def parse_table(text: str) -> Table:
     except ValueError:
         x, height = math.nan, [0.0, 0.0]
     if len(height) > 1:
-        raise ConfigError(
-            f"a table is X,Y,Z or X,Y,Z,HEIGHT, its upward normal in the object's frame, or "
-            f"'{GRAVITY}', not '{text}'"
-        )
+        raise ConfigError(f"a table is {TABLE}, not '{text}'")
     return Table((x, y, z), height[0] if height else None)

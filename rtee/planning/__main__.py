@@ -28,7 +28,9 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
         from rtee.planning.plan import plan_grasps
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
+    from rtee.hand.validation import validated
     from rtee.objects.shape import refuse_paths
+    from rtee.objects.table import Table
     from rtee.planning.result import to_document
 
     text, mass, scale = question["object"], question["mass"], question["scale"]
@@ -45,9 +47,12 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
             file.write_bytes(mesh)
         obj = read_object(str(file) if mesh else text, mass, scale)
     axis = question["weight_axis"] or None
+    table = validated(Table, question["table"]) if question["table"] else None
     # The temporary file's path means nothing to whoever asked.
     obj = dataclasses.replace(obj, name=text)
-    ranking = plan_grasps(hand, library, obj, friction=question["friction"], weight_axis=axis)
+    ranking = plan_grasps(
+        hand, library, obj, friction=question["friction"], weight_axis=axis, table=table
+    )
     return to_document(dataclasses.replace(ranking, plans=ranking.plans[: question["top"]]))
 
 

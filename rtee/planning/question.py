@@ -16,6 +16,7 @@ from typing import Any, Final
 from rtee import child
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.meshes import FORMATS
+from rtee.objects.table import Table
 
 LONGEST: Final = 60_000
 """Longest mesh that is sent over the network [bytes]; a request has 64 KiB at most."""
@@ -48,6 +49,7 @@ class Question:
         scale: Brings the mesh to metres.
         weight_axis: Where its weight pulls, in the hand's base frame; empty: along its reach.
         top: How many grasps are wanted.
+        table: The table on which it stands.
     """
 
     object: str
@@ -58,6 +60,7 @@ class Question:
     scale: float = 1.0
     weight_axis: tuple[float, ...] = ()
     top: int = 5
+    table: Table | None = None
 
     def check(self) -> None:
         """Raise `ConfigError` unless it can be asked; what only the object tells is left out."""

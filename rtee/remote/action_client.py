@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 from rtee.actions.build import StepPlan
 from rtee.actions.library import listed
@@ -19,6 +20,8 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.errors import RequestRejected
+from rtee.messages.convert import table_fields
+from rtee.objects.table import Table
 from rtee.planning.question import Question, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
@@ -29,7 +32,7 @@ from rtee.remote.openings import GripLimits, OpeningRange, limits_of, opening_of
 _NOWHERE = Posture({}, ())
 """Posture of an action that is sent: the hand computes it from the parts."""
 
-_PLANNED_WITHIN = 90.0
+PLANNED_WITHIN: Final = 90.0
 """Time to wait for a plan [s]: up to four other plans may be waiting before it."""
 
 
@@ -98,6 +101,7 @@ class ActionClient:
         scale: float = 1.0,
         weight_axis: Sequence[float] = (),
         top: int = 5,
+        table: Table | None = None,
     ) -> Ranking:
         """Return the actions that suit an object, best first, with the reasons; nothing moves.
 
@@ -114,6 +118,8 @@ class ActionClient:
             weight_axis: Direction of its weight in the hand's base frame; along its reach unless
                 given.
             top: Number of grasps to return.
+            table: The table on which the object stands; it has the weight's direction if given a
+                normal.
 
         Raises:
             ConfigError: if the object or an option makes no sense.
@@ -126,10 +132,12 @@ class ActionClient:
             scale=scale,
             weight_axis=tuple(weight_axis),
             top=top,
+            table=table,
         )
         fields = {name: getattr(question, name) for name in Question.__dataclass_fields__}
+        fields["table"] = table_fields(table)
         # The file itself is sent: a path would name a file of the hand's computer.
-        reply = await self._link.ask("grasp_plan", fields, within=_PLANNED_WITHIN)
+        reply = await self._link.ask("grasp_plan", fields, within=PLANNED_WITHIN)
         return from_document(json.loads(reply["data"]))
 
     async def add_generic(

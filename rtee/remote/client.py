@@ -27,11 +27,12 @@ from rtee.remote.find import VARIABLE as CONNECT
 from rtee.remote.find import Found, chosen_here, open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.goal_values import finite, numbers
-from rtee.remote.link import Link, introduced
+from rtee.remote.link import ANSWER_WITHIN, Link, introduced
 from rtee.remote.monitoring import Monitoring
 from rtee.remote.reaching import ReachClient
 from rtee.remote.session import close_session
-from rtee.remote.stopping import ANSWER_WITHIN, silent, stop_at, stop_path
+from rtee.remote.stopping import ANSWER_WITHIN as STOPPED_WITHIN
+from rtee.remote.stopping import silent, stop_at, stop_path
 from rtee.remote.stream import StreamClient
 
 P = ParamSpec("P")
@@ -203,7 +204,9 @@ class RemoteHand:
     remove_action = _part("_actions", ActionClient.remove_action)
     rename_action = _part("_actions", ActionClient.rename_action)
 
-    async def ask(self, name: str, fields: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    async def ask(
+        self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN
+    ) -> dict[str, Any]:
         """Send a request of the network and return the fields of its answer.
 
         For bridges to other networks, which pass on messages as they are; use the other methods for
@@ -212,12 +215,13 @@ class RemoteHand:
         Args:
             name: Its name in `rtee.messages.requests`.
             fields: Its fields; ``None`` for a request that has none.
+            within: Time to wait for the answer [s].
 
         Raises:
             RequestRejected: if the hand refuses the request, with the reason.
             NoHand: if the hand does not answer.
         """
-        return await self._link.ask(name, fields)
+        return await self._link.ask(name, fields, within=within)
 
     async def hold(self) -> None:
         """Hold the measured posture; a running goal is cancelled."""
@@ -332,7 +336,7 @@ async def _stopped_once(
 
 async def _asked_to_stop(link: Link) -> dict[str, bool]:
     try:
-        reply = await link.request("stop", within=ANSWER_WITHIN)
+        reply = await link.request("stop", within=STOPPED_WITHIN)
     except NoHand:
         raise silent(link.hand) from None
     return dict(zip(reply["device"], reply["confirmed"].tolist(), strict=True))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtee.errors import RequestRejected
+from rtee.messages.convert import table_of
 from rtee.planning.question import Question, ReachQuestion, ask
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.incoming_request import IncomingRequest
@@ -78,6 +79,7 @@ def _question(fields: Mapping[str, Any]) -> Question:
         scale=float(fields["scale"]),
         weight_axis=tuple(float(value) for value in fields["weight_axis"]),
         top=int(fields["top"]),
+        table=table_of(fields["table"]),
     )
 
 

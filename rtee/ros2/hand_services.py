@@ -11,6 +11,7 @@ from typing import Any
 from rtee.actions.naming import normalise, snake_case
 from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.errors import NoHand, RteeError
+from rtee.remote.action_client import PLANNED_WITHIN
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.words import sentence
 from rtee.ros2.message import Message
@@ -52,6 +53,7 @@ class Services(Part):
             ("NewGenericAction", self._new_generic),
             ("GetHandInfo", self._info),
             ("ListOpenings", self._openings),
+            ("PlanGrasps", self._plan_grasps),
         ):
             kind = node.context.interfaces.service(f"rtee_msgs/srv/{name}")
             node.service(f"~/{snake_case(name)}", kind, partial(_with, kind.response, handler))
@@ -209,6 +211,16 @@ class Services(Part):
 
     async def _openings(self, _: Any) -> dict[str, Any]:
         return await self._served.hand.ask("openings")
+
+    async def _plan_grasps(self, request: Any) -> dict[str, Any]:
+        try:
+            asked = request.request.to_dict()
+            plans = await self._served.hand.ask("grasp_plan", asked, within=PLANNED_WITHIN)
+        except NoHand:
+            raise
+        except RteeError as error:
+            return {"accepted": False, "reason": str(error)}
+        return {"accepted": True, "plans": plans["data"]}
 
 
 def service_name(action: Action) -> str:

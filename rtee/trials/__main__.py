@@ -96,7 +96,7 @@ def _plan(job: Job, out: TextIO) -> None:
     library = ActionLibrary.load(hand, folder / "actions")
     thing = read_object(job.object, job.mass)
     friction = FRICTION if job.friction is None else job.friction
-    ranking = plan_grasps(hand, library, thing, friction=friction)
+    ranking = plan_grasps(hand, library, thing, friction=friction, table=job.table)
     _write(out, {"ranking": to_document(ranking)})
     if not job.checked or not ranking.plans:
         return

@@ -16,6 +16,8 @@ from typing import Any, Final
 
 from rtee import child
 from rtee.errors import ConfigError, MissingExtra
+from rtee.hand.validation import validated
+from rtee.objects.table import Table
 
 MESHES: Final = (".stl", ".obj")
 """Formats of meshes that can be planned for and tried."""
@@ -50,6 +52,7 @@ class Job:
         actions: Names and elements of the actions to be tried; ``None``: plan grasps instead.
         variations: How often each trial is varied.
         checked: How many of the planned grasps are tried in any case; further ones until one holds.
+        table: The table on which the object of planned grasps stands.
     """
 
     folder: str
@@ -59,6 +62,7 @@ class Job:
     actions: tuple[tuple[str, tuple[str, ...]], ...] | None = None
     variations: int = 20
     checked: int = 3
+    table: Table | None = None
 
     def check(self) -> None:
         """Raise `ConfigError` unless it makes sense; what only the object tells is left out."""
@@ -82,14 +86,7 @@ class Job:
     @classmethod
     def from_json(cls, text: str) -> Job:
         """Return the job that `to_json` wrote."""
-        plain = json.loads(text)
-        actions = plain.pop("actions")
-        return cls(
-            **plain,
-            actions=None
-            if actions is None
-            else tuple((str(name), tuple(elements)) for name, elements in actions),
-        )
+        return validated(cls, json.loads(text))
 
 
 def command() -> tuple[list[str], dict[str, str]]:

@@ -113,6 +113,7 @@ BAD: tuple[tuple[str, dict[str, Any], str, tuple[Any, ...]], ...] = (
     *((tool, {}, "hand", (PROMPT, "*", 0, "a/b")) for tool in ("open", "stop", "describe")),
     ("recording", {}, "name", ("../x.mcap", "/etc/passwd", PROMPT, "", 3)),
     ("grasp_plan", {}, "object", ("/etc/passwd", "hand.stl", PROMPT, "box:0x0x0", 3)),
+    ("grasp_plan", {"object": "sphere:0.02"}, "table", ("0,0", "0,0,0", "1,2,3,4,5", PROMPT, 3)),
     ("events", {}, "after", (-1, "1", NAN)),
     ("open", {}, "positions", ({"near": 1.0},)),
     *((tool, {}, "x", (1,)) for tool in ("jog", "set_gains", "recover", "record", "add_generic")),
@@ -336,7 +337,8 @@ async def test_a_conversation(rtee_hand: StartHand) -> None:
         told = await agent.done("recording", name=recording)
         assert [goal["ended"] for goal in told["goals"]] == ["held"]
         assert "result" in (await agent.done("events"))["happened"][-1]
-        plan = await client.call_tool("grasp_plan", {"object": "box:0.03x0.03x0.05"})
+        thing = {"object": "box:0.03x0.03x0.05", "table": "0,0,1"}
+        plan = await client.call_tool("grasp_plan", thing)
         best = json.loads(plan.content[0].text)["grasps"][0]  # type: ignore[union-attr]
         assert best["width"] == 0.03
         assert plan.content[1].type == "image"

@@ -16,6 +16,7 @@ from rtee.gui.panels.trying import folder_of, number, shape_text
 from rtee.gui.simulated_object import arrows_of, strongest
 from rtee.gui.trial_results import Tried, object_name, rate, verdict
 from rtee.hand.load import load_hand
+from rtee.objects.table import Table
 from rtee.trials.job import Job, meshes_of
 from rtee.trials.result import Trial, TrialResult
 
@@ -153,9 +154,11 @@ async def test_grasps_are_planned_apart(repository: Path) -> None:
     pytest.importorskip("coal")
     said = list[dict[str, Any]]()
     folder = str(repository / "config" / HAND)
-    assert await Jobs().run(Job(folder, "box:0.04x0.04x0.1", checked=0), "planning", said.append)
+    job = Job(folder, "box:0.04x0.04x0.1", checked=0, table=Table((0.0, 0.0, 1.0)))
+    assert await Jobs().run(job, "planning", said.append)
     assert said[0]["text"] == "looking for grasps"
     (ranking,) = [each["ranking"] for each in said if "ranking" in each]
     assert ranking["plans"][0]["reasons"]
+    assert np.array(ranking["plans"][0]["table"])[:3, 2] == pytest.approx([0, 0, 1])
     with pytest.raises(RequestRejected, match="does not fit"):
         await Jobs().run(Job(folder, "sphere:0.5", checked=0), "planning", said.append)

@@ -44,7 +44,7 @@ def _field(field: Field) -> st.SearchStrategy[Any]:
     one = fields(message_type(field.kind)) if field.nested else _scalar(field.kind)
     if not field.sequence:
         return one
-    many = st.lists(one, max_size=4)
+    many = st.lists(one, max_size=field.capacity or 4)
     if field.nested or field.kind == "string":
         return many
     return many.map(lambda values: np.array(values, dtype=DTYPES[field.kind]))

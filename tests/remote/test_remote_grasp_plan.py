@@ -14,6 +14,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.load import load_hand
 from rtee.hand.own_copy import copy_hand
+from rtee.objects.table import Table
 from rtee.planning.plan import grasp_plan
 from rtee.planning.question import LONGEST
 from rtee.remote.blocking import BlockingHand
@@ -41,9 +42,12 @@ def remote(folder: Path) -> Iterator[BlockingHand]:
 
 
 def test_a_hand_plans_as_the_command_does(remote: BlockingHand, folder: Path) -> None:
-    ranking = remote.grasp_plan("cylinder:0.02x0.1", mass=0.3, friction=0.7, top=2)
-    here = grasp_plan(folder, "cylinder:0.02x0.1", mass=0.3, friction=0.7)
+    table = Table((0.0, 0.0, 1.0), -0.06)
+    ranking = remote.grasp_plan("cylinder:0.02x0.1", mass=0.3, friction=0.7, top=2, table=table)
+    here = grasp_plan(folder, "cylinder:0.02x0.1", mass=0.3, friction=0.7, table=table)
     assert ranking.plans == here.plans[:2]
+    assert ranking.plans[0].table is not None
+    assert ranking.plans[0].table[2][3] == pytest.approx(-0.06)
     assert (ranking.mass, ranking.friction, ranking.hand) == (0.3, 0.7, "mine")
 
 

@@ -138,10 +138,22 @@ async def test_what_there_is_to_know(
         beyond = await ask("get_hand_info", "GetHandInfo", name=["near"], position=[99.0])
         nobody = await ask("selectable_partners", "SelectablePartners", action="Dance")
         nothing = await ask("list_actions", "ListActions", kind="wish")
+        request = robot.context.interfaces.message("rtee_msgs/msg/GraspRequest").from_dict
+        plans, refused = [
+            await ask(
+                "plan_grasps",
+                "PlanGrasps",
+                request=request({"object": "sphere:0.03", "table": [{"up": [0.0, 0.0, z]}]}),
+            )
+            for z in (1.0, 0.0)
+        ]
     assert {action.name for action in actions} == {"Trig", "PinchTight"}
     assert [(group.name, group.selectable) for group in groups] == [("Trig", ["index", "thumb"])]
     assert partners.partners == ["thumb"]
     assert (info.name, info.posture.tolist()) == ("small", [0.5, 0.0, 0.0])
     assert info.urdf == hand.urdf.text
     assert openings == []
+    assert (plans.accepted, refused.accepted) == (False, False)
+    assert "it has no hand.yaml" in plans.reason  # the process that plans was asked
+    assert "a table's normal" in refused.reason
     assert (beyond.info.name, nobody.partners, nothing.actions) == ("", [], [])

@@ -22,6 +22,7 @@ from rtee.gui.wording import offer, small
 from rtee.hand.catalog import find_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
+from rtee.objects.table import Table
 from rtee.planning.result import GraspPlan, Ranking
 from rtee.planning.result import from_document as ranking_of
 from rtee.remote.client import RemoteHand
@@ -42,6 +43,15 @@ _SIZES: Final = {
     "box": (("Width [mm]", 40.0), ("Depth [mm]", 40.0), ("Height [mm]", 100.0)),
 }
 """Shapes whose sizes the user sets, with the labels and the first values of their sizes."""
+
+_TABLES: Final[Mapping[str, Table | None]] = {
+    "none": None,
+    "below it": Table((0.0, 0.0, 1.0)),
+    "y is up": Table((0.0, 1.0, 0.0)),
+    "x is up": Table((1.0, 0.0, 0.0)),
+    "across the weight": Table(),
+}
+"""On what the object of a planned grasp stands."""
 
 Found = Callable[[TrialResult], None]
 """Receives the result of a trial."""
@@ -133,6 +143,12 @@ class TryPanel:
             step=0.05,
             hint="Coefficient of friction",
             visible=False,
+        )
+        self._table = gui.add_dropdown(
+            "Table",
+            tuple(_TABLES),
+            hint="On what the object of a suggested grasp stands: the hand keeps clear of it. "
+            "Below it: as modelled; or another axis of it is up; or any place, across the weight",
         )
         self._action = gui.add_dropdown("Action", (_EVERY,), hint="What is tried")
         self._variations = gui.add_slider(
@@ -242,6 +258,7 @@ class TryPanel:
             actions=None if planning else self._chosen_actions(),
             variations=int(number(self._variations.value, 0, MOST_VARIATIONS, "variations")),
             checked=3 if self._checked.value else 0,
+            table=_TABLES.get(self._table.value),
         )
         job.check()
         return job

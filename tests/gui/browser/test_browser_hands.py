@@ -221,6 +221,7 @@ def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: 
     window.told("a trial is under way; wait for its end, or cancel it")
     window.button("Cancel").last.click()
     window.says("cancelled")
+    window.choose("Table", "below it")
     window.button("Suggest grasps").click()
     window.says("planning begins …")
     gate.unlink()
