@@ -4,8 +4,8 @@ A client sends a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attachme
 identity, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
 error, a ``rtee_msgs/Reply`` with the reason for the refusal.
 
-Samples of streams are published on ``rtee/<hand>/put/<way>/sample/<client>``, since nobody waits
-for an answer to them. A refusal, a ``rtee_msgs/Reply`` with the attachment ``-<number>``, is
+Samples of streams are published on ``rtee/<hand>/put/<access path>/sample/<client>``, since nobody
+waits for an answer to them. A refusal, a ``rtee_msgs/Reply`` with the attachment ``-<number>``, is
 published on ``rtee/<hand>/answers/<client>``.
 """
 
@@ -18,14 +18,14 @@ from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import PREFIX
 
 HELLO = "hello"
-"""Group of the request with which a client introduces itself. The name of the request is the way of
-the connection: `HERE`, `PLAIN`, or the common name in the client's certificate."""
+"""Group of the request with which a client introduces itself. The name of the request is the
+access path of the connection: `HERE`, `PLAIN`, or the common name in the client's certificate."""
 
 HERE = "here"
-"""Way of clients on the hand's own computer, through its Unix socket."""
+"""Access path of clients on the hand's own computer, through its Unix socket."""
 
 PLAIN = "plain"
-"""Way of clients through an endpoint without certificates."""
+"""Access path of clients through an endpoint without certificates."""
 
 STOP = "stop"
 """Group of the request that is always accepted, from any client, before all others."""
@@ -58,17 +58,17 @@ SAMPLE = "sample"
 """Name of the request that is published: a sample of a stream."""
 
 
-def inbox_key(hand: str, way: str, client: str) -> str:
-    """Return the key on which a client publishes samples; for the way, see `HELLO`."""
-    return f"{PREFIX}/{hand}/{INBOX}/{way}/{SAMPLE}/{client}"
+def inbox_key(hand: str, access_path: str, client: str) -> str:
+    """Return the key on which a client publishes samples; for the access path, see `HELLO`."""
+    return f"{PREFIX}/{hand}/{INBOX}/{access_path}/{SAMPLE}/{client}"
 
 
-def topic_for(way: str, topic: str) -> str:
-    """Return the part of a topic's key after the hand, for clients of a way; see `HELLO`.
+def topic_for(access_path: str, topic: str) -> str:
+    """Return the part of a topic's key after the hand, for clients of an access path; see `HELLO`.
 
     Each certificate has its own keys, on which the hand publishes nothing once it is revoked.
     """
-    return topic if way in (HERE, PLAIN) else f"{WATCH}/{way}/{topic}"
+    return topic if access_path in (HERE, PLAIN) else f"{WATCH}/{access_path}/{topic}"
 
 
 # Numbers, since a role is compared with the lowest one that a request needs.

@@ -113,12 +113,17 @@ def _all(name: str, keys: str) -> dict[str, Any]:
 
 def _allowed(hand: str, subjects: Mapping[str, Mapping[str, Role]]) -> dict[str, Any]:
     """Return ``access_control`` by which each subject may use some access paths, in a role each."""
-    ways = {way: role for allowed in subjects.values() for way, role in allowed.items()}
+    paths = {path: role for allowed in subjects.values() for path, role in allowed.items()}
     common = [*_announcements(hand), *_presence(hand)]
-    own = {way: [*_requests(hand, role, way), *_topics(hand, way)] for way, role in ways.items()}
+    own = {
+        path: [*_requests(hand, role, path), *_topics(hand, path)] for path, role in paths.items()
+    }
     policies = [{"rules": [rule["id"] for rule in common], "subjects": list(subjects)}]
     policies += [
-        {"rules": [rule["id"] for way in allowed for rule in own[way]], "subjects": [subject]}
+        {
+            "rules": [rule["id"] for path in allowed for rule in own[path]],
+            "subjects": [subject],
+        }
         for subject, allowed in subjects.items()
     ]
     return {
@@ -130,14 +135,14 @@ def _allowed(hand: str, subjects: Mapping[str, Mapping[str, Role]]) -> dict[str,
     }
 
 
-def _subject(way: str) -> dict[str, Any]:
-    if way == HERE:
-        return {"id": way, "link_protocols": [LOCAL]}
-    if way == PLAIN:
-        return {"id": way, "link_protocols": list(_UNPROTECTED)}
-    if way == _ROUTER:  # a hand itself has no other links with TLS
-        return {"id": way, "link_protocols": ["tls"]}
-    return {"id": way, "link_protocols": ["tls"], "cert_common_names": [way]}
+def _subject(path: str) -> dict[str, Any]:
+    if path == HERE:
+        return {"id": path, "link_protocols": [LOCAL]}
+    if path == PLAIN:
+        return {"id": path, "link_protocols": list(_UNPROTECTED)}
+    if path == _ROUTER:  # a hand itself has no other links with TLS
+        return {"id": path, "link_protocols": ["tls"]}
+    return {"id": path, "link_protocols": ["tls"], "cert_common_names": [path]}
 
 
 def _rule(
@@ -173,18 +178,24 @@ def _presence(hand: str) -> Iterable[dict[str, Any]]:
     yield find
 
 
-def _topics(hand: str, way: str) -> Iterable[dict[str, Any]]:
+def _topics(hand: str, path: str) -> Iterable[dict[str, Any]]:
     """Return the rules for the topics that clients of an access path may receive."""
-    topics = [topic_for(way, "**")]
+    topics = [topic_for(path, "**")]
     if topics == ["**"]:  # clients without a certificate share the hand's own keys
         topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
-    yield _rule(f"publish {way}", "egress", ["put"], hand, topics)
-    yield _rule(f"watch {way}", "ingress", ["declare_subscriber"], hand, topics)
+    yield _rule(f"publish {path}", "egress", ["put"], hand, topics)
+    yield _rule(f"watch {path}", "ingress", ["declare_subscriber"], hand, topics)
     # A client's publisher waits until it sees the hand's subscriber.
-    yield _rule(f"receive {way}", "egress", ["declare_subscriber"], hand, [f"{INBOX}/{way}/**"])
+    yield _rule(
+        f"receive {path}",
+        "egress",
+        ["declare_subscriber"],
+        hand,
+        [f"{INBOX}/{path}/**"],
+    )
 
 
-def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
+def _requests(hand: str, role: Role, path: str) -> Iterable[dict[str, Any]]:
     """Return the rules for the requests that clients of an access path may send, and hello."""
     allowed = [
         request for request in REQUESTS.values() if request.group != HELLO and request.role <= role
@@ -193,7 +204,7 @@ def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
     names = [f"{request.group}/{request.name}" for request in allowed]
     if role is max(Role):  # who may send all is told which there are
         names = [f"{group}/*" for group in sorted({request.group for request in allowed})]
-    keys = [f"{HELLO}/{way}", *names]
-    yield _rule(f"{role.name.lower()} {way}", "ingress", ["query"], hand, keys)
+    keys = [f"{HELLO}/{path}", *names]
+    yield _rule(f"{role.name.lower()} {path}", "ingress", ["query"], hand, keys)
     if REQUESTS[SAMPLE] in allowed:
-        yield _rule(f"put {way}", "ingress", ["put"], hand, [f"{INBOX}/{way}/{SAMPLE}/*"])
+        yield _rule(f"put {path}", "ingress", ["put"], hand, [f"{INBOX}/{path}/{SAMPLE}/*"])

@@ -473,7 +473,7 @@ async def _linked(
     """Open a link to a hand, which does not know this client yet, and find its stop socket."""
     found = await opening
     try:
-        async with introduced(found.session, found.hand, found.way, client) as link:
+        async with introduced(found.session, found.hand, found.access_path, client) as link:
             yield link, found.stops
     finally:
         # Even when cancelled: while the session is open, the client is alive to the hand.

@@ -190,7 +190,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 class _Gate:
-    """The way of one certificate to the hand: a gateway of Zenoh with the rules of its role.
+    """The access path of one certificate: a gateway of Zenoh with the rules of its role.
 
     Args:
         folder: Folder for its socket.
@@ -316,12 +316,12 @@ class _Doorkeeper:
     async def _pass(
         self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        """Pass on what comes, both ways, until one side ends."""
+        """Forward data in both directions until one side ends."""
         gate = await self._gate(name)
         inner_reader, inner_writer = await asyncio.open_unix_connection(str(gate.path))
         try:
-            ways = (_pumped(reader, inner_writer), _pumped(inner_reader, writer))
-            tasks = [asyncio.ensure_future(way) for way in ways]
+            directions = (_pumped(reader, inner_writer), _pumped(inner_reader, writer))
+            tasks = [asyncio.ensure_future(direction) for direction in directions]
             try:
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             finally:
@@ -332,7 +332,7 @@ class _Doorkeeper:
             inner_writer.transport.abort()
 
     async def _gate(self, name: str) -> _Gate:
-        """Return the way of a certificate, which is opened when it is first used."""
+        """Return the gateway of a certificate; open it at its first use."""
         gate = self._gates.get(name)
         if gate is None:
             first = self._first

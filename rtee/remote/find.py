@@ -40,7 +40,7 @@ class Found(NamedTuple):
 
     session: zenoh.Session
     hand: str
-    way: str
+    access_path: str
     stops: Path | None = None
 
 

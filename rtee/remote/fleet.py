@@ -177,7 +177,7 @@ class Fleet:
         try:
             async with (
                 opened as found,
-                introduced(found.session, found.hand, found.way, "fleet") as link,
+                introduced(found.session, found.hand, found.access_path, "fleet") as link,
             ):
                 await link.connect()
                 link.on_gone(gone.set)

@@ -45,9 +45,9 @@ Admit = Callable[[str], Admitted | None]
 """Returns the rights of the clients on an access path (see `HELLO`); ``None``: not admitted."""
 
 
-def admit_local(way: str) -> Admitted | None:
+def admit_local(access_path: str) -> Admitted | None:
     """Admit clients without a certificate."""
-    return Admitted(Role.MAINTAINER) if way in (HERE, PLAIN) else None
+    return Admitted(Role.MAINTAINER) if access_path in (HERE, PLAIN) else None
 
 
 class Client:
@@ -55,7 +55,7 @@ class Client:
 
     Attributes:
         name: The client's unique name.
-        way: Its access path to the hand, see `HELLO`.
+        access_path: Its access path to the hand, see `HELLO`.
         share: Its access path, and the user on this computer (-1: not known), who share limits.
         secret: The key with which the client signs its requests.
         token: Name of its liveliness token.
@@ -63,11 +63,21 @@ class Client:
         reserved: What is left to it when others on its access path use up all.
     """
 
-    __slots__ = ("_newest", "name", "rates", "reserved", "role", "secret", "share", "token", "way")
+    __slots__ = (
+        "_newest",
+        "access_path",
+        "name",
+        "rates",
+        "reserved",
+        "role",
+        "secret",
+        "share",
+        "token",
+    )
 
-    def __init__(self, name: str, role: Role, way: str, token: str, user: int) -> None:
-        self.name, self.role, self.way, self.token = name, role, way, token
-        self.share = way, user
+    def __init__(self, name: str, role: Role, access_path: str, token: str, user: int) -> None:
+        self.name, self.role, self.access_path, self.token = name, role, access_path, token
+        self.share = access_path, user
         self.secret = secrets.token_bytes(SECRET)
         self.rates, self.reserved = Rates(), Rates(times=RESERVED)
         self._newest: dict[str, int] = {}
@@ -110,15 +120,15 @@ class Identities:
 
     # --- arrival and departure
 
-    def hello(self, request: IncomingRequest, way: str) -> None:
+    def hello(self, request: IncomingRequest, access_path: str) -> None:
         """Admit a client, now or once its token is seen, and answer with its secret and role.
 
         Raises `RequestRejected` if the client is not admitted, with the reason.
         """
         name, token = check_name(request.fields["client"], "client"), request.fields["what"]
-        admitted = self._admitted(way)
+        admitted = self._admitted(access_path)
         if admitted is None:
-            raise RequestRejected(f"the certificate '{way[:50]}' is not admitted here")
+            raise RequestRejected(f"the certificate '{access_path[:50]}' is not admitted here")
         if not name.startswith(admitted.prefix):
             raise RequestRejected(
                 f"the names of clients of this certificate begin '{admitted.prefix}'"
@@ -128,7 +138,9 @@ class Identities:
             raise RequestRejected("a client's name has a dot after a certificate's person only")
         if _TOKEN.match(token) is None:
             raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
-        client = Client(name, admitted.role, way, token, user_of(token) if way == HERE else -1)
+        client = Client(
+            name, admitted.role, access_path, token, user_of(token) if access_path == HERE else -1
+        )
         with self._lock:
             if name in self._there or token in self._by_token:
                 raise RequestRejected(f"there is a client '{name}' already")
@@ -145,7 +157,7 @@ class Identities:
         # A former client of this name must not come back beside the new one.
         self._gone = OrderedDict((k, v) for k, v in self._gone.items() if v.name != client.name)
         self._there[client.name] = self._by_token[client.token] = client
-        self.present(client.name, client.way)
+        self.present(client.name, client.access_path)
         request.answer(accepted(f"{client.secret.hex()} {client.role.name.lower()}"))
 
     def came(self, token: str) -> None:
@@ -160,7 +172,7 @@ class Identities:
                     self._admit(client, request)
             elif (back := self._gone.pop(token, None)) is not None:
                 self._there[back.name] = self._by_token[token] = back
-                self.present(back.name, back.way)
+                self.present(back.name, back.access_path)
             elif token not in self._by_token:
                 self._tokens[token] = None
                 _shorten(self._tokens)
@@ -223,12 +235,12 @@ class Identities:
 
     def admits(self, client: Client) -> bool:
         """Return whether a client's access path is still admitted."""
-        return self._admitted(client.way) is not None
+        return self._admitted(client.access_path) is not None
 
     def permit(self, client: Client, request: Request) -> str:
         """Return a client's name if it may send a request now; raises the errors of `check`."""
         # Looked up for each request: the certificate may have been revoked since hello.
-        rates, admitted = client.rates, self._admitted(client.way)
+        rates, admitted = client.rates, self._admitted(client.access_path)
         if admitted is None:
             rates.refuse("the certificate of this client was revoked")
         if admitted.role < request.role:
@@ -262,11 +274,11 @@ class Identities:
             for rates in (client.rates, client.reserved, self._together(client.share)):
                 rates.charge(size)
 
-    def welcome(self, way: str) -> Check:
+    def welcome(self, access_path: str) -> Check:
         """Return the check of a client that says hello on an access path; its name is empty."""
 
         def check(request: Request, attachment: bytes | None, question: bytes) -> str:
-            known = way if self._admitted(way) is not None else ""
+            known = access_path if self._admitted(access_path) is not None else ""
             if not self._together((known, -1)).allow(request.name):
                 raise Ignored
             return ""
@@ -278,15 +290,17 @@ class Identities:
         # Such messages are not signed, so they count for all strangers together.
         return self._strangers.allow(REFUSALS)
 
-    def way(self, name: str) -> str:
+    def access_path(self, name: str) -> str:
         """Return a client's access path, see `HELLO`."""
         client = self._there.get(name)
-        return HERE if client is None else client.way
+        return HERE if client is None else client.access_path
 
-    def of(self, ways: Collection[str]) -> list[str]:
+    def of(self, access_paths: Collection[str]) -> list[str]:
         """Return the names of the present clients on some access paths."""
         with self._lock:
-            return [client.name for client in self._there.values() if client.way in ways]
+            return [
+                client.name for client in self._there.values() if client.access_path in access_paths
+            ]
 
     def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has signed a request; empty if none has."""

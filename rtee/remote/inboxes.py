@@ -84,9 +84,9 @@ class Inboxes:
         self._inboxes: dict[str, _Inbox] = {}
         self._closed = DelayQueue(f"listen {hand}", _LOOK_EVERY, _MOST_CLOSED)
 
-    def open(self, client: str, way: str) -> None:
-        """Begin to listen to a client; ``way``: its access path, see `HELLO`."""
-        inbox = _Inbox(inbox_key(self._hand, way, client))
+    def open(self, client: str, access_path: str) -> None:
+        """Begin to listen to a client; ``access_path``: its access path, see `HELLO`."""
+        inbox = _Inbox(inbox_key(self._hand, access_path, client))
         with self._lock:
             self._inboxes[client] = inbox
         self._call(partial(self._listen, client, inbox))

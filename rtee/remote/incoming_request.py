@@ -203,7 +203,7 @@ def _name(message: zenoh.Query | zenoh.Sample, group: str) -> str:
     if group == HELLO:  # the last part of its key is the access path
         return HELLO
     parts = str(message.key_expr).split("/")
-    # After the prefix and the hand: put/WAY/NAME/CLIENT, or GROUP/NAME.
+    # After the prefix and the hand: put/PATH/NAME/CLIENT, or GROUP/NAME.
     return parts[4] if parts[2] == INBOX else parts[3]
 
 

@@ -59,14 +59,14 @@ _TOO_FAST = 0.05
 class Link:
     """A client's connection to one hand. All methods must be called in the event loop's thread.
 
-    The client uses an access path ``way`` to the hand, see `rtee.messages.requests.HELLO`.
+    The client uses an access path ``access_path`` to the hand, see `rtee.messages.requests.HELLO`.
 
     Attributes:
         gone: Whether the hand has gone, or this client has left it.
         role: This client's role, once it is connected.
     """
 
-    def __init__(self, session: zenoh.Session, hand: str, client: str, way: str) -> None:
+    def __init__(self, session: zenoh.Session, hand: str, client: str, access_path: str) -> None:
         self.hand = hand
         self.client = client
         self.gone = False
@@ -76,9 +76,9 @@ class Link:
         self._loop = asyncio.get_running_loop()
         self._gone_callbacks: list[Callable[[], object]] = []
         self._subscribers: list[zenoh.Subscriber[None]] = []
-        self._way = way
+        self._access_path = access_path
         self._signer = Signer(client)
-        self._samples = Samples(session, hand, client, way, self._signer, self._call_soon)
+        self._samples = Samples(session, hand, client, access_path, self._signer, self._call_soon)
         # The hand knows by this token that its client is alive. Nobody else knows the token's name,
         # so nobody else can declare it.
         self._token_name = secrets.token_hex(16)
@@ -185,7 +185,7 @@ class Link:
     def _declared(
         self, topic: str, received: Callable[[zenoh.Sample], None]
     ) -> zenoh.Subscriber[None]:
-        key = network_key(self.hand, topic_for(self._way, topic))
+        key = network_key(self.hand, topic_for(self._access_path, topic))
         return self._session.declare_subscriber(key, direct(received))
 
     # --- requests
@@ -244,7 +244,7 @@ class Link:
         first = request.group == STOP
         key = request.key(self.hand)
         if request.group == HELLO:
-            key = network_key(self.hand, f"{HELLO}/{self._way}")
+            key = network_key(self.hand, f"{HELLO}/{self._access_path}")
         try:
             self._session.get(
                 key,
@@ -312,22 +312,22 @@ class Link:
 
 @contextlib.asynccontextmanager
 async def introduced(
-    session: zenoh.Session, hand: str, way: str, client: str
+    session: zenoh.Session, hand: str, access_path: str, client: str
 ) -> AsyncIterator[Link]:
     """Open a link to a hand in a session, which may serve others, too; see `Link.connect`.
 
     Args:
         session: The session.
         hand: The hand.
-        way: The access path, see `rtee.remote.find.Found`.
+        access_path: The access path, see `rtee.remote.find.Found`.
         client: A name for this client, shown to people.
     """
     # The process id and a random part distinguish clients of the same name. The client's own name
     # is cut, so that all fits into the 100 characters of a name.
     own = client[:50].replace(".", "_")  # a dot sets off the person of a certificate
-    owner = "" if way in (HERE, PLAIN) else f"{person(way)}."
+    owner = "" if access_path in (HERE, PLAIN) else f"{person(access_path)}."
     identity = safe_name(f"{owner}{own}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, hand, identity, common_name(way))
+    link = Link(session, hand, identity, common_name(access_path))
     try:
         yield link
     finally:

@@ -117,8 +117,13 @@ def limits_of(
     fastest = 0.0
     for each in ranges:
         posture = postures[each.action, each.elements]
-        ways = {name: abs(posture.position[name] - known[name].rest) for name in posture.involved}
-        rate = min((known[name].velocity / way for name, way in ways.items() if way), default=0.0)
+        travels = {
+            name: abs(posture.position[name] - known[name].rest) for name in posture.involved
+        }
+        rate = min(
+            (known[name].velocity / travel for name, travel in travels.items() if travel),
+            default=0.0,
+        )
         slopes = np.abs(np.diff(each.opening) / np.diff(each.intensity))
         fastest = max(fastest, rate * float(slopes.max()))
     forces = [each for each in ranges if not each.unlimited]

@@ -44,17 +44,17 @@ class Outlet:
                 if key.wanted:
                     key.publisher.put(data)
 
-    def admit(self, ways: Collection[str]) -> None:
+    def admit(self, paths: Collection[str]) -> None:
         """Publish to the clients on some access paths, and to no others."""
         with self._changing:
             before = self._keys
-            self._keys = {way: before.get(way) or self._key(way) for way in ways}
-        for way, key in before.items():
-            if way not in self._keys:
+            self._keys = {path: before.get(path) or self._key(path) for path in paths}
+        for path, key in before.items():
+            if path not in self._keys:
                 key.close()
 
-    def _key(self, way: str) -> _Key:
-        name = network_key(self._hand, topic_for(way, self.topic))
+    def _key(self, path: str) -> _Key:
+        name = network_key(self._hand, topic_for(path, self.topic))
         return _Key(self._session.declare_publisher(name, **self._options), self._watched)
 
     def close(self) -> None:

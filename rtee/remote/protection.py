@@ -127,11 +127,11 @@ class Protection:
         """Common names of the certificates that are admitted."""
         return self._admitted.keys()
 
-    def admit(self, way: str) -> Admitted | None:
+    def admit(self, access_path: str) -> Admitted | None:
         """Return the rights of the clients on an access path; ``None`` if they are not admitted."""
-        if way == HERE or (way == PLAIN and self._plain):
-            return admit_local(way)
-        return self._admitted.get(way)
+        if access_path == HERE or (access_path == PLAIN and self._plain):
+            return admit_local(access_path)
+        return self._admitted.get(access_path)
 
     @contextlib.contextmanager
     def watched(self, changed: Changed) -> Iterator[None]:

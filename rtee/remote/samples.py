@@ -21,7 +21,7 @@ _CONNECT_WITHIN = 5.0
 class Samples:
     """Publishes samples of streams to one hand, and tells of those that it refuses.
 
-    All methods must be called in the event loop's thread. ``way`` is the client's access path, see
+    All methods must be called in the event loop's thread. ``access_path``: see
     `rtee.messages.requests.HELLO`; ``call_soon`` calls a function in the event loop's thread, from
     any thread.
     """
@@ -31,17 +31,18 @@ class Samples:
         session: zenoh.Session,
         hand: str,
         client: str,
-        way: str,
+        access_path: str,
         signer: Signer,
         call_soon: Callable[..., None],
     ) -> None:
         self._hand, self._signer, self._call_soon = hand, signer, call_soon
         self._refusals: dict[str, Callable[[bytes], None]] = {}
         self._connected = asyncio.Event()
-        self._publisher = session.declare_publisher(inbox_key(hand, way, client), **EXPRESS)
+        self._publisher = session.declare_publisher(inbox_key(hand, access_path, client), **EXPRESS)
         self._publisher.declare_matching_listener(direct(self._on_match))
         self._answers = session.declare_subscriber(
-            network_key(hand, topic_for(way, f"{ANSWERS}/{client}")), direct(self._on_answer)
+            network_key(hand, topic_for(access_path, f"{ANSWERS}/{client}")),
+            direct(self._on_answer),
         )
 
     def _on_match(self, status: zenoh.MatchingStatus) -> None:

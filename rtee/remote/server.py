@@ -220,8 +220,8 @@ class Server:
 
             def stop(client: str, answer: Stopped) -> None:
                 # The door knows whoever it lets in by a certificate's common name only.
-                way = client.partition(" ")[0].removeprefix(CERTIFICATE)
-                admitted = protection.admit(way) if client.startswith(CERTIFICATE) else None
+                access_path = client.partition(" ")[0].removeprefix(CERTIFICATE)
+                admitted = protection.admit(access_path) if client.startswith(CERTIFICATE) else None
                 who = client if admitted is None else admitted.prefix.removesuffix(".")
                 commands.stop(who, answer)
 
@@ -335,7 +335,7 @@ class Server:
         handle_request(sample, CONTROL, check, self._commands.take_sample, answer, later)
 
     def _refuse_sample(self, client: str, number: str, data: bytes) -> None:
-        topic = topic_for(self._identities.way(client), f"{ANSWERS}/{client}")
+        topic = topic_for(self._identities.access_path(client), f"{ANSWERS}/{client}")
         key = network_key(self._hand, topic)
         put = partial(self._session.put, key, data, attachment=f"-{number}", **DELIVER)
         self.outbox.put(put)

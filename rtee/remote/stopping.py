@@ -1,4 +1,4 @@
-"""The way of a stop: a socket of its own on this computer, and a query without `hello` elsewhere.
+"""The access path of a stop: a socket of its own here, a query without `hello` elsewhere.
 
 The socket takes datagrams. It has no connections, sessions or handshakes, so no client can use any
 up; it costs the hand one descriptor, whoever comes; and nothing that arrives is judged: each

@@ -469,15 +469,15 @@ def test_clients_that_vanish_are_forgotten() -> None:
 class Asking:
     """A client of a certificate, without a network."""
 
-    def __init__(self, identities: Identities, way: str, number: int) -> None:
-        self._identities, self.name = identities, f"{way}.{number}"
+    def __init__(self, identities: Identities, access_path: str, number: int) -> None:
+        self._identities, self.name = identities, f"{access_path}.{number}"
         answers: list[bytes] = []
-        token = f"{way}{number}".encode().hex().zfill(32)
+        token = f"{access_path}{number}".encode().hex().zfill(32)
         request = REQUESTS["hello"]
         question = request.question.encode({"client": self.name, "what": token})
         identities.came(token)
         asked = IncomingRequest(request, question, lambda data, _: answers.append(data), "")
-        identities.hello(asked, way)
+        identities.hello(asked, access_path)
         self._signer = Signer(self.name)
         secret = request.answer.decode(answers[0])["text"].split()[0]
         self._signer.secret = bytes.fromhex(secret)
@@ -495,7 +495,7 @@ def test_more_clients_give_a_certificate_no_more(monkeypatch: pytest.MonkeyPatch
     """Each client within its own limits: sixty times what one may, before those of others."""
     now = 1000.0
     monkeypatch.setattr(Rates.__init__, "__defaults__", (lambda: now, 1.0))
-    identities = Identities(lambda way: Admitted(Role.MAINTAINER, f"{way}."))
+    identities = Identities(lambda access_path: Admitted(Role.MAINTAINER, f"{access_path}."))
     ann = [Asking(identities, "ann", number) for number in range(40)]
     quiet, ben = Asking(identities, "ann", 40), Asking(identities, "ben", 0)
 

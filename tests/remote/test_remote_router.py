@@ -137,9 +137,9 @@ async def test_two_hands_and_three_clients_with_certificates(
             assert not (await running.result()).reached
             assert [len(each.watcher.goals) for each in (left, right)] == [1, 1]
             # Who is revoked is refused as soon as the hand's copy of the list says so.
-            way = left.server._identities.way(ann.client)
+            access_path = left.server._identities.access_path(ann.client)
             authority.revoke(tmp_path / "left", "ann")
-            await until(lambda: left.server._identities._admitted(way) is None)
+            await until(lambda: left.server._identities._admitted(access_path) is None)
             with pytest.raises(RemoteError):
                 await ann.status()
             # Another hand waits until nobody would be interrupted.
