@@ -70,11 +70,6 @@ def answered(
     return decoded
 
 
-def told(command: svh.Command, decode: Callable[[svh.Packet], object]) -> Callable[[bytes], object]:
-    """Return a decoder of an SVH packet's data."""
-    return lambda data: decode(svh.Packet(command, 0, data))
-
-
 def state_of(data: bytes) -> object:
     return cia402.Status.from_bytes(data).state
 
@@ -156,25 +151,25 @@ MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception
     (
         "SVH feedback",
         bytes(54),
-        told(svh.Command.GET_CONTROL_FEEDBACK_ALL, svh.FeedbackAll.from_bytes),
+        svh.FeedbackAll.from_bytes,
         (svh.SvhFrameError,),
     ),
     (
         "SVH position settings",
         bytes(40),
-        told(svh.Command.GET_POSITION_SETTINGS, svh.PositionSettings.from_bytes),
+        svh.PositionSettings.from_bytes,
         (svh.SvhFrameError,),
     ),
     (
         "SVH state",
         bytes(12),
-        told(svh.Command.GET_CONTROLLER_STATE, svh.ControllerState.from_bytes),
+        svh.ControllerState.from_bytes,
         (svh.SvhFrameError,),
     ),
     (
         "SVH firmware",
         b"SVH\0" + bytes(52),
-        told(svh.Command.GET_FIRMWARE_INFO, svh.FirmwareInfo.from_bytes),
+        svh.FirmwareInfo.from_bytes,
         (svh.SvhFrameError,),
     ),
     ("qb currents", bytes(10), qb.CurrentsAndPositions.from_bytes, (qb.QbFrameError,)),
@@ -333,7 +328,7 @@ DECODERS = [
     Decoder(
         "RH56 report",
         [Memory(Rh56Properties()).report().to_bytes()],
-        decode=lambda data: rh56.Report.from_bytes(data[:12], data[36:]),
+        decode=rh56.Report.from_bytes,
         errors=(rh56.Rh56FrameError,),
     ),
     Decoder(

@@ -7,9 +7,10 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from rtee.buses.emulator import CanFrame
+from rtee.drivers.packed import Packed, part
 
 BITRATE = 1_000_000  # of the bus [bit/s]; the hand has no other
 FINGERS = 4  # of the hand, four joints each
@@ -17,7 +18,6 @@ PER_FINGER = 4  # joints of each finger
 JOINTS = FINGERS * PER_FINGER
 
 _INT16 = struct.Struct("<4h")
-_PERIODS = struct.Struct("<3H")
 
 
 class AllegroFrameError(ValueError):
@@ -59,24 +59,19 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class Periods:
+class Periods(Packed):
     """Periods at which the hand sends data by itself [ms]; 0: never."""
 
-    joints: int = 0
-    imu: int = 0
-    temperature: int = 0
+    WHAT: ClassVar[str] = "periods"
+    ERROR: ClassVar[type[ValueError]] = AllegroFrameError
+
+    joints: int = part("H", default=0)
+    imu: int = part("H", default=0)
+    temperature: int = part("H", default=0)
 
     def to_frame(self, hand: int = 0) -> CanFrame:
         """Return the frame that sets them."""
-        data = _PERIODS.pack(self.joints, self.imu, self.temperature)
-        return CanFrame(identifier(Command.SET_PERIOD, hand), data)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read them; raises `AllegroFrameError`."""
-        if len(data) != _PERIODS.size:
-            raise AllegroFrameError(f"periods are six bytes, not {len(data)}")
-        return cls(*_PERIODS.unpack(data))
+        return CanFrame(identifier(Command.SET_PERIOD, hand), self.to_bytes())
 
 
 class Status(IntFlag):
@@ -88,7 +83,7 @@ class Status(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class HandInfo:
+class HandInfo(Packed):
     """The identity and status that a hand reports.
 
     Attributes:
@@ -99,33 +94,21 @@ class HandInfo:
         status: Servo, over-temperature, internal communication.
     """
 
-    _FORM: ClassVar[struct.Struct] = struct.Struct("<HHBBB")
+    WHAT: ClassVar[str] = "hand information"
+    ERROR: ClassVar[type[ValueError]] = AllegroFrameError
+    LONGER: ClassVar[bool] = True
 
-    hardware: int
-    firmware: int
-    handedness: int
-    temperature: int
-    status: Status
+    hardware: int = part("H")
+    firmware: int = part("H")
+    handedness: int = part("B")
+    temperature: int = part("B")
+    # No source gives the other bits of the status a meaning.
+    status: Status = part("B", kind=lambda bits: Status(bits & 0x07))
 
     @property
     def version(self) -> int:
         """The hand's version, 4 or 5."""
         return self.hardware >> 8
-
-    def to_bytes(self) -> bytes:
-        """Return the data of the answer."""
-        return self._FORM.pack(
-            self.hardware, self.firmware, self.handedness, self.temperature, self.status
-        )
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the data of an answer; raises `AllegroFrameError`."""
-        if len(data) < cls._FORM.size:
-            raise AllegroFrameError(f"hand information is seven bytes, not {len(data)}")
-        hardware, firmware, handedness, temperature, status = cls._FORM.unpack_from(data)
-        # No source gives the other bits a meaning.
-        return cls(hardware, firmware, handedness, temperature, Status(status & 0x07))
 
 
 def side_of(info: HandInfo, serial: str) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Self
+from typing import ClassVar, Self
 
 from rtee.buses.emulator import CanFrame
+from rtee.drivers.packed import Packed, part
 
 # Identifiers of the predefined connection set, to which the node id is added (CiA 301, 7.3.3).
 SYNC = 0x080
@@ -80,7 +81,7 @@ def read_heartbeat(data: bytes) -> NmtState:
 
 
 @dataclass(frozen=True, slots=True)
-class Emergency:
+class Emergency(Packed):
     """An emergency message.
 
     Attributes:
@@ -89,22 +90,16 @@ class Emergency:
         vendor: Five manufacturer-specific bytes.
     """
 
-    code: int
-    register: int = 0
-    vendor: bytes = bytes(5)
+    WHAT: ClassVar[str] = "an emergency message"
+    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
+
+    code: int = part("H")
+    register: int = part("B", default=0)
+    vendor: bytes = part("5s", default=bytes(5))
 
     def to_frame(self, node: int) -> CanFrame:
         """Return the frame that a node sends."""
-        data = struct.pack("<HB", self.code, self.register) + self.vendor
-        return CanFrame(EMERGENCY + node, data)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read it; raises `CanopenFrameError`."""
-        if len(data) != FULL:
-            raise CanopenFrameError("an emergency message has eight bytes")
-        code, register = struct.unpack_from("<HB", data)
-        return cls(code, register, data[3:])
+        return CanFrame(EMERGENCY + node, self.to_bytes())
 
 
 class Abort(IntEnum):
@@ -124,7 +119,7 @@ class Abort(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Sdo:
+class Sdo(Packed):
     """The data of an SDO frame: command, object, and four bytes.
 
     Attributes:
@@ -134,23 +129,13 @@ class Sdo:
         data: Four bytes: the value, the length or the abort code.
     """
 
-    command: int
-    index: int
-    subindex: int
-    data: bytes = bytes(4)
+    WHAT: ClassVar[str] = "an SDO frame"
+    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
 
-    def to_bytes(self) -> bytes:
-        """Return the eight bytes."""
-        head = struct.pack("<BHB", self.command, self.index, self.subindex)
-        return head + self.data[:4].ljust(4, b"\x00")
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the eight bytes; raises `CanopenFrameError`."""
-        if len(data) != FULL:
-            raise CanopenFrameError("an SDO frame has eight bytes")
-        command, index, subindex = struct.unpack_from("<BHB", data)
-        return cls(command, index, subindex, data[4:])
+    command: int = part("B")
+    index: int = part("H")
+    subindex: int = part("B")
+    data: bytes = part("4s", default=bytes(4))
 
     @property
     def size(self) -> int:

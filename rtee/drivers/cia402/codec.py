@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import struct
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from rtee.drivers.cia402.cia301 import CanopenFrameError
+from rtee.drivers.packed import Packed, part
 
 DEVICE_TYPE = 402  # the low word of object 1000h
 
@@ -132,75 +132,50 @@ def next_control(state: State) -> Control | None:
     }.get(state)
 
 
-@dataclass(frozen=True, slots=True)
-class Pdo:
+class Pdo(Packed):
     """Base class of the four PDOs, whose fields are the mapped objects in their order.
 
     Attributes:
-        FORM: Layout of the data.
         MAP: The mapped objects as index, subindex and bits, as in objects 1600h and 1A00h.
     """
 
-    FORM: ClassVar[struct.Struct]
+    __slots__ = ()
+
+    WHAT: ClassVar[str] = "the data of a PDO"
+    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
     MAP: ClassVar[tuple[int, ...]]
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the PDO's data; raises `CanopenFrameError`."""
-        if len(data) != cls.FORM.size:
-            raise CanopenFrameError(f"{cls.FORM.size} bytes expected, not {len(data)}")
-        return cls(*cls.FORM.unpack(data))
-
-    def to_bytes(self) -> bytes:
-        """Return the PDO's data."""
-        return self.FORM.pack(*astuple(self))
 
 
 @dataclass(frozen=True, slots=True)
 class Command(Pdo):
     """The first receive PDO: controlword, target position, mode."""
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<Hib")
     MAP: ClassVar[tuple[int, ...]] = (0x6040_0010, 0x607A_0020, 0x6060_0008)
 
-    controlword: int
-    target: int
-    mode: int
-
-    def to_bytes(self) -> bytes:
-        """Return the PDO's data."""
-        edge = 1 << 31
-        target = min(max(self.target, -edge), edge - 1)
-        return self.FORM.pack(self.controlword, target, self.mode)
+    controlword: int = part("H")
+    target: int = part("i")
+    mode: int = part("b")
 
 
 @dataclass(frozen=True, slots=True)
 class Limits(Pdo):
     """The second receive PDO: maximal torque [0.1 %] and profile velocity [drive's unit]."""
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<HI")
     MAP: ClassVar[tuple[int, ...]] = (0x6072_0010, 0x6081_0020)
 
-    torque: int
-    velocity: int
-
-    def to_bytes(self) -> bytes:
-        """Return the PDO's data."""
-        return self.FORM.pack(
-            min(max(self.torque, 0), 0xFFFF), min(max(self.velocity, 0), 2**32 - 1)
-        )
+    torque: int = part("H")
+    velocity: int = part("I")
 
 
 @dataclass(frozen=True, slots=True)
 class Status(Pdo):
     """The first transmit PDO: statusword, position [counts], mode."""
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<Hib")
     MAP: ClassVar[tuple[int, ...]] = (0x6041_0010, 0x6064_0020, 0x6061_0008)
 
-    statusword: int
-    position: int
-    mode: int
+    statusword: int = part("H")
+    position: int = part("i")
+    mode: int = part("b")
 
     @property
     def state(self) -> State:
@@ -212,12 +187,11 @@ class Status(Pdo):
 class Motion(Pdo):
     """The second transmit PDO: velocity [drive's unit], torque [0.1 %], error code."""
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<ihH")
     MAP: ClassVar[tuple[int, ...]] = (0x606C_0020, 0x6077_0010, 0x603F_0010)
 
-    velocity: int
-    torque: int
-    error: int
+    velocity: int = part("i")
+    torque: int = part("h")
+    error: int = part("H")
 
 
 @dataclass(frozen=True, slots=True)

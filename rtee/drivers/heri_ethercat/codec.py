@@ -9,7 +9,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import ClassVar
+
+from rtee.drivers.packed import Packed, part
 
 MOTORS = 2  # of a board
 PHALANXES = 3  # of a finger, each with a pressure sensor
@@ -30,6 +32,9 @@ ORDER_SIZE = 2
 # The high byte of an acknowledgement; the low one repeats the command.
 _DONE = 0x7800
 _REFUSED = 0xAA00  # the board did not accept the command
+
+
+_MILLI = 1e3  # counts of a velocity, torque or current per unit
 
 
 class HeriFrameError(ValueError):
@@ -83,7 +88,7 @@ def words(fault: Fault) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(Packed):
     """The output process data of a board: 32 bytes per cycle.
 
     Attributes:
@@ -97,42 +102,21 @@ class Command:
         value: The auxiliary value.
     """
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<ffhh5HHHHf")
+    WHAT: ClassVar[str] = "a command of a board"
+    ERROR: ClassVar[type[ValueError]] = HeriFrameError
 
-    positions: tuple[float, float]
-    velocity: float = 0.0
-    torque: float = 0.0
-    gains: tuple[int, int, int, int, int] = (0, 0, 0, 0, 0)
-    acknowledge: int = 0
-    stamp: int = 0
-    operation: int = 0
-    value: float = 0.0
-
-    def to_bytes(self) -> bytes:
-        """Return the process data."""
-        return self.FORM.pack(
-            *self.positions,
-            _milli(self.velocity),
-            _milli(self.torque),
-            *(min(max(gain, 0), 0xFFFF) for gain in self.gains),
-            self.acknowledge & 0xFFFF,
-            self.stamp & 0xFFFF,
-            self.operation & 0xFFFF,
-            self.value,
-        )
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the process data; raises `HeriFrameError`."""
-        if len(data) != cls.FORM.size:
-            raise HeriFrameError(f"a command has {cls.FORM.size} bytes, not {len(data)}")
-        first, second, velocity, torque, g0, g1, g2, g3, g4, *rest = cls.FORM.unpack(data)
-        gains = (g0, g1, g2, g3, g4)
-        return cls((first, second), velocity / 1e3, torque / 1e3, gains, *rest)
+    positions: tuple[float, float] = part("f", 2)
+    velocity: float = part("h", per=_MILLI, default=0.0)
+    torque: float = part("h", per=_MILLI, default=0.0)
+    gains: tuple[int, int, int, int, int] = part("H", 5, default=(0, 0, 0, 0, 0))
+    acknowledge: int = part("H", default=0)
+    stamp: int = part("H", default=0)
+    operation: int = part("H", default=0)
+    value: float = part("f", default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(Packed):
     """The input process data of a board: 38 bytes per cycle.
 
     Attributes:
@@ -146,49 +130,17 @@ class Reply:
         value: The auxiliary value.
     """
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<ffhh6HhhHHHf")
+    WHAT: ClassVar[str] = "a reply of a board"
+    ERROR: ClassVar[type[ValueError]] = HeriFrameError
 
-    positions: tuple[float, float]
-    velocities: tuple[float, float] = (0.0, 0.0)
-    pressures: tuple[tuple[int, int, int], tuple[int, int, int]] = ((0, 0, 0), (0, 0, 0))
-    currents: tuple[float, float] = (0.0, 0.0)
-    fault: int = 0
-    round_trip: int = 0
-    acknowledged: int = 0
-    value: float = 0.0
-
-    def to_bytes(self) -> bytes:
-        """Return the process data."""
-        return self.FORM.pack(
-            *self.positions,
-            *(_milli(v) for v in self.velocities),
-            *self.pressures[0],
-            *self.pressures[1],
-            *(_milli(c) for c in self.currents),
-            self.fault & 0xFFFF,
-            self.round_trip & 0xFFFF,
-            self.acknowledged & 0xFFFF,
-            self.value,
-        )
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the process data; raises `HeriFrameError`."""
-        if len(data) != cls.FORM.size:
-            raise HeriFrameError(f"a reply has {cls.FORM.size} bytes, not {len(data)}")
-        p1, p2, v1, v2, a1, a2, a3, b1, b2, b3, c1, c2, *rest = cls.FORM.unpack(data)
-        return cls(
-            (p1, p2),
-            (v1 / 1e3, v2 / 1e3),
-            ((a1, a2, a3), (b1, b2, b3)),
-            (c1 / 1e3, c2 / 1e3),
-            *rest,
-        )
-
-
-def _milli(value: float) -> int:
-    # Saturated, since a value too large for 16 bits must not change its sign.
-    return min(max(round(value * 1000.0), -32768), 32767)
+    positions: tuple[float, float] = part("f", 2)
+    velocities: tuple[float, float] = part("h", 2, per=_MILLI, default=(0.0, 0.0))
+    pressures: tuple[int, int, int, int, int, int] = part("H", 6, default=(0, 0, 0, 0, 0, 0))
+    currents: tuple[float, float] = part("h", 2, per=_MILLI, default=(0.0, 0.0))
+    fault: int = part("H", default=0)
+    round_trip: int = part("H", default=0)
+    acknowledged: int = part("H", default=0)
+    value: float = part("f", default=0.0)
 
 
 def order(code: Order) -> bytes:

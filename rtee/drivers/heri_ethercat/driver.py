@@ -313,8 +313,12 @@ class HeriEthercatDriver(Driver):
         sides = [m % MOTORS for m in self._motors]
         current = np.array([r.currents[s] for r, s in zip(replies, sides, strict=True)])
         pressure = np.array(
-            [r.pressures[s] for r, s in zip(replies, sides, strict=True)], dtype=np.float64
-        ).reshape(len(self._motors) * PHALANXES)
+            [
+                r.pressures[PHALANXES * s : PHALANXES * (s + 1)]
+                for r, s in zip(replies, sides, strict=True)
+            ],
+            dtype=np.float64,
+        ).reshape(-1)
         fresh, self._returned = self._stamp != self._returned, self._stamp
         state = ActuatorState.measured(
             [r.positions[s] for r, s in zip(replies, sides, strict=True)],

@@ -233,7 +233,7 @@ class HeriEmulator(Emulator, Grasps):
         return Reply(
             (first.measured, second.measured),
             (first.velocity, second.velocity),
-            (self._pressures(first), self._pressures(second)),
+            (*self._pressures(first), *self._pressures(second)),
             (first.effort, second.effort),
             board.fault | board.beat,
             board.stamp,

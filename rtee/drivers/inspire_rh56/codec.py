@@ -10,10 +10,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import STRICT, IntEnum, IntFlag
 from typing import ClassVar, Self
 
 from rtee.buses.parser import FramedParser
+from rtee.drivers.packed import Packed, part
 
 BAUDRATES = (115_200, 57_600, 19_200, 921_600)
 """Rates that a hand can be set to [baud], by their code in `Register.BAUD`."""
@@ -40,8 +41,6 @@ MOST_DATA = 0xFF - _INSIDE
 
 _LONGEST = 0xFF + _AROUND
 """Bytes of the longest frame."""
-_ERRORS = 0x1F
-"""The five bits of a motor's error that have a meaning."""
 _BELOW, _ABOVE = -100, 2000
 """Range of plausible angle counts: from a tenth of the travel below 0 to the value in an example
 frame of the manual."""
@@ -87,14 +86,16 @@ class Register(IntEnum):
 
 REPORT = 42
 """Bytes from `Register.FORCE` to the last temperature."""
-BLOCK = Register.FORCE + REPORT - Register.ANGLE
-"""Bytes from the angles to the last temperature; the 24 before the forces have no meaning."""
+GAP = bytes(Register.FORCE - Register.ANGLE - WORDS)
+"""The bytes between the angles and the `REPORT`, which have no meaning."""
+BLOCK = WORDS + len(GAP) + REPORT
+"""Bytes from the angles to the last temperature."""
 SET_POINTS = Register.SPEED_SET + WORDS - Register.ANGLE_SET
 """Bytes from the angle set-points to the last speed; the 12 before the speeds have no meaning."""
 
 
-class Error(IntFlag):
-    """Bits of a motor's error byte."""
+class Error(IntFlag, boundary=STRICT):
+    """Bits of a motor's error byte; the other three have no meaning."""
 
     LOCKED = 1
     TOO_HOT = 2
@@ -127,9 +128,6 @@ class State(IntEnum):
     LOCKED = 6
     FAULT = 7
     UNSET = 0xFF
-
-
-_STATES = frozenset(State)
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,9 +200,16 @@ def table(values: Sequence[int]) -> bytes:
     return _TABLE.pack(*values)
 
 
+def _angle(count: int) -> int:
+    # A checksum of one byte does not detect all damage, so impossible values are refused.
+    if not _BELOW <= count <= _ABOVE:
+        raise ValueError(f"angle {count}")
+    return count
+
+
 @dataclass(frozen=True, slots=True)
-class Report:
-    """The measurements of a hand, in the order of `FINGERS`.
+class Report(Packed):
+    """The measurements of a hand, in the order of `FINGERS`: the `BLOCK` from the angles on.
 
     Attributes:
         angles: Angles, 0 closed to 1000 open [counts].
@@ -215,37 +220,12 @@ class Report:
         temperatures: Motor temperatures [°C].
     """
 
-    angles: tuple[int, ...]
-    forces: tuple[int, ...]
-    currents_ma: tuple[int, ...]
-    errors: tuple[Error, ...]
-    states: tuple[State, ...]
-    temperatures: tuple[int, ...]
+    WHAT: ClassVar[str] = "a report of an RH56"
+    ERROR: ClassVar[type[ValueError]] = Rh56FrameError
 
-    @classmethod
-    def from_bytes(cls, angles: bytes, report: bytes) -> Self:
-        """Read it from the angles and from the `REPORT`; raises `Rh56FrameError`."""
-        if len(report) != REPORT:
-            raise Rh56FrameError(f"{len(report)} bytes are not a report")
-        where = words(angles)
-        errors, states, temperatures = report[24:30], report[30:36], report[36:42]
-        # A checksum of one byte does not detect all damage, so impossible values are refused here.
-        if not all(_BELOW <= count <= _ABOVE for count in where):
-            raise Rh56FrameError(f"no angles of an RH56: {where}")
-        if any(bits > _ERRORS for bits in errors) or not _STATES.issuperset(states):
-            raise Rh56FrameError(f"no errors and states of an RH56: {report[24:36].hex(' ')}")
-        return cls(
-            where,
-            words(report[:12]),
-            words(report[12:24]),
-            tuple(map(Error, errors)),
-            tuple(map(State, states)),
-            tuple(temperatures),
-        )
-
-    def to_bytes(self) -> bytes:
-        """Return the `BLOCK` from the angles on."""
-        gap = bytes(BLOCK - WORDS - REPORT)
-        report = table(self.forces) + table(self.currents_ma)
-        report += bytes((*self.errors, *self.states, *self.temperatures))
-        return table(self.angles) + gap + report
+    angles: tuple[int, ...] = part("h", COUNT, kind=_angle)
+    forces: tuple[int, ...] = part("h", COUNT, skip=len(GAP))
+    currents_ma: tuple[int, ...] = part("h", COUNT)
+    errors: tuple[Error, ...] = part("B", COUNT, kind=Error)
+    states: tuple[State, ...] = part("B", COUNT, kind=State)
+    temperatures: tuple[int, ...] = part("B", COUNT)

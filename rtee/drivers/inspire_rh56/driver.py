@@ -28,6 +28,7 @@ from rtee.drivers.inspire_rh56.codec import (
     COUNT,
     ERRORS,
     FINGERS,
+    GAP,
     KEEP,
     REPORT,
     SET_POINTS,
@@ -216,10 +217,9 @@ class InspireRh56Driver(Driver):
     async def _read(self, link: Rh56Link) -> Report:
         """Read the hand's measurements; raises `BusError` and `Rh56FrameError`."""
         if self._block:
-            data = await link.read(Register.ANGLE, BLOCK)
-            return Report.from_bytes(data[:WORDS], data[-REPORT:])
+            return Report.from_bytes(await link.read(Register.ANGLE, BLOCK))
         angles = await link.read(Register.ANGLE, WORDS)
-        return Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
+        return Report.from_bytes(angles + GAP + await link.read(Register.FORCE, REPORT))
 
     async def _measured(self) -> Report:
         """Read the hand's measurements; raises `BusError`."""

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Self
+from typing import ClassVar, Self
 
+from rtee.drivers.packed import Packed, part, text
 from rtee.errors import FrameError
 
 IMAGE = 8
 """Registers of either cyclic image."""
 
-_OUTPUT = struct.Struct("<Iiii")
-_INPUT = struct.Struct("<IiIHBB")
 _FLOAT = struct.Struct("<f")
 
 
@@ -194,8 +193,30 @@ WARNINGS: dict[int, str] = {
 """Names of the warning codes."""
 
 
+class Image(Packed):
+    """A cyclic image of eight registers."""
+
+    __slots__ = ()
+
+    WHAT: ClassVar[str] = "an image of an EGU or EGK"
+    ERROR: ClassVar[type[ValueError]] = ValueError
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the eight registers."""
+        return registers(self.to_bytes())
+
+    @classmethod
+    def from_registers(cls, words: Sequence[int], bus: str = "") -> Self:
+        """Read it from eight registers; raises `FrameError` for another number of them."""
+        data = data_of(words)
+        try:
+            return cls.from_bytes(data)
+        except ValueError as error:
+            raise FrameError(bus, str(error), data) from None
+
+
 @dataclass(frozen=True, slots=True)
-class Output:
+class Output(Image):
     """What the host writes in one frame.
 
     Attributes:
@@ -205,25 +226,14 @@ class Output:
         force: Force of a grip [%].
     """
 
-    control: Control = Control.RUN
-    position: int = 0
-    speed: int = 0
-    force: int = 0
-
-    def to_registers(self) -> tuple[int, ...]:
-        """Return the eight registers."""
-        data = _OUTPUT.pack(int(self.control), self.position, self.speed, self.force)
-        return registers(data)
-
-    @classmethod
-    def from_registers(cls, words: Sequence[int]) -> Self:
-        """Read it from eight registers."""
-        control, position, speed, force = _OUTPUT.unpack(data_of(words))
-        return cls(Control(control), position, speed, force)
+    control: Control = part("I", kind=Control, default=Control.RUN)
+    position: int = part("i", default=0)
+    speed: int = part("i", default=0)
+    force: int = part("i", default=0)
 
 
 @dataclass(frozen=True, slots=True)
-class Input:
+class Input(Image):
     """What the gripper reports in every cycle.
 
     Attributes:
@@ -234,26 +244,12 @@ class Input:
         additional: A further code.
     """
 
-    status: Status = field(default_factory=lambda: Status(0))
-    position: int = 0
-    error: int = 0
-    warning: int = 0
-    additional: int = 0
-
-    def to_registers(self) -> tuple[int, ...]:
-        """Return the eight registers."""
-        codes = (self.error, self.warning, self.additional)
-        return registers(_INPUT.pack(int(self.status), self.position, 0, *codes))
-
-    @classmethod
-    def from_registers(cls, words: Sequence[int], bus: str = "") -> Self:
-        """Read it from eight registers; raises `FrameError` for another number of them."""
-        data = data_of(words)
-        if len(data) != _INPUT.size:
-            raise FrameError(bus, f"{len(data)} bytes are not an image of an EGU or EGK", data)
-        status, position, _, error, warning, additional = _INPUT.unpack(data)
-        # Only the low byte of the error is used.
-        return cls(Status(status), position, error & 0xFF, warning, additional)
+    status: Status = part("I", kind=Status, default=Status(0))
+    position: int = part("i", default=0)
+    # Only the low byte of the error is used.
+    error: int = part("H", kind=lambda word: word & 0xFF, skip=4, default=0)
+    warning: int = part("B", default=0)
+    additional: int = part("B", default=0)
 
 
 def registers(data: bytes) -> tuple[int, ...]:
@@ -279,4 +275,4 @@ def float_registers(value: float) -> tuple[int, ...]:
 
 def text_of(words: Sequence[int]) -> str:
     """Return a parameter that is text."""
-    return data_of(words).split(b"\0")[0].decode("ascii", "replace").strip()
+    return text(data_of(words))

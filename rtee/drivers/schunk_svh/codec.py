@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import astuple, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 from rtee.buses.parser import FramedParser
+from rtee.drivers.packed import Packed, part, text
 
 BAUDRATE = 921_600  # [baud]; the hand has no other
 CHANNELS = 9  # motors of the hand
@@ -117,82 +119,34 @@ class Parser(FramedParser[Packet]):
 
 # --- data of the packets ---------------------------------------------------------------------
 
-_FEEDBACK = struct.Struct("<ih")
-_FEEDBACK_ALL = struct.Struct("<9i9h")
-_TARGETS = struct.Struct("<9i")
-_ENCODERS = struct.Struct("<9I")
-_FIRMWARE = struct.Struct("<4sHH48s")
 
+class Fields(Packed):
+    """Base class of data that follow a header; padding may follow them."""
 
-def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[Any, ...]:
-    if len(packet.data) < form.size:
-        raise SvhFrameError(f"{what} needs {form.size} bytes, not {len(packet.data)}")
-    return form.unpack_from(packet.data)
+    __slots__ = ()
 
-
-def _clip(value: float, bits: int) -> int:
-    # Saturated, so that a value out of range does not wrap to the other end.
-    edge = 1 << (bits - 1)
-    return min(max(int(value), -edge), edge - 1)
+    ERROR: ClassVar[type[ValueError]] = SvhFrameError
+    LONGER: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, slots=True)
-class Feedback:
+class Feedback(Fields):
     """Position [ticks] and current [mA] of one channel."""
 
-    position: int
-    current_ma: int
+    WHAT = "a channel's feedback"
 
-    @classmethod
-    def from_bytes(cls, packet: Packet) -> Self:
-        """Read the answer to a single-channel command; raises `SvhFrameError`."""
-        return cls(*_unpack(_FEEDBACK, packet, "a channel's feedback"))
-
-    def to_bytes(self) -> bytes:
-        """Return the data of the answer."""
-        return _FEEDBACK.pack(_clip(self.position, 32), _clip(self.current_ma, 16))
+    position: int = part("i")
+    current_ma: int = part("h")
 
 
 @dataclass(frozen=True, slots=True)
-class FeedbackAll:
+class FeedbackAll(Fields):
     """Positions [ticks] and currents [mA] of all channels."""
 
-    positions: tuple[int, ...]
-    currents_ma: tuple[int, ...]
+    WHAT = "feedback of all channels"
 
-    @classmethod
-    def from_bytes(cls, packet: Packet) -> Self:
-        """Read the answer to an all-channel command; raises `SvhFrameError`."""
-        values = _unpack(_FEEDBACK_ALL, packet, "feedback of all channels")
-        return cls(values[:CHANNELS], values[CHANNELS:])
-
-    def to_bytes(self) -> bytes:
-        """Return the data of the answer."""
-        return _FEEDBACK_ALL.pack(
-            *(_clip(p, 32) for p in self.positions), *(_clip(c, 16) for c in self.currents_ma)
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Fields:
-    """Base class of data that are the fields of a dataclass in their order.
-
-    Attributes:
-        FORM: Their layout; by default that of the ten settings of a controller.
-        WHAT: Their name in messages.
-    """
-
-    FORM: ClassVar[struct.Struct] = struct.Struct("<10f")
-    WHAT: ClassVar[str]
-
-    @classmethod
-    def from_bytes(cls, packet: Packet) -> Self:
-        """Read them from an answer; raises `SvhFrameError`."""
-        return cls(*_unpack(cls.FORM, packet, cls.WHAT))
-
-    def to_bytes(self) -> bytes:
-        """Return their bytes."""
-        return self.FORM.pack(*astuple(self))
+    positions: tuple[int, ...] = part("i", CHANNELS)
+    currents_ma: tuple[int, ...] = part("h", CHANNELS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,16 +168,16 @@ class PositionSettings(Fields):
 
     WHAT = "position settings"
 
-    minimum: float
-    maximum: float
-    max_rate: float
-    filter: float
-    period: float
-    integral_min: float
-    integral_max: float
-    kp: float
-    ki: float
-    kd: float
+    minimum: float = part("f")
+    maximum: float = part("f")
+    max_rate: float = part("f")
+    filter: float = part("f")
+    period: float = part("f")
+    integral_min: float = part("f")
+    integral_max: float = part("f")
+    kp: float = part("f")
+    ki: float = part("f")
+    kd: float = part("f")
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,16 +199,16 @@ class CurrentSettings(Fields):
 
     WHAT = "current settings"
 
-    minimum: float
-    maximum: float
-    filter: float
-    period: float
-    integral_min: float
-    integral_max: float
-    kp: float
-    ki: float
-    output_min: float
-    output_max: float
+    minimum: float = part("f")
+    maximum: float = part("f")
+    filter: float = part("f")
+    period: float = part("f")
+    integral_min: float = part("f")
+    integral_max: float = part("f")
+    kp: float = part("f")
+    ki: float = part("f")
+    output_min: float = part("f")
+    output_max: float = part("f")
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,17 +224,16 @@ class ControllerState(Fields):
         current_control: 1 if the current controllers run.
     """
 
-    FORM: ClassVar[struct.Struct] = struct.Struct("<6H")
     WHAT = "the controller state"
     CLEAR: ClassVar[int] = 0x1F  # clears all latched bits
     SUPPLY: ClassVar[int] = 0x0200  # bit of the 12 V supply in both PWM words
 
-    pwm_fault: int = 0
-    pwm_otw: int = 0
-    pwm_reset: int = 0
-    pwm_active: int = 0
-    position_control: int = 0
-    current_control: int = 0
+    pwm_fault: int = part("H", default=0)
+    pwm_otw: int = part("H", default=0)
+    pwm_reset: int = part("H", default=0)
+    pwm_active: int = part("H", default=0)
+    position_control: int = part("H", default=0)
+    current_control: int = part("H", default=0)
 
     @property
     def enabled(self) -> int:
@@ -289,65 +242,44 @@ class ControllerState(Fields):
 
 
 @dataclass(frozen=True, slots=True)
-class FirmwareInfo:
+class FirmwareInfo(Fields):
     """The hand's identification; the name of a genuine one is ``SVH``."""
 
-    name: str
-    major: int
-    minor: int
-    text: str
+    WHAT = "firmware information"
+
+    name: str = part("4s", kind=text)
+    major: int = part("H")
+    minor: int = part("H")
+    text: str = part("48s", kind=text)
 
     @property
     def version(self) -> tuple[int, int]:
         """Major and minor version."""
         return self.major, self.minor
 
-    @classmethod
-    def from_bytes(cls, packet: Packet) -> Self:
-        """Read it from an answer; raises `SvhFrameError`."""
-        name, major, minor, text = _unpack(_FIRMWARE, packet, "firmware information")
-        return cls(_text(name), major, minor, _text(text))
 
-    def to_bytes(self) -> bytes:
-        """Return the data of the answer."""
-        return _FIRMWARE.pack(
-            self.name.encode("ascii"), self.major, self.minor, self.text.encode("ascii", "replace")
-        )
+@dataclass(frozen=True, slots=True)
+class Targets(Fields):
+    """The targets [ticks] of all channels."""
+
+    WHAT = "targets of all channels"
+
+    ticks: Sequence[int] = part("i", CHANNELS)
 
 
-def _text(raw: bytes) -> str:
-    return raw.split(b"\x00")[0].decode("ascii", "replace")
+@dataclass(frozen=True, slots=True)
+class Target(Fields):
+    """The target [ticks] of one channel."""
+
+    WHAT = "a target"
+
+    ticks: int = part("i")
 
 
-def targets(positions: tuple[int, ...] | list[int]) -> bytes:
-    """Return the data that sets the targets [ticks] of all channels."""
-    # Clipped only if packing fails, since almost all targets fit and this runs in every cycle.
-    try:
-        return _TARGETS.pack(*positions)
-    except struct.error:
-        return _TARGETS.pack(*(_clip(p, 32) for p in positions))
+@dataclass(frozen=True, slots=True)
+class Encoders(Fields):
+    """The encoder scalings of all channels."""
 
+    WHAT = "encoder scalings"
 
-def read_targets(packet: Packet) -> tuple[int, ...]:
-    """Return the targets [ticks] of all channels; raises `SvhFrameError`."""
-    return _unpack(_TARGETS, packet, "targets of all channels")
-
-
-def target(position: int) -> bytes:
-    """Return the data that sets the target [ticks] of one channel."""
-    return struct.pack("<i", _clip(position, 32))
-
-
-def read_target(packet: Packet) -> int:
-    """Return the target [ticks] of one channel; raises `SvhFrameError`."""
-    return int(_unpack(struct.Struct("<i"), packet, "a target")[0])
-
-
-def encoders(scalings: tuple[int, ...]) -> bytes:
-    """Return the data of the encoder scalings of all channels."""
-    return _ENCODERS.pack(*scalings)
-
-
-def read_encoders(packet: Packet) -> tuple[int, ...]:
-    """Return the encoder scalings of all channels; raises `SvhFrameError`."""
-    return _unpack(_ENCODERS, packet, "encoder scalings")
+    scalings: tuple[int, ...] = part("I", CHANNELS)

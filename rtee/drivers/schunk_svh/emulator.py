@@ -223,11 +223,11 @@ class SchunkSvhEmulator(Emulator, Grasps):
             return self._controller(packet)
         if command in {Command.GET_ENCODER_VALUES, Command.SET_ENCODER_VALUES}:
             if command is Command.SET_ENCODER_VALUES:
-                self._encoders = codec.read_encoders(packet)
-            return codec.encoders(self._encoders)
+                self._encoders = codec.Encoders.from_bytes(packet.data).scalings
+            return codec.Encoders(self._encoders).to_bytes()
         if command in {Command.GET_CONTROL_FEEDBACK_ALL, Command.SET_CONTROL_COMMAND_ALL}:
             if command is Command.SET_CONTROL_COMMAND_ALL:
-                for index, target in enumerate(codec.read_targets(packet)):
+                for index, target in enumerate(codec.Targets.from_bytes(packet.data).ticks):
                     self._target(index, target)
             every = [self._feedback(index) for index in range(codec.CHANNELS)]
             return codec.FeedbackAll(
@@ -241,15 +241,15 @@ class SchunkSvhEmulator(Emulator, Grasps):
         channel = self.channels[packet.channel]
         command = packet.command
         if command is Command.SET_CONTROL_COMMAND:
-            self._target(packet.channel, codec.read_target(packet))
+            self._target(packet.channel, codec.Target.from_bytes(packet.data).ticks)
         elif command is Command.SET_POSITION_SETTINGS:
-            position = codec.PositionSettings.from_bytes(packet)
+            position = codec.PositionSettings.from_bytes(packet.data)
             # Settings of NaN or infinity cannot drive a motor and are ignored.
             if all(map(math.isfinite, astuple(position))):
                 channel.position = position
                 channel.axis.max_velocity = position.max_rate * self.options.haste
         elif command is Command.SET_CURRENT_SETTINGS:
-            current = codec.CurrentSettings.from_bytes(packet)
+            current = codec.CurrentSettings.from_bytes(packet.data)
             if all(map(math.isfinite, astuple(current))):
                 channel.current = current
                 channel.axis.max_effort = max(current.maximum, 0.0)
@@ -266,7 +266,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
 
     def _controller(self, packet: Packet) -> bytes:
         if packet.command is Command.SET_CONTROLLER_STATE:
-            state = ControllerState.from_bytes(packet)
+            state = ControllerState.from_bytes(packet.data)
             self._fault &= ~state.pwm_fault
             if "driver_fault" in self.faults:
                 self._fault |= 0x01

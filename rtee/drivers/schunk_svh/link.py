@@ -56,14 +56,14 @@ class SvhLink:
         )
 
     async def _ask(
-        self, read: Callable[[Packet], T], command: Command, channel: int = 0, data: bytes = b""
+        self, read: Callable[[bytes], T], command: Command, channel: int = 0, data: bytes = b""
     ) -> T:
         """Send one packet and return the content of the reply; raises `BusError`."""
         return self._decoded(read, await self.exchange(command, channel, data))
 
-    def _decoded(self, read: Callable[[Packet], T], reply: Packet) -> T:
+    def _decoded(self, read: Callable[[bytes], T], reply: Packet) -> T:
         try:
-            return read(reply)
+            return read(reply.data)
         except SvhFrameError as error:
             raise FrameError(self.bus.name, str(error), reply.data) from error
 
@@ -90,7 +90,7 @@ class SvhLink:
 
     async def set_target(self, channel: int, ticks: int) -> codec.Feedback:
         """Set the target of one channel; return its position and current."""
-        command, data = Command.SET_CONTROL_COMMAND, codec.target(ticks)
+        command, data = Command.SET_CONTROL_COMMAND, codec.Target(ticks).to_bytes()
         return await self._ask(codec.Feedback.from_bytes, command, channel, data)
 
     async def feedback_all(self) -> codec.FeedbackAll:
@@ -99,7 +99,7 @@ class SvhLink:
 
     async def set_targets(self, ticks: list[int]) -> codec.FeedbackAll:
         """Set the targets of all channels; return their positions and currents."""
-        command, data = Command.SET_CONTROL_COMMAND_ALL, codec.targets(ticks)
+        command, data = Command.SET_CONTROL_COMMAND_ALL, codec.Targets(ticks).to_bytes()
         return await self._ask(codec.FeedbackAll.from_bytes, command, 0, data)
 
     async def position_settings(self, channel: int) -> codec.PositionSettings:

@@ -13,6 +13,7 @@ from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
 
 from rtee.buses.parser import FramedParser
+from rtee.drivers.packed import Packed, part
 
 PREAMBLE = b"\xaa\xaa\xaa"
 """The first bytes of every frame."""
@@ -278,7 +279,7 @@ def numbers(frame: Frame, count: int) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Info:
+class Info(Packed):
     """The identity that the gripper reports.
 
     Attributes:
@@ -288,32 +289,22 @@ class Info:
         serial: Serial number.
     """
 
-    kind: int
-    hardware: int
-    firmware: int
-    serial: int
+    WHAT: ClassVar[str] = "the information of a WSG"
+    ERROR: ClassVar[type[ValueError]] = WsgFrameError
 
-    _LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHI")
+    kind: int = part("B")
+    hardware: int = part("B")
+    firmware: int = part("H")
+    serial: int = part("I")
 
     @property
     def version(self) -> str:
         """The firmware's version as text: a digit in each half byte, the last two as one."""
         return f"{self.firmware >> 12}.{self.firmware >> 8 & 0xF}.{self.firmware & 0xFF}"
 
-    def to_bytes(self) -> bytes:
-        """Return the bytes."""
-        return self._LAYOUT.pack(self.kind, self.hardware, self.firmware, self.serial)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read it; raises `WsgFrameError`."""
-        if len(data) != cls._LAYOUT.size:
-            raise WsgFrameError(f"{len(data)} bytes is not the information of a WSG")
-        return cls(*cls._LAYOUT.unpack(data))
-
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Packed):
     """The gripper's own limits.
 
     Attributes:
@@ -323,14 +314,13 @@ class Limits:
         force: Least, nominal and with overdrive [N].
     """
 
-    stroke: float = 110.0
-    speed: tuple[float, float] = (5.0, 420.0)
-    acceleration: tuple[float, float] = (100.0, 5000.0)
-    force: tuple[float, float, float] = (5.0, 80.0, 120.0)
+    WHAT: ClassVar[str] = "the limits of a WSG"
+    ERROR: ClassVar[type[ValueError]] = WsgFrameError
 
-    def to_bytes(self) -> bytes:
-        """Return the bytes."""
-        return struct.pack("<8f", self.stroke, *self.speed, *self.acceleration, *self.force)
+    stroke: float = part("f", default=110.0)
+    speed: tuple[float, float] = part("f", 2, default=(5.0, 420.0))
+    acceleration: tuple[float, float] = part("f", 2, default=(100.0, 5000.0))
+    force: tuple[float, float, float] = part("f", 3, default=(5.0, 80.0, 120.0))
 
     @classmethod
     def from_frame(cls, frame: Frame) -> Self:

@@ -49,7 +49,7 @@ def test_the_reply_is_that_of_the_sheet() -> None:
     reply = Reply.from_bytes(REPLY)
     assert reply.positions == pytest.approx((0.498, 1.249), abs=1e-6)
     assert reply.velocities == pytest.approx((0.012, -0.007))
-    assert reply.pressures == ((100, 200, 300), (400, 500, 600))
+    assert reply.pressures == (100, 200, 300, 400, 500, 600)
     assert reply.currents == pytest.approx((0.150, 0.090))
     assert (reply.fault, reply.round_trip) == (0, 5)
     assert reply.to_bytes() == REPLY

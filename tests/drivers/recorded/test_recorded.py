@@ -59,7 +59,7 @@ def inspire_rh56(text: str) -> Mapping[str, Any]:
     raw = bytes.fromhex(text)
     if len(raw) == rh56.COUNT:
         report = rh56.table([0] * 6) * 2 + bytes(6) + raw + bytes([30] * 6)
-        states = rh56.Report.from_bytes(rh56.table([0] * 6), report).states
+        states = rh56.Report.from_bytes(rh56.table([0] * 6) + rh56.GAP + report).states
         return {"states": [state.name for state in states]}
     if len(raw) == rh56.WORDS:
         return {"set_points": list(rh56.words(raw))}

@@ -41,11 +41,11 @@ REQUESTS = [
     (
         "4C AA 02 03 40 00 68 C5 FF FF 68 C5 FF FF C0 E0 FF FF 40 1F 00 00 C0 E0 FF FF"
         " 40 1F 00 00 C0 E0 FF FF C0 E0 FF FF 58 9E FF FF 00x28 80 C6",
-        Packet(Command.SET_CONTROL_COMMAND_ALL, data=codec.targets(IDLE), index=2),
+        Packet(Command.SET_CONTROL_COMMAND_ALL, data=codec.Targets(IDLE).to_bytes(), index=2),
     ),
     (
         "4C AA 03 31 40 00 20 4E 00x62 6E 6E",
-        Packet(Command.SET_CONTROL_COMMAND, 3, codec.target(20000), 3),
+        Packet(Command.SET_CONTROL_COMMAND, 3, codec.Target(20000).to_bytes(), 3),
     ),
     (
         "4C AA 04 09 40 00 1F 00 1F 00x61 3E 00",
@@ -95,40 +95,46 @@ def test_requests_are_the_bytes_of_the_sheet(sheet: str, packet: Packet) -> None
 
 
 def test_encoder_scalings_are_the_bytes_of_the_sheet() -> None:
-    packet = Packet(Command.SET_ENCODER_VALUES, data=codec.encoders((1,) * 9), index=0x0B)
+    packet = Packet(
+        Command.SET_ENCODER_VALUES, data=codec.Encoders((1,) * 9).to_bytes(), index=0x0B
+    )
     assert packet.to_bytes(pad=False) == raw("4C AA 0B 0B 24 00") + raw("01 00 00 00") * 9 + raw(
         "09 01"
     )
-    assert codec.read_encoders(packet) == (1,) * 9
+    assert codec.Encoders.from_bytes(packet.data).scalings == (1,) * 9
 
 
 def test_replies_are_read_at_their_natural_length() -> None:
-    info = codec.FirmwareInfo.from_bytes(Packet.from_bytes(FIRMWARE))
+    info = codec.FirmwareInfo.from_bytes(Packet.from_bytes(FIRMWARE).data)
     assert info == codec.FirmwareInfo("SVH", 1, 0x50, "Simulated")
     assert Packet(Command.GET_FIRMWARE_INFO, data=info.to_bytes()).to_bytes(pad=False) == FIRMWARE
 
-    feedback = codec.FeedbackAll.from_bytes(Packet.from_bytes(FEEDBACK))
+    feedback = codec.FeedbackAll.from_bytes(Packet.from_bytes(FEEDBACK).data)
     assert feedback.positions == IDLE
     assert feedback.currents_ma == (0, 5, -3, 12, 0, 0, 0, 0, -1)
     again = Packet(Command.GET_CONTROL_FEEDBACK_ALL, data=feedback.to_bytes(), index=1)
     assert again.to_bytes(pad=False) == FEEDBACK
 
     reply = Packet.from_bytes(raw("4C AA 03 31 06 00 A4 4D 00 00 96 00 87 7F"))
-    assert codec.Feedback.from_bytes(reply) == codec.Feedback(19876, 150)
+    assert codec.Feedback.from_bytes(reply.data) == codec.Feedback(19876, 150)
 
 
 def test_settings_and_state_survive_the_wire() -> None:
     for channel in range(9):
         data = position_settings(channel).to_bytes()
-        back = codec.PositionSettings.from_bytes(Packet(Command.GET_POSITION_SETTINGS, data=data))
+        back = codec.PositionSettings.from_bytes(
+            Packet(Command.GET_POSITION_SETTINGS, data=data).data
+        )
         assert back.max_rate == position_settings(channel).max_rate
         assert back.to_bytes() == data
         data = current_settings(channel).to_bytes()
-        read = codec.CurrentSettings.from_bytes(Packet(Command.GET_CURRENT_SETTINGS, data=data))
+        read = codec.CurrentSettings.from_bytes(
+            Packet(Command.GET_CURRENT_SETTINGS, data=data).data
+        )
         assert read.to_bytes() == data
     state = codec.ControllerState(1, 2, 0x2FF, 0x20F, 1, 1)
     packet = Packet(Command.GET_CONTROLLER_STATE, data=state.to_bytes())
-    assert codec.ControllerState.from_bytes(packet) == state
+    assert codec.ControllerState.from_bytes(packet.data) == state
     assert state.enabled == 0x0F
 
 
@@ -150,7 +156,7 @@ def test_what_is_no_packet_is_refused(bad: bytes) -> None:
 
 
 def test_data_too_short_for_its_command_is_refused() -> None:
-    short = Packet(Command.GET_FIRMWARE_INFO, data=b"\x00" * 3)
+    short = b"\x00" * 3
     for read in (
         codec.FirmwareInfo.from_bytes,
         codec.Feedback.from_bytes,
@@ -158,9 +164,9 @@ def test_data_too_short_for_its_command_is_refused() -> None:
         codec.PositionSettings.from_bytes,
         codec.CurrentSettings.from_bytes,
         codec.ControllerState.from_bytes,
-        codec.read_target,
-        codec.read_targets,
-        codec.read_encoders,
+        codec.Target.from_bytes,
+        codec.Targets.from_bytes,
+        codec.Encoders.from_bytes,
     ):
         with pytest.raises(SvhFrameError):
             read(short)

@@ -200,19 +200,19 @@ async def test_limits_are_sent_before_the_position() -> None:
             await made.move(slow)
             currents = {p.channel for p in sent if p.command is Command.SET_CURRENT_SETTINGS}
             rates = {p.channel for p in sent if p.command is Command.SET_POSITION_SETTINGS}
-            targets = codec.read_targets(sent[-1])
+            targets = codec.Targets.from_bytes(sent[-1].data).ticks
             changed = {i for i in range(9) if targets[i] != start[i]}
             assert changed <= currents & rates
             moved |= changed
         assert moved == {0, 6, 7}
         thumb = next(
-            codec.CurrentSettings.from_bytes(p)
+            codec.CurrentSettings.from_bytes(p.data)
             for p in sent
             if p.command is Command.SET_CURRENT_SETTINGS and p.channel == 0
         )
         assert thumb.maximum == pytest.approx((0.2 / 0.106 + 1.543) / 0.015, rel=1e-5)
         pinky = next(
-            codec.PositionSettings.from_bytes(p)
+            codec.PositionSettings.from_bytes(p.data)
             for p in sent
             if p.command is Command.SET_POSITION_SETTINGS and p.channel == 7
         )

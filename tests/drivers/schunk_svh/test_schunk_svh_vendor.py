@@ -42,7 +42,7 @@ class Library:
         for reply in self._parser.feed(b"".join(self.wire.step(self.now))):
             self.received += 1
             if reply.command is Command.SET_CONTROL_COMMAND:
-                self.feedback[reply.channel] = Feedback.from_bytes(reply)
+                self.feedback[reply.channel] = Feedback.from_bytes(reply.data)
         self.behind = max(self.behind, self.sent - self.received)
 
     def state(self, enabled: int, running: bool) -> None:
@@ -51,7 +51,7 @@ class Library:
         self.send(Command.SET_CONTROLLER_STATE, 0, state.to_bytes())
 
     def target(self, channel: int, ticks: float) -> Feedback | None:
-        self.send(Command.SET_CONTROL_COMMAND, channel, codec.target(round(ticks)))
+        self.send(Command.SET_CONTROL_COMMAND, channel, codec.Target(round(ticks)).to_bytes())
         return self.feedback.get(channel)
 
     def home(self, channel: Channel) -> int:

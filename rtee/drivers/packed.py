@@ -1,0 +1,152 @@
+"""Declare how bytes hold values, once for a driver, its emulator and the tests."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, field, fields
+from functools import cache
+from operator import attrgetter, itemgetter
+from typing import Any, ClassVar, NamedTuple, Self
+
+
+def text(raw: bytes) -> str:
+    """Return ASCII text that ends at the first zero byte."""
+    return raw.split(b"\0")[0].decode("ascii", "replace").strip()
+
+
+class Part(NamedTuple):
+    """The place of a value, behind those declared before it.
+
+    Attributes:
+        code: Its format in `struct`.
+        many: Values of a tuple; 0: a single value.
+        kind: Makes the value from the number or bytes.
+        per: Counts per unit of the value; ``None``: the value is the number itself.
+        skip: Bytes without a meaning before it.
+    """
+
+    code: str
+    many: int = 0
+    kind: Callable[[Any], Any] | None = None
+    per: float | None = None
+    skip: int = 0
+
+    def getter(self, at: int) -> Callable[[tuple[Any, ...]], Any]:
+        """Return what takes the value from all numbers, of which its first is at an index.
+
+        It raises `ValueError` for a number that is no value.
+        """
+        kind, per, many = self.kind, self.per, self.many
+        if per is not None:
+            kind = lambda number: number / per  # noqa: E731
+        cut = itemgetter(slice(at, at + many) if many else at)
+        if kind is None:
+            return cut
+        if many:
+            return lambda values: tuple([kind(value) for value in cut(values)])
+        return lambda values: kind(cut(values))
+
+    def putter(self) -> Callable[[Any], Sequence[Any]]:
+        """Return what makes the numbers or bytes of the value."""
+        per = self.per
+        if per is not None and self.many:
+            return lambda value: [round(one * per) for one in value]
+        if per is not None:
+            return lambda value: (round(value * per),)
+        if self.kind is text:
+            return lambda value: (value.encode("ascii", "replace"),)
+        return tuple if self.many else lambda value: (value,)
+
+
+def part(
+    code: str,
+    many: int = 0,
+    *,
+    kind: Callable[[Any], Any] | None = None,
+    per: float | None = None,
+    skip: int = 0,
+    default: Any = MISSING,
+) -> Any:
+    """Declare a value of `Packed`. Arguments as for `Part`."""
+    return field(default=default, metadata={"at": Part(code, many, kind, per, skip)})
+
+
+class Packed:
+    """Bytes with the low one of a number first: a frozen dataclass whose fields `part` declares.
+
+    Attributes:
+        WHAT: Its name in messages, with its article, such as ``a report of an RH56``.
+        ERROR: What is raised for bytes that it cannot hold.
+        LONGER: Whether further bytes may follow, which are ignored.
+    """
+
+    __slots__ = ()
+
+    WHAT: ClassVar[str]
+    ERROR: ClassVar[type[ValueError]]
+    LONGER: ClassVar[bool] = False
+
+    def to_bytes(self) -> bytes:
+        """Return the bytes; a number too large or small becomes the nearest that they can hold."""
+        layout = _layout(type(self))
+        form, found = layout.form, layout.values(self)
+        if layout.putters is not None:
+            values, found = found, []
+            for put, value in zip(layout.putters, values, strict=True):
+                found += put(value)
+        # Clamped only if packing fails, since almost all values fit and this runs in every cycle.
+        try:
+            return form.pack(*found)
+        except struct.error:
+            return form.pack(*map(_clamped, layout.codes, found))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read it; raises `ERROR` for what it cannot hold."""
+        layout = _layout(cls)
+        form, getters = layout.form, layout.getters
+        if len(data) != form.size and (len(data) < form.size or not cls.LONGER):
+            raise cls.ERROR(f"{len(data)} bytes are not {cls.WHAT}")
+        values = form.unpack_from(data)
+        if getters is None:
+            return cls(*values)
+        try:
+            return cls(*[get(values) for get in getters])
+        except ValueError as error:
+            raise cls.ERROR(f"not {cls.WHAT}: {data.hex(' ')} ({error})") from None
+
+
+class _Layout(NamedTuple):
+    """How a block is packed; ``None``: each value is its only number."""
+
+    form: struct.Struct
+    codes: str
+    values: Callable[[Any], Any]
+    getters: Sequence[Callable[[tuple[Any, ...]], Any]] | None
+    putters: Sequence[Callable[[Any], Sequence[Any]]] | None
+
+
+def _laid_out(block: Any) -> _Layout:
+    form, codes, getters = "<", "", []
+    parts: list[Part] = [one.metadata["at"] for one in fields(block)]
+    for at in parts:
+        form += f"{at.skip}x{at.many or ''}{at.code}"
+        getters.append(at.getter(len(codes)))
+        codes += at.code[-1] * (at.many or 1)
+    names = [one.name for one in fields(block)]
+    values = attrgetter(*names) if len(names) > 1 else lambda value: (getattr(value, names[0]),)
+    if all(at.kind is None and at.per is None and not at.many for at in parts):
+        return _Layout(struct.Struct(form), codes, values, None, None)
+    return _Layout(struct.Struct(form), codes, values, getters, [at.putter() for at in parts])
+
+
+_layout: Callable[[Any], _Layout] = cache(_laid_out)
+
+
+def _clamped(code: str, value: Any) -> Any:
+    if code in "fs":
+        return value
+    bits = 8 * struct.calcsize(f"<{code}")
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
+    return min(max(round(value), low), high)
