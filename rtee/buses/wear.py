@@ -14,14 +14,14 @@ Share = Annotated[float, Ge(0.0), Le(1.0)]
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """What an emulated device has that its sheet does not tell.
+    """How an emulated device differs from its data sheet.
 
-    The shares are of a motor's whole way.
+    The shares are of a motor's full travel.
 
     Attributes:
-        lag: Time from a command until a motor at rest or on its way follows it [s].
+        lag: Time from a command until a motor at rest or moving follows it [s].
         pace: Share of the sheet's speed that its motors reach.
-        backlash: Way between motor and encoder in which the encoder does not follow [share].
+        backlash: Play between motor and encoder, in which the encoder does not follow [share].
         offset: Constant error of a position [share].
         noise: Standard deviation of a measured position [share].
         warmth: How far its motors get above the ambient temperature while it only waits [K].
@@ -68,7 +68,7 @@ class WornSensor:
     """A position sensor with backlash, an offset and noise.
 
     Attributes:
-        backlash: Way in which it does not follow [units of the position].
+        backlash: Play in which it does not follow [units of the position].
         offset: Constant error [units of the position].
         noise: Standard deviation [units of the position].
     """
@@ -81,9 +81,9 @@ class WornSensor:
     _random: random.Random = field(default_factory=lambda: random.Random(1), repr=False)  # noqa: S311
 
     @classmethod
-    def of(cls, wear: Wear, way: float) -> WornSensor:
-        """Return the sensor of a motor with a way [units of the position]."""
-        return cls(wear.backlash * way, wear.offset * way, wear.noise * way)
+    def of(cls, wear: Wear, travel: float) -> WornSensor:
+        """Return the sensor of a motor with this travel [units of the position]."""
+        return cls(wear.backlash * travel, wear.offset * travel, wear.noise * travel)
 
     def read(self, position: float) -> float:
         """Return what it measures at a position."""

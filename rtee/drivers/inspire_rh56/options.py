@@ -176,7 +176,7 @@ class InspireRh56Options(DeviceOptions):
         default_factory=dict, description="what a finger's grams are worth, where it is known"
     )
     travel_time: Positive = Field(
-        0.3, description="time for the whole way at speed 1000 [s]; published: 0.18 to 0.30"
+        0.3, description="time for the full travel at speed 1000 [s]; published: 0.18 to 0.30"
     )
     calibration: Path | None = Field(
         None, description="file of a calibration (`rtee calibrate`): the forces of an idle hand"

@@ -209,7 +209,7 @@ class KinematicDriver(Driver):
 
         Args:
             name: The finger or actuator.
-            fraction: Fraction of the way from rest to the farthest bound, 0 to 1.
+            fraction: Fraction of the travel from rest to the farthest bound, 0 to 1.
 
         Raises:
             ConfigError: if there is no such finger or actuator, the actuator turns without end, or
@@ -217,7 +217,7 @@ class KinematicDriver(Driver):
         """
         self._check_names({name: fraction}, fingers=True)
         if not 0.0 <= fraction <= 1.0:
-            raise ConfigError(f"an object is 0 to 1 of the way, not {fraction:g}")
+            raise ConfigError(f"an object is 0 to 1 of the travel, not {fraction:g}")
         for plant in self.plants:
             endless = not math.isfinite(plant.spec.farthest)
             if name == plant.spec.name and endless:

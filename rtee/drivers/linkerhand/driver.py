@@ -82,7 +82,7 @@ class LinkerHandOptions(DeviceOptions):
         description="positions at 255 and at 0 of a motor [rad]; by default those of the SDK",
     )
     travel_time: Positive = Field(
-        1.0, description="time for the whole way at speed 255 [s]; an assumption"
+        1.0, description="time for the full travel at speed 255 [s]; an assumption"
     )
     check_model: bool = Field(
         True, description="refuse a hand that tells another number of motors (RS-485)"

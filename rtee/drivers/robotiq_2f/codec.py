@@ -63,7 +63,7 @@ class Bars:
     closed: float
 
     def closure(self, width: float) -> float:
-        """Return the share of the way at which the tips have a distance [m]; ``inf``: nowhere."""
+        """Return the share of the travel at which the tips are this far apart [m], or ``inf``."""
         sine = (width - self.offset) / (2.0 * self.length)
         return (self.angle - math.asin(sine)) / self.closed if abs(sine) <= 1.0 else math.inf
 
@@ -88,7 +88,7 @@ class Model:
     bars: Bars | None = None
 
     def closure(self, width: float) -> float:
-        """Return the share of the way between its ends at which the tips have a distance [m]."""
+        """Return the share of the travel at which the tips have a distance [m]."""
         return 1.0 - width / self.stroke if self.bars is None else self.bars.closure(width)
 
     def scale(

@@ -54,7 +54,7 @@ from rtee.types import DeviceSpec, Reference
 _NEWER = 0.2
 """Share of the newest exchange in the usual duration of one."""
 _MOVES = 20.0
-"""Way after which a grip counts as begun [µm]: more than the noise of an encoder."""
+"""Travel after which a grip counts as begun [µm]: more than the noise of an encoder."""
 _JITTER = 1e-3
 """Least time between two positions that give a speed [s]."""
 
@@ -527,7 +527,7 @@ class SchunkEguDriver(Driver):
             await self._read_on()
 
     async def _halt(self) -> None:
-        """Stop a grip on its way."""
+        """Stop a grip under way."""
         await self._command(Control.STOP)
         self._follower.halted(float(self._input.position))
 
