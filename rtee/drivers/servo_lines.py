@@ -256,7 +256,7 @@ def _differences(then: Calibrated, now: Calibrated) -> list[str]:
 
 
 @dataclass(slots=True)
-class Scale:
+class ServoScale:
     """The units of one servo.
 
     Attributes:
@@ -337,14 +337,14 @@ class Measured:
     voltage: FloatArray
 
 
-class Scales:
-    """The units of all servos as arrays, copied from each servo's `Scale`.
+class ServoScales:
+    """The units of all servos as arrays, copied from each servo's `ServoScale`.
 
     Args:
         scales: The units, in the order of the servos.
     """
 
-    def __init__(self, scales: Sequence[Scale]) -> None:
+    def __init__(self, scales: Sequence[ServoScale]) -> None:
         sense = np.array([float(s.direction) for s in scales])
         self._turns = np.array([float(s.turns) for s in scales])
         self._zero = np.array([s.zero for s in scales])
@@ -373,5 +373,5 @@ class Scales:
 
     def counts(self, angles: FloatArray) -> list[int]:
         """Return the positions [counts] at angles of the joints [rad]."""
-        # Rounded before the turns are added, as in `Scale.to_counts`, so that both agree.
+        # Rounded before the turns are added, as in `ServoScale.to_counts`, so that both agree.
         return [int(p) for p in (np.rint(angles / self._rad + self._zero) + self._turns).tolist()]

@@ -137,7 +137,7 @@ def read_counts(data: bytes) -> tuple[int, int, int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class JointScale:
     """The units of a version.
 
     Attributes:
@@ -161,9 +161,9 @@ class Scale:
         return round(angle / self.rad_per_count)
 
 
-SCALES: dict[int, Scale] = {
-    4: Scale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
-    5: Scale(5, math.radians(0.088), 1200.0, 2),
+SCALES: dict[int, JointScale] = {
+    4: JointScale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
+    5: JointScale(5, math.radians(0.088), 1200.0, 2),
 }
 """Units by version."""
 

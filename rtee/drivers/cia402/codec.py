@@ -195,7 +195,7 @@ class Motion(Pdo):
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class DriveScale:
     """The units of one drive.
 
     Attributes:

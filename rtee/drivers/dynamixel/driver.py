@@ -28,7 +28,7 @@ from rtee.drivers.dynamixel.table import (
     model_of,
 )
 from rtee.drivers.options import Positive, read_options
-from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, Scale, ServoOptions, check_line
+from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
 from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, BusTimeout, ConfigError, FrameError, HandshakeError
@@ -136,7 +136,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         check_names(spec, "servos", options.servos)
         servos = {a.name: options.servos[a.name] for a in spec.actuators}
         scales = [
-            Scale(
+            ServoScale(
                 table.RAD_PER_PULSE,
                 float(table.CENTER if s.zero is None else s.zero),
                 s.direction,
@@ -221,7 +221,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
                 hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",
             )
 
-    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
         # In a group read the servos answer one after the other, so their delays add up.
         self.connection.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
         model = model_of(found.model)

@@ -18,7 +18,7 @@ from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions
 from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, State, model_name
 from rtee.drivers.options import read_options
-from rtee.drivers.servo_lines import DELAY_UNIT, Scale, ServoOptions
+from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
 from rtee.drivers.servos import POWERED, Found, Goals, Readings, ServoDriver
 from rtee.errors import BusTimeout, ConfigError, FrameError, HandshakeError
 from rtee.types import DeviceSpec
@@ -73,7 +73,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         servos = {name: options.servos[name] for name in joints.names}
         middle = float(family.center)
         scales = [
-            Scale(family.rad_per_count, middle if s.zero is None else s.zero, s.direction, s.gear)
+            ServoScale(
+                family.rad_per_count, middle if s.zero is None else s.zero, s.direction, s.gear
+            )
             for s in servos.values()
         ]
         super().__init__(spec, buses, options, servos, scales, joints if joints.pairs else None)
@@ -150,7 +152,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
                 hint="give it its limits back; from the factory they are 20 and 1003",
             )
 
-    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
         options, family = self.options, self.family
         # That of the slowest servo, since the deadline is the same for all.
         self.connection.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())

@@ -24,7 +24,7 @@ from rtee.drivers.feetech.table import FAMILIES, FULL, FamilyName
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, read_properties
 from rtee.drivers.servo_emulator import ServoLine
-from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, Scale
+from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, ServoScale
 
 _ERRORS = {
     "voltage": Status.VOLTAGE,
@@ -247,7 +247,7 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
     for name, servo in options["servos"].items():
         given = dict(servo)
         zero = given.get("zero")
-        scale = Scale(
+        scale = ServoScale(
             family.rad_per_count,
             float(family.center if zero is None else zero),
             given.get("direction", 1),

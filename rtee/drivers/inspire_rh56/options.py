@@ -64,7 +64,7 @@ FORCES = {
 """The default force curves of the fingers, by name."""
 
 
-class Scale:
+class MotorScale:
     """Converts between the registers of a motor and its actuator's units.
 
     Args:
@@ -246,7 +246,7 @@ def _finger_of(name: str) -> str:
 
 def scales_of(
     spec: DeviceSpec, options: InspireRh56Options, motors: tuple[int, ...]
-) -> tuple[Scale, ...]:
+) -> tuple[MotorScale, ...]:
     """Return the scale of each actuator; raises `ConfigError` if an actuator has no limits."""
     scales = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
@@ -258,7 +258,7 @@ def scales_of(
         changes = {} if given is None else given.model_dump(exclude_none=True)
         force = replace(FORCES[finger], **changes)
         scales.append(
-            Scale(
+            MotorScale(
                 actuator.lower,
                 actuator.upper,
                 force,

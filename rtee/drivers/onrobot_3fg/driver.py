@@ -21,14 +21,15 @@ from rtee.drivers.onrobot_3fg.codec import (
     Control,
     Fingers,
     GripType,
-    Scale,
     Status,
     offset_metres,
+    scale_of,
 )
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.options import read_options
 from rtee.drivers.registers import Registers
+from rtee.drivers.scale import FingerScale
 from rtee.errors import ConfigError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -96,9 +97,9 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         self._moved_at = 0.0
         self.capabilities = self._abilities(self.options.rate, {})
 
-    def _scaled(self, largest: float) -> Scale:
+    def _scaled(self, largest: float) -> FingerScale:
         actuator = self.spec.actuators[0]
-        return Scale(
+        return scale_of(
             actuator.lower, actuator.upper, largest, self.options.smallest, self.options.force
         )
 
@@ -126,31 +127,31 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
-        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
+        least, most = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
         length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=CONNECTING)
         # Other tools of the vendor have other contents in these registers.
-        if hole not in (1, 2, 3) or not smallest < largest:
+        if hole not in (1, 2, 3) or not least < most:
             raise HandshakeError(
                 self.spec.name,
                 "an OnRobot 3FG",
-                f"a tool with finger position {hole} and diameters {smallest} to {largest}",
+                f"a tool with finger position {hole} and diameters {least} to {most}",
                 hint="is another tool mounted?",
             )
         self._fingers = Fingers(metres(length), hole, abs(offset_metres(offset)))
         if self.options.target == "tips":
             self._tips = round(self._kind.sign * 2.0 * offset_metres(offset) / metres(1))
         # Made again, since the gripper's own largest diameter is known only now.
-        self.scale = self._scaled(self.options.largest or metres(largest))
-        if self.scale.largest <= self.scale.smallest:
+        self.scale = self._scaled(largest := self.options.largest or metres(most))
+        if largest <= self.options.smallest:
             raise ConfigError(
-                f"device '{self.spec.name}': `smallest` ({self.scale.smallest} m) is not below the "
-                f"largest diameter ({self.scale.largest} m)",
+                f"device '{self.spec.name}': `smallest` ({self.options.smallest} m) is not below "
+                f"the largest diameter ({largest} m)",
                 key=f"devices.{self.spec.name}.options.smallest",
             )
         return {
             "finger length": f"{metres(length) * 1000:.1f} mm",
             "finger position": str(hole),
-            "diameters": f"{metres(smallest) * 1000:.1f} to {metres(largest) * 1000:.1f} mm",
+            "diameters": f"{metres(least) * 1000:.1f} to {metres(most) * 1000:.1f} mm",
         }
 
     # --- every cycle -------------------------------------------------------------------------

@@ -140,7 +140,7 @@ class Status(Registers):
     safety_error: bool = flag(1, 6)
 
 
-class Scale:
+class LinkageScale:
     """Converts between registers and the actuator's units.
 
     The position of the actuator is the angle of a finger's links, as in `Model.angle`. The gripper

@@ -19,7 +19,7 @@ from rtee.drivers.onrobot_rg.codec import (
     STATE,
     Command,
     Control,
-    Scale,
+    LinkageScale,
     Status,
 )
 from rtee.drivers.options import read_options
@@ -81,7 +81,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         super().__init__(spec, buses, self.options)
         actuator = spec.actuators[0]
         self._model = MODELS[self.options.model]
-        self.scale = Scale(self._model, actuator.lower, actuator.upper)
+        self.scale = LinkageScale(self._model, actuator.lower, actuator.upper)
         self._closed = self.scale.width(actuator.lower)
         step = self.options.step / TENTH_MM
         self._follower = StepFollower(self.options.settle, step, _SAME, _REACHED)

@@ -104,7 +104,7 @@ class Model:
         """
         position = LinearScale((open_count, closed_count), (opened, closed), ends=COUNTS)
         lever = self.stroke / abs(closed - opened)
-        return FingerScale(position, lever, COUNTS, self.speed, self.force)
+        return FingerScale(position, lever, COUNTS, self.force, self.speed)
 
 
 MODELS: dict[str, Model] = {

@@ -151,7 +151,7 @@ FORCE = (15.0, 60.0)
 def _scale(position: LinearScale) -> FingerScale:
     """Return the scale of a motor: gPOx and rPRx to the joint's angle [rad], and rSPx, rFRx."""
     # The fingertip's way by the angle of the joint.
-    return FingerScale(position, STROKE / 255 / abs(position.gain), COUNTS, SPEED, FORCE)
+    return FingerScale(position, STROKE / 255 / abs(position.gain), COUNTS, FORCE, SPEED)
 
 
 # A finger's first joint turns by the same angle per count all the way: the published driver's 200
