@@ -55,11 +55,11 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         moves: Number of motions started.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | {"no_tool"}
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x06, 0x10, 0x17})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS = ModbusEmulator.FAULTS | {"no_tool"}
+    FUNCTIONS = frozenset({0x03, 0x06, 0x10, 0x17})
+    EXCEPTIONS = True
     # Without a port, the driver reaches the Compute Box by its host, which is Modbus TCP.
-    PORT: ClassVar[str] = "tcp://"
+    PORT = "tcp://"
     READABLE: ClassVar[Sequence[Window]]
     WRITABLE: ClassVar[Sequence[Window]]
     CONTROL: ClassVar[type[IntEnum]]

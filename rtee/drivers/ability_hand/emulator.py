@@ -11,7 +11,7 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
@@ -91,9 +91,9 @@ class AbilityHandEmulator(Emulator, Grasps):
     """
 
     # Words of the sensors of one finger of a real hand, while nothing touches them.
-    WEAR: ClassVar[Wear] = replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "hot"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
+    WEAR = replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
+    FAULTS = Emulator.FAULTS | {"silent", "hot"}
+    BAUDRATES = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction
     period = 0.05
     """Time between two steps [s]: it leaves API mode by itself, without any traffic."""

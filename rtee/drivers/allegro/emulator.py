@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.drivers.allegro import codec
@@ -130,7 +130,7 @@ class AllegroEmulator(Emulator, Grasps):
         frames: Number of frames received, by command.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
+    FAULTS = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
     period = 0.0005
 
     def __init__(self, properties: AllegroProperties | None = None) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
-from rtee.buses.wear import TYPICAL, Wear
+from rtee.buses.wear import TYPICAL
 from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
@@ -28,8 +28,8 @@ class Cia402Emulator(Emulator, Grasps):
     """
 
     # The encoder of a drive sits on its motor and is homed: it sees neither play nor an offset.
-    WEAR: ClassVar[Wear] = replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
+    WEAR = replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
+    FAULTS = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
 
     def __init__(self, properties: DriveProperties | None = None) -> None:

@@ -115,21 +115,19 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     """
 
     Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
-    TORQUE: ClassVar[Any] = table.TORQUE
-    GOAL: ClassVar[Any] = table.GOAL_POSITION
+    TORQUE = table.TORQUE
+    GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {
         "p": table.POSITION_P,
         "i": table.POSITION_I,
         "d": table.POSITION_D,
     }
-    MOST_GAIN: ClassVar[int] = table.MOST_GAIN
-    STORED: ClassVar[int] = table.RAM
+    MOST_GAIN = table.MOST_GAIN
+    STORED = table.RAM
     # No source says whether the goal of a servo without torque follows the shaft; 16 pulses are
     # 1.4°, too small for a jump.
-    NEAR: ClassVar[int] = 16
-    HINT: ClassVar[str] = (
-        "free the hand and check its supply, then `rtee recover` reboots the servo"
-    )
+    NEAR = 16
+    HINT = "free the hand and check its supply, then `rtee recover` reboots the servo"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = options = read_options(DynamixelOptions, spec)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import table
@@ -69,7 +69,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
         counts: Number of received instructions, by instruction.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
+    FAULTS = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
 
     baudrate = 57_600
 

@@ -56,15 +56,13 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     """
 
     Options: ClassVar[type[FeetechOptions]] = FeetechOptions
-    TORQUE: ClassVar[Any] = table.TORQUE
-    GOAL: ClassVar[Any] = table.GOAL_POSITION
+    TORQUE = table.TORQUE
+    GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {"p": table.P, "i": table.I, "d": table.D}
-    MOST_GAIN: ClassVar[int] = table.MOST_GAIN
-    STORED: ClassVar[int] = table.RAM
-    HINT: ClassVar[str] = "free the hand and check its supply, then `rtee recover` powers it again"
-    LOST: ClassVar[str] = (
-        "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
-    )
+    MOST_GAIN = table.MOST_GAIN
+    STORED = table.RAM
+    HINT = "free the hand and check its supply, then `rtee recover` powers it again"
+    LOST = "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = options = read_options(FeetechOptions, spec)

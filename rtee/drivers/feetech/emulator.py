@@ -12,7 +12,7 @@ import itertools
 import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
@@ -68,8 +68,8 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         family: The servos' family.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(table.BAUD_RATES)
+    FAULTS = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
+    BAUDRATES = frozenset(table.BAUD_RATES)
 
     baudrate = table.BAUD_RATES[0]
 

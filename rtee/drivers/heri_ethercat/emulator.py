@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, State
@@ -122,7 +122,7 @@ class HeriEmulator(Emulator, Grasps):
         timeout: Process data watchdog [s]; 0: off.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
+    FAULTS = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
 
     def __init__(self, properties: BoardProperties | None = None) -> None:
         super().__init__()

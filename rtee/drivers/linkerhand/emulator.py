@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus_frames import READ_INPUT, WRITE_MANY, WRITE_ONE
@@ -77,10 +77,10 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         begun: Torque limits when the last motion began.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset({BAUDRATE})
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
+    BAUDRATES = frozenset({BAUDRATE})
+    FUNCTIONS = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
+    EXCEPTIONS = True
 
     def __init__(self, properties: LinkerProperties | None = None) -> None:
         properties = properties or LinkerProperties()

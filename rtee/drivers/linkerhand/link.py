@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 from rtee import monotonic
 from rtee.buses.bus import Bus
@@ -34,7 +33,7 @@ class _Link(RelaxedDeadline):
         spacing: Silence to leave between two frames [s].
     """
 
-    PATIENCE: ClassVar[float] = 1.0
+    PATIENCE = 1.0
 
     def __init__(
         self, bus: Bus, model: Model, unit: int, deadline: float, retries: int, spacing: float

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.onrobot_common import TENTH_MM
 from rtee.drivers.registers import Registers, at, flag
@@ -63,8 +62,8 @@ class Command(Registers):
         control: What to do.
     """
 
-    COUNT: ClassVar[int] = 4
-    WHAT: ClassVar[str] = "command of a 3FG"
+    COUNT = 4
+    WHAT = "command of a 3FG"
 
     force: int = at(0)
     diameter: int = at(1)
@@ -86,9 +85,9 @@ class Status(Registers):
         force: Force applied [0.1 %].
     """
 
-    COUNT: ClassVar[int] = 4
-    WHAT: ClassVar[str] = "status of a 3FG"
-    STRICT: ClassVar[bool] = True
+    COUNT = 4
+    WHAT = "status of a 3FG"
+    STRICT = True
 
     busy: bool = flag(0, 0)
     grip_detected: bool = flag(0, 1)

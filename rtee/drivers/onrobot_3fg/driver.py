@@ -28,7 +28,6 @@ from rtee.drivers.onrobot_3fg.codec import (
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.options import read_options
-from rtee.drivers.registers import Registers
 from rtee.drivers.scale import FingerScale
 from rtee.errors import ConfigError, HandshakeError
 from rtee.sample import ActuatorState
@@ -78,11 +77,11 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
 
-    MODEL: ClassVar[str] = "an OnRobot 3FG"
-    EMULATOR: ClassVar[str] = "onrobot_3fg"
-    STATUS: ClassVar[type[Registers]] = Status
-    COMMAND: ClassVar[type[Registers]] = Command
-    SOURCE: ClassVar[int] = STATE
+    MODEL = "an OnRobot 3FG"
+    EMULATOR = "onrobot_3fg"
+    STATUS = Status
+    COMMAND = Command
+    SOURCE = STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobot3FGOptions, spec)

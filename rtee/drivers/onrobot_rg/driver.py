@@ -23,7 +23,6 @@ from rtee.drivers.onrobot_rg.codec import (
     Status,
 )
 from rtee.drivers.options import read_options
-from rtee.drivers.registers import Registers
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
@@ -70,11 +69,11 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     """
 
     Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
-    MODEL: ClassVar[str] = "an OnRobot RG"
-    EMULATOR: ClassVar[str] = "onrobot_rg"
-    STATUS: ClassVar[type[Registers]] = Status
-    COMMAND: ClassVar[type[Registers]] = Command
-    SOURCE: ClassVar[int] = STATE
+    MODEL = "an OnRobot RG"
+    EMULATOR = "onrobot_rg"
+    STATUS = Status
+    COMMAND = Command
+    SOURCE = STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobotRGOptions, spec)

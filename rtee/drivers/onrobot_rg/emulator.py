@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
@@ -19,7 +18,6 @@ from rtee.drivers.onrobot_emulator import (
     IDENTITY,
     OnRobotEmulator,
     OnRobotProperties,
-    Window,
     identity,
 )
 from rtee.drivers.onrobot_rg.codec import (
@@ -74,20 +72,20 @@ class OnRobotRGEmulator(OnRobotEmulator):
         stopped: Number of motions ended by a stop.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {
+    FAULTS = OnRobotEmulator.FAULTS | {
         _PUSHED_1,
         _PUSHED_2,
         _SAFETY_ERROR,
     }
-    READABLE: ClassVar[Sequence[Window]] = (
+    READABLE = (
         (TARGETS, TARGETS + 2),
         (0x0100, 0x0117),
         (SET_OFFSET, SET_OFFSET),
         IDENTITY,
     )
-    WRITABLE: ClassVar[Sequence[Window]] = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
-    CONTROL: ClassVar[type[IntEnum]] = Control
-    NEAR: ClassVar[float] = _NEAR
+    WRITABLE = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
+    CONTROL = Control
+    NEAR = _NEAR
 
     def __init__(self, properties: OnRobotRGProperties | None = None) -> None:
         made = self.properties = properties or OnRobotRGProperties()

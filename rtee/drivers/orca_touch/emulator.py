@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -65,9 +65,9 @@ class OrcaTouchEmulator(Emulator):
         angles: Counts of the joint encoders ``(17,)``.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"error", "silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
-    duplex: ClassVar[Duplex] = Duplex.FULL
+    FAULTS = Emulator.FAULTS | {"error", "silent"}
+    BAUDRATES = frozenset(codec.BAUDRATES)
+    duplex = Duplex.FULL
 
     def __init__(
         self, properties: OrcaTouchProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
@@ -88,7 +88,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         frames: Number of frames received, by command.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "low_supply"}
+    FAULTS = Emulator.FAULTS | {"silent", "low_supply"}
 
     BAUDRATES = frozenset(codec.BAUDRATES)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.registers import at, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
@@ -136,7 +135,7 @@ class Command(RobotiqCommand):
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    COUNT: ClassVar[int] = 3  # in use; the gripper leaves the rest 0
+    COUNT = 3  # in use; the gripper leaves the rest 0
 
     direction: bool = flag(0, 13)
     position: int = at(1, 0, 8)
@@ -156,9 +155,9 @@ class Status(RobotiqStatus):
         raw_current: gCU.
     """
 
-    COUNT: ClassVar[int] = 3
-    WHAT: ClassVar[str] = "status of a 2-finger gripper"
-    STRICT: ClassVar[bool] = True
+    COUNT = 3
+    WHAT = "status of a 2-finger gripper"
+    STRICT = True
 
     grasp: Grasp = at(0, 14, 2, Grasp)
     controller_fault: int = at(1, 12, 4)

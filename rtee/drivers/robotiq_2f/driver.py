@@ -20,11 +20,8 @@ from rtee.drivers.robotiq_common import (
     INPUT,
     OUTPUT,
     SAME,
-    Fault,
     Grip,
-    RobotiqCommand,
     RobotiqOptions,
-    RobotiqStatus,
 )
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.scale import FingerScale
@@ -88,12 +85,12 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     """
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
-    MODEL: ClassVar[str] = "Robotiq 2-finger gripper"
-    EMULATOR: ClassVar[str] = "robotiq_2f"
-    STATUS: ClassVar[type[RobotiqStatus]] = Status
-    COMMAND: ClassVar[type[RobotiqCommand]] = Command
-    FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
-    HINT: ClassVar[str] = (
+    MODEL = "Robotiq 2-finger gripper"
+    EMULATOR = "robotiq_2f"
+    STATUS = Status
+    COMMAND = Command
+    FAULTS = FAULTS
+    HINT = (
         "`rtee recover`, or `rtee run --home`, activates it: the fingers close and open once, so "
         "nothing may be between them"
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.registers import Field, at, each, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
@@ -91,7 +90,7 @@ class Command(RobotiqCommand):
         axes: Requests of the four motors, in the order of `AXES`.
     """
 
-    COUNT: ClassVar[int] = 8
+    COUNT = 8
 
     mode: Mode = at(0, 9, 2, Mode)
     individual: bool = flag(0, 2)
@@ -126,9 +125,9 @@ class Status(RobotiqStatus):
         axes: The four motors, in the order of `AXES`.
     """
 
-    COUNT: ClassVar[int] = 8
-    WHAT: ClassVar[str] = "status of a 3-finger gripper"
-    STRICT: ClassVar[bool] = True
+    COUNT = 8
+    WHAT = "status of a 3-finger gripper"
+    STRICT = True
 
     mode: Mode = at(0, 9, 2, Mode)
     motion: Motion = at(0, 14, 2, Motion)

@@ -28,11 +28,8 @@ from rtee.drivers.robotiq_common import (
     INPUT,
     OUTPUT,
     SAME,
-    Fault,
     Grip,
-    RobotiqCommand,
     RobotiqOptions,
-    RobotiqStatus,
 )
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError
@@ -107,12 +104,12 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     """
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
-    MODEL: ClassVar[str] = "Robotiq 3-Finger"
-    EMULATOR: ClassVar[str] = "robotiq_3f"
-    STATUS: ClassVar[type[RobotiqStatus]] = Status
-    COMMAND: ClassVar[type[RobotiqCommand]] = Command
-    FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
-    HINT: ClassVar[str] = (
+    MODEL = "Robotiq 3-Finger"
+    EMULATOR = "robotiq_3f"
+    STATUS = Status
+    COMMAND = Command
+    FAULTS = FAULTS
+    HINT = (
         "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
         "move, so nothing may be between them"
     )

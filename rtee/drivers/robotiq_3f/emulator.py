@@ -27,7 +27,7 @@ from rtee.drivers.robotiq_3f.codec import (
     Request,
     Status,
 )
-from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Fault, Progress
+from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
 from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties
 from rtee.drivers.scale import LinearScale
 
@@ -68,10 +68,10 @@ class Robotiq3FEmulator(RobotiqEmulator):
         "activation_failed": 0x0D,
         "mode_change_failed": _MODE_FAILED,
     }
-    FAULTS: ClassVar[frozenset[str]] = RobotiqEmulator.FAULTS | frozenset(CODES)
-    CODES_OF: ClassVar[Mapping[int, Fault]] = FAULTS_BY_CODE
-    PASSING: ClassVar[str] = "scissor_obstructed"
-    WRONG: ClassVar[tuple[int, int]] = (1, 0xF000)
+    FAULTS = RobotiqEmulator.FAULTS | frozenset(CODES)
+    CODES_OF = FAULTS_BY_CODE
+    PASSING = "scissor_obstructed"
+    WRONG = (1, 0xF000)
 
     def __init__(self, properties: Robotiq3FProperties | None = None) -> None:
         made = self.properties = properties or Robotiq3FProperties()

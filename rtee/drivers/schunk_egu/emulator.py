@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
@@ -114,9 +114,9 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         taken: Accepted commands, newest last, for tests.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_ERRORS)
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x10})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS = ModbusEmulator.FAULTS | frozenset(_ERRORS)
+    FUNCTIONS = frozenset({0x03, 0x10})
+    EXCEPTIONS = True
 
     def __init__(self, properties: SchunkEguProperties | None = None) -> None:
         made = self.properties = properties or SchunkEguProperties()

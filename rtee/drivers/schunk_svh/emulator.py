@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.drivers.axis import Axis
@@ -75,7 +75,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         early: Packets that came sooner than `codec.GAP` after the previous one.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
+    FAULTS = Emulator.FAULTS | {
         "driver_fault", "over_temperature", "silent",
     }  # fmt: skip
 

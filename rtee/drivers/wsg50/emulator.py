@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
@@ -89,8 +89,8 @@ class Wsg50Emulator(Emulator, Grasps):
         requests: Frames received that ask for no measurement, newest last, for tests.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_ERRORS)
-    SCHEME: ClassVar[str] = "socket"
+    FAULTS = Emulator.FAULTS | frozenset(_ERRORS)
+    SCHEME = "socket"
     period = 0.005
 
     def __init__(self, properties: Wsg50Properties | None = None) -> None:

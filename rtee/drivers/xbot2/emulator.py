@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
@@ -54,7 +54,7 @@ class XBot2Emulator(Emulator, Grasps):
         commands: Number of commands received.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent"}
+    FAULTS = Emulator.FAULTS | {"silent"}
 
     def __init__(self, properties: ServerProperties | None = None) -> None:
         super().__init__()
