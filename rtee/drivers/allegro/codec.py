@@ -7,6 +7,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import ClassVar
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.packed import Packed, part
@@ -61,8 +62,8 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 class Periods(Packed):
     """Periods at which the hand sends data by itself [ms]; 0: never."""
 
-    WHAT = "periods"
-    ERROR = AllegroFrameError
+    WHAT: ClassVar[str] = "periods"
+    ERROR: ClassVar[type[ValueError]] = AllegroFrameError
 
     joints: int = part("H", default=0)
     imu: int = part("H", default=0)
@@ -93,9 +94,9 @@ class HandInfo(Packed):
         status: Servo, over-temperature, internal communication.
     """
 
-    WHAT = "hand information"
-    ERROR = AllegroFrameError
-    LONGER = True
+    WHAT: ClassVar[str] = "hand information"
+    ERROR: ClassVar[type[ValueError]] = AllegroFrameError
+    LONGER: ClassVar[bool] = True
 
     hardware: int = part("H")
     firmware: int = part("H")
@@ -136,7 +137,7 @@ def read_counts(data: bytes) -> tuple[int, int, int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class JointScale:
+class Scale:
     """The units of a version.
 
     Attributes:
@@ -160,9 +161,9 @@ class JointScale:
         return round(angle / self.rad_per_count)
 
 
-SCALES: dict[int, JointScale] = {
-    4: JointScale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
-    5: JointScale(5, math.radians(0.088), 1200.0, 2),
+SCALES: dict[int, Scale] = {
+    4: Scale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
+    5: Scale(5, math.radians(0.088), 1200.0, 2),
 }
 """Units by version."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Self
+from typing import ClassVar, Self
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.packed import Packed, part
@@ -90,8 +90,8 @@ class Emergency(Packed):
         vendor: Five manufacturer-specific bytes.
     """
 
-    WHAT = "an emergency message"
-    ERROR = CanopenFrameError
+    WHAT: ClassVar[str] = "an emergency message"
+    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
 
     code: int = part("H")
     register: int = part("B", default=0)
@@ -129,8 +129,8 @@ class Sdo(Packed):
         data: Four bytes: the value, the length or the abort code.
     """
 
-    WHAT = "an SDO frame"
-    ERROR = CanopenFrameError
+    WHAT: ClassVar[str] = "an SDO frame"
+    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
 
     command: int = part("B")
     index: int = part("H")

@@ -10,8 +10,7 @@ missing frames are not public: here they are properties, or missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, State
@@ -31,14 +30,14 @@ from rtee.drivers.heri_ethercat.codec import (
     Reply,
 )
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Positive, read_properties
+from rtee.drivers.options import Positive, read_properties
+from rtee.hand.validation import Section
 
 _FAULTS = {"hardware": Fault.HARDWARE, "encoder": Fault.ENCODER_1}
 """Faults of the first board that cut its power."""
 
 
-@dataclass(frozen=True, slots=True)
-class BoardProperties:
+class BoardProperties(Section, frozen=True):
     """Properties of the emulated boards.
 
     Attributes:
@@ -122,7 +121,7 @@ class HeriEmulator(Emulator, Grasps):
         timeout: Process data watchdog [s]; 0: off.
     """
 
-    FAULTS = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
 
     def __init__(self, properties: BoardProperties | None = None) -> None:
         super().__init__()

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, Self
+from enum import IntEnum
+from typing import Any, ClassVar, Literal, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
@@ -18,6 +18,7 @@ from rtee.drivers.onrobot_emulator import (
     IDENTITY,
     OnRobotEmulator,
     OnRobotProperties,
+    Window,
     identity,
 )
 from rtee.drivers.onrobot_rg.codec import (
@@ -30,7 +31,7 @@ from rtee.drivers.onrobot_rg.codec import (
     Control,
     Status,
 )
-from rtee.drivers.properties import Duration, read_properties
+from rtee.drivers.options import Duration, read_properties
 
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
 _SAFETY_ERROR = "safety_error"
@@ -39,8 +40,7 @@ _NEAR = 1e-4
 reached [rad]."""
 
 
-@dataclass(frozen=True, slots=True)
-class OnRobotRGProperties(OnRobotProperties):
+class OnRobotRGProperties(OnRobotProperties, frozen=True):
     """Properties of the emulated gripper in addition to those of all OnRobot grippers.
 
     Attributes:
@@ -72,20 +72,20 @@ class OnRobotRGEmulator(OnRobotEmulator):
         stopped: Number of motions ended by a stop.
     """
 
-    FAULTS = OnRobotEmulator.FAULTS | {
+    FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {
         _PUSHED_1,
         _PUSHED_2,
         _SAFETY_ERROR,
     }
-    READABLE = (
+    READABLE: ClassVar[Sequence[Window]] = (
         (TARGETS, TARGETS + 2),
         (0x0100, 0x0117),
         (SET_OFFSET, SET_OFFSET),
         IDENTITY,
     )
-    WRITABLE = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
-    CONTROL = Control
-    NEAR = _NEAR
+    WRITABLE: ClassVar[Sequence[Window]] = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
+    CONTROL: ClassVar[type[IntEnum]] = Control
+    NEAR: ClassVar[float] = _NEAR
 
     def __init__(self, properties: OnRobotRGProperties | None = None) -> None:
         made = self.properties = properties or OnRobotRGProperties()

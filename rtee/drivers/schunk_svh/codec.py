@@ -125,8 +125,8 @@ class Fields(Packed):
 
     __slots__ = ()
 
-    ERROR = SvhFrameError
-    LONGER = True
+    ERROR: ClassVar[type[ValueError]] = SvhFrameError
+    LONGER: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, slots=True)
