@@ -20,11 +20,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from common import Table
+from grasp_cases import RATE, Case, Thing, Truth, Unfit, try_case
 
 from rtee.errors import RteeError, SimulationUnstable
 from rtee.loop.planning import make_plan
 from rtee.trials.bench import Bench, bench
-from rtee.trials.grasp_truth import RATE, Case, Thing, Truth, Unfit, try_case
 from rtee.types import Around, Fingers, Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

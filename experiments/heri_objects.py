@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.common import Outcome, main, recording, strip
+from experiments.transfer import LOST, WAYS, Transfer, run_transfer
 from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.log import read
 from rtee.log.figure import By, Figure, figure
@@ -24,8 +25,6 @@ from rtee.loop.choice import OPEN
 from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.pictures import Stills
-from rtee.trials.transfer import LOST, run_transfer
-from rtee.trials.transfer_result import Transfer
 
 HAND = "heri_ii"
 
@@ -105,7 +104,7 @@ def run(
             if first.stance is None:
                 outcome.check(False, f"{what}: in the container", first.reason)
                 continue
-            stills = Stills.of_transfer(ready.hand) if pictures else None
+            stills = Stills(ready.hand, WAYS) if pictures else None
             result = run_transfer(
                 ready.hand,
                 ready.library,

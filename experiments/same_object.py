@@ -14,14 +14,13 @@ import anyio
 import numpy as np
 
 from experiments.common import Outcome, main, plot_of, recording, strip
+from experiments.stance import Stance, standing
+from experiments.transfer import OFF, SLIDE, TILT, WAYS, Transfer, run_transfer
 from experiments.wires import on_the_wire, wired
 from rtee.log import read
 from rtee.loop.choice import OPEN
 from rtee.trials.bench import bench
 from rtee.trials.pictures import Stills
-from rtee.trials.stance import Stance, standing
-from rtee.trials.transfer import OFF, SLIDE, TILT, run_transfer
-from rtee.trials.transfer_result import Transfer
 from rtee.trials.variation import interval
 from rtee.types import Goal, Named
 
@@ -130,7 +129,7 @@ def in_dynamics(
         reach=gripper.reach,
         variations=variations,
     )
-    stills = Stills.of_transfer(ready.hand) if pictures else None
+    stills = Stills(ready.hand, WAYS) if pictures else None
     # Once to find and learn the place that works, and again from there, to record nothing else.
     found = run_transfer(
         ready.hand, ready.library, ready.settings, transfer, stances=gripper.stances

@@ -7,10 +7,12 @@ import re
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, SupportsFloat
+from typing import TYPE_CHECKING, Final, SupportsFloat
 
 from rtee.errors import GoalRejected, suggestion
-from rtee.types import Result
+
+if TYPE_CHECKING:
+    from rtee.types import Result
 
 LENGTH: Final[Mapping[str, float]] = MappingProxyType(
     {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}

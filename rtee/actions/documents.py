@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
-from msgspec import Meta
+from annotated_types import Ge, Len
 
 from rtee.actions.build import (
     Find,
@@ -38,26 +38,28 @@ from rtee.actions.types import (
 )
 from rtee.errors import ActionError, UserError, suggestion
 from rtee.hand.model import Hand
-from rtee.hand.validation import Amount, Finite, Section, checked, field_names, fitting
+from rtee.hand.validation import Check, checked, field_types
 from rtee.hand.yamlfile import Location, YamlDocument, parse_yaml, read_text
 
 WHAT = "the file of actions"
 
+Amount = Annotated[float, Ge(0)]
 Names = tuple[str, ...]
-Vector = Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)]
-Angles = Annotated[tuple[Finite, ...], Meta(min_length=2, max_length=2)]
-SetPoints = Annotated[dict[str, Finite], Meta(min_length=1)]
+Vector = Annotated[tuple[float, ...], Len(3, 3)]
+Angles = Annotated[tuple[float, ...], Len(2, 2)]
+SetPoints = Annotated[dict[str, float], Len(1)]
 
 
 E = TypeVar("E")
 T = TypeVar("T")
-Some = Annotated[tuple[E, ...], Meta(min_length=1)]
+Some = Annotated[tuple[E, ...], Len(1)]
 
 
 # --- primitives ------------------------------------------------------------------------------
 
 
-class OppositionEntry(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class OppositionEntry:
     """How well contact forces oppose each other; see `Opposition`."""
 
     angles: Angles
@@ -65,7 +67,8 @@ class OppositionEntry(Section, frozen=True):
     friction: Amount = 0.5
 
 
-class EvidenceEntry(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class EvidenceEntry:
     """Evidence of the extraction for a posture; see `Evidence`."""
 
     depth: Amount = 0.0
@@ -83,21 +86,23 @@ class EvidenceEntry(Section, frozen=True):
 
     def evidence(self) -> Evidence:
         """Return the evidence."""
-        values: dict[str, Any] = {name: getattr(self, name) for name in field_names(EvidenceEntry)}
+        values: dict[str, Any] = {name: getattr(self, name) for name in field_types(EvidenceEntry)}
         if self.opposition is not None:
-            known = field_names(OppositionEntry)
+            known = field_types(OppositionEntry)
             values["opposition"] = Opposition(**{n: getattr(self.opposition, n) for n in known})
         return Evidence(**values)
 
 
-class PostureEntry(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class PostureEntry:
     """A posture of a primitive, with its evidence."""
 
     set_points: SetPoints
     evidence: EvidenceEntry | None = None
 
 
-class PrimitiveEntry(Section, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrimitiveEntry:
     """A primitive with its ranked postures."""
 
     elements: Names
@@ -105,7 +110,8 @@ class PrimitiveEntry(Section, frozen=True, kw_only=True):
     postures: Some[PostureEntry]
 
 
-class PrimitivesDocument(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class PrimitivesDocument:
     """A file of all primitives of one name."""
 
     kind: str
@@ -207,7 +213,7 @@ def set_points(posture: Posture) -> dict[str, float]:
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
     """Return evidence as plain data, without unknown values."""
-    values = {name: getattr(evidence, name) for name in field_names(EvidenceEntry)}
+    values = {name: getattr(evidence, name) for name in field_types(EvidenceEntry)}
     return {name: _plain(value) for name, value in values.items() if value not in (None, ())}
 
 
@@ -220,14 +226,15 @@ def _plain(value: Any) -> Any:
         case tuple():
             return [_plain(item) for item in value]
         case Opposition():
-            return {name: _plain(getattr(value, name)) for name in field_names(OppositionEntry)}
+            return {name: _plain(getattr(value, name)) for name in field_types(OppositionEntry)}
     return float(value)
 
 
 # --- composed, timed and generic actions -----------------------------------------------------
 
 
-class UseEntry(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class UseEntry:
     """A part of a composed action."""
 
     action: str
@@ -241,7 +248,8 @@ class UseEntry(Section, frozen=True):
         return replace(use, scale=use.scale * self.scale)
 
 
-class StepEntry(UseEntry, frozen=True):
+@dataclass(frozen=True, slots=True)
+class StepEntry(UseEntry):
     """An inner action of a timed one."""
 
     alias: str = ""
@@ -249,7 +257,8 @@ class StepEntry(UseEntry, frozen=True):
     after: Amount = 0.0
 
 
-class CustomDocument(Section, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CustomDocument:
     """A file of one composed, timed or generic action.
 
     Attributes:
@@ -258,13 +267,8 @@ class CustomDocument(Section, frozen=True, kw_only=True):
 
     body: ClassVar[str]
 
-    name: str
+    name: Annotated[str, Check(check_custom_name)]
     description: str = ""
-
-    def __post_init__(self) -> None:
-        """Check the name."""
-        with fitting("name"):
-            check_custom_name(self.name)
 
     @abstractmethod
     def make(self, hand: Hand, find: Find, document: YamlDocument) -> Action:
@@ -280,7 +284,8 @@ class CustomDocument(Section, frozen=True, kw_only=True):
         """Return the entries of an action's file other than name and description."""
 
 
-class ComposedDocument(CustomDocument, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComposedDocument(CustomDocument):
     """A file of a composed action."""
 
     body = "parts"
@@ -306,7 +311,8 @@ class ComposedDocument(CustomDocument, frozen=True, kw_only=True):
         return {"independent": action.independent, "parts": parts}
 
 
-class TimedDocument(CustomDocument, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimedDocument(CustomDocument):
     """A file of a timed action."""
 
     body = "steps"
@@ -334,7 +340,8 @@ class TimedDocument(CustomDocument, frozen=True, kw_only=True):
         }
 
 
-class GenericDocument(CustomDocument, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenericDocument(CustomDocument):
     """A file of a generic action."""
 
     body = "set_points"

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
-from msgspec import Meta
+from annotated_types import Ge, Len
 
 from rtee.actions.build import SLACK, StepPlan, full_posture, generic
 from rtee.actions.documents import located, read_document
@@ -37,7 +37,7 @@ from rtee.errors import ActionError, suggestion
 from rtee.hand.files import reason
 from rtee.hand.model import Hand
 from rtee.hand.names import safe_name
-from rtee.hand.validation import Amount, Finite, checked
+from rtee.hand.validation import OTHERS, checked
 from rtee.hand.yamlfile import Location, YamlDocument
 from rtee.types import from_rest
 
@@ -58,6 +58,7 @@ _GENERIC, _COMPOSED, _TIMED = 1, 2, 3
 _EARLY = "the files of early versions have neither 'PrimitiveType' nor 'Type'"
 
 
+Amount = Annotated[float, Ge(0)]
 Names = tuple[str, ...]
 Counts = dict[str, Amount]
 """Counts by name of the joint; 0 for joints that are not involved."""
@@ -65,46 +66,53 @@ Counts = dict[str, Amount]
 Joints = dict[str, Any]
 """Positions by joint; those of joints that the hand does not have may be anything."""
 
-_Positions = dict[str, Annotated[tuple[Finite, ...], Meta(min_length=1, max_length=1)] | Finite]
+_Positions = dict[str, Annotated[tuple[float, ...], Len(1, 1)] | float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Named:
+class _Entry:
+    """A mapping in a file of ROS End-Effector, with fields of the names of its keys, and others."""
+
+    others: Mapping[Any, Any] = field(default_factory=dict, metadata={OTHERS: True})
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Named(_Entry):
     ActionName: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SingleJoint:
+class _SingleJoint(_Entry):
     FingersInvolved: Names
     JointPosFurther: Joints
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Counted:
+class _Counted(_Entry):
     JointsInvolvedCount: Counts
 
 
 @dataclass(frozen=True, kw_only=True)
-class _State:
+class _State(_Entry):
     JointPos: Joints = field(default_factory=dict)
     JointStates: Joints = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Composed:
+class _Composed(_Entry):
     InnerActionsNames: Names = ()
     FingersInvolved: Names = ()
     Independent: Any = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Margins:
+class _Margins(_Entry):
     marginBefore: Amount  # noqa: N815 - the key
     marginAfter: Amount  # noqa: N815
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Timed:
+class _Timed(_Entry):
     ActionsTimeMargins: dict[str, _Margins]
     ActionsJointPos: dict[str, Joints]
     ActionsJointCount: dict[str, Counts]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rtee.actions.types import Action
 from rtee.errors import foreign
@@ -11,6 +11,9 @@ from rtee.remote.monitoring import HandStatus
 from rtee.remote.openings import OpeningRange
 from rtee.remote.words import sentence
 from rtee.types import Event, Result
+
+if TYPE_CHECKING:
+    from rtee.log.info import EventInfo
 
 UNTRUSTED: Final = "untrusted"
 """Key of every text that comes from files, devices, objects or other people."""
@@ -71,7 +74,7 @@ def result(each: Result) -> dict[str, Any]:
     }
 
 
-def event(each: Event) -> dict[str, Any]:
+def event(each: Event | EventInfo) -> dict[str, Any]:
     """Return an event."""
     return {"event": each.kind, "severity": each.severity, "text": outside(each.text)}
 

@@ -193,14 +193,14 @@ class Tools:
         files = await _recorded(self._agent(hand))
         if name not in files:
             raise GoalRejected(f"no recording '{name}'; {suggestion(name, files)}")
-        recording = (await anyio.to_thread.run_sync(info, [files[name]])).recording
+        recording = await anyio.to_thread.run_sync(info, [files[name]])
         return {
             "duration": recording.duration,
             "goals": [
                 {"goal": texts.outside(s.name), "from": s.start, "to": s.end, "ended": s.outcome}
-                for s in recording.spans
+                for s in recording.goals
             ],
-            "events": [{"at": e.t, **texts.event(e.value)} for e in recording.events],
+            "events": [{"at": e.t, **texts.event(e)} for e in recording.events],
         }
 
 

@@ -6,22 +6,22 @@ import random
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from msgspec import Meta
+from annotated_types import Ge, Gt, Le
 
-Amount = Annotated[float, Meta(ge=0.0, le=1e3)]
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Amount = Annotated[float, Ge(0.0), Le(1e3)]
+Share = Annotated[float, Ge(0.0), Le(1.0)]
 
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """What an emulated device has that its sheet does not tell.
+    """How an emulated device differs from its data sheet.
 
-    The shares are of a motor's whole way.
+    The shares are of a motor's full travel.
 
     Attributes:
-        lag: Time from a command until a motor at rest or on its way follows it [s].
+        lag: Time from a command until a motor at rest or moving follows it [s].
         pace: Share of the sheet's speed that its motors reach.
-        backlash: Way between motor and encoder in which the encoder does not follow [share].
+        backlash: Play between motor and encoder, in which the encoder does not follow [share].
         offset: Constant error of a position [share].
         noise: Standard deviation of a measured position [share].
         warmth: How far its motors get above the ambient temperature while it only waits [K].
@@ -33,9 +33,9 @@ class Wear:
     """
 
     lag: Amount = 0.0
-    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
+    pace: Annotated[float, Gt(0.0), Le(10.0)] = 1.0
     backlash: Share = 0.0
-    offset: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
+    offset: Annotated[float, Ge(-1.0), Le(1.0)] = 0.0
     noise: Share = 0.0
     warmth: Amount = 0.0
     late: Amount = 0.0
@@ -68,7 +68,7 @@ class WornSensor:
     """A position sensor with backlash, an offset and noise.
 
     Attributes:
-        backlash: Way in which it does not follow [units of the position].
+        backlash: Play in which it does not follow [units of the position].
         offset: Constant error [units of the position].
         noise: Standard deviation [units of the position].
     """
@@ -81,9 +81,9 @@ class WornSensor:
     _random: random.Random = field(default_factory=lambda: random.Random(1), repr=False)  # noqa: S311
 
     @classmethod
-    def of(cls, wear: Wear, way: float) -> WornSensor:
-        """Return the sensor of a motor with a way [units of the position]."""
-        return cls(wear.backlash * way, wear.offset * way, wear.noise * way)
+    def of(cls, wear: Wear, travel: float) -> WornSensor:
+        """Return the sensor of a motor with this travel [units of the position]."""
+        return cls(wear.backlash * travel, wear.offset * travel, wear.noise * travel)
 
     def read(self, position: float) -> float:
         """Return what it measures at a position."""

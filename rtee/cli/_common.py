@@ -14,12 +14,10 @@ import typer
 from typer.core import TyperCommand
 
 from rtee.errors import ConfigError, RteeError
-from rtee.hand.config_schema import Outside
 from rtee.units import AngleUnit
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.hand.subtree import Subtree
 
 HAND_VARIABLE = "RTEE_HAND"
 """Environment variable that names the hand where no option does."""
@@ -188,18 +186,6 @@ AngleOption = Annotated[
     AngleUnit | None,
     typer.Option(help="Unit of the angles of an MJCF that does not say; degree unless given."),
 ]
-RootOption = Annotated[
-    str | None,
-    typer.Option(
-        "--root", metavar="LINK", help="The link below which the hand is, out of a whole robot."
-    ),
-]
-OutsideOption = Annotated[
-    Outside,
-    typer.Option(
-        help="What becomes of what is not below --root: absent, or rigid, as an obstacle."
-    ),
-]
 # Process of the `rtee run` that started this command, which ends with it, even if it is killed.
 BesideOption = Annotated[int | None, typer.Option(metavar="PID", hidden=True)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -313,15 +299,6 @@ def log_to_stderr(verbose: bool) -> None:
 
 _FILES = 64
 """Files that a program on the network may have open at once; a hand has about 25."""
-
-
-def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
-    """Return which part of a robot is the hand; raises `ConfigError` for ``outside`` without it."""
-    from rtee.hand.subtree import Subtree
-
-    if root is None and outside is not Outside.ABSENT:
-        raise ConfigError("--outside says what becomes of what is not below --root LINK; give both")
-    return None if root is None else Subtree(root, outside)
 
 
 def check_files() -> None:

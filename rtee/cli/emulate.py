@@ -57,7 +57,7 @@ def emulate(
         typer.Option(
             "--object",
             metavar="SIZE",
-            help="Object between its fingers: 50mm, or the part of the way that they close, 0.4.",
+            help="Object between its fingers: 50mm, or the fraction of the closing travel, 0.4.",
         ),
     ] = None,
     ideal: IdealOption = False,

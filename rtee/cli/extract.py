@@ -19,16 +19,14 @@ from rtee import monotonic
 from rtee.cli._common import (
     AngleOption,
     JsonOption,
-    OutsideOption,
-    RootOption,
     XacroArguments,
     actions_of,
     complete_hand,
     hand_folder,
     owned,
-    subtree_of,
 )
 from rtee.cli._table import Column, Row, Table, WideOption, on_terminal, prefix_to_drop
+from rtee.cli.new import OutsideOption, RootOption, subtree_of
 from rtee.hand.config_schema import Outside
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ Series = Annotated[
 
 
 def _paths(path: Path, series: bool) -> list[Path]:
-    from rtee.log.reader import paths_of
+    from rtee.log.rotation import paths_of
 
     return paths_of(path, series=series)
 
@@ -58,34 +58,29 @@ def info(
 def _show(summary: Info) -> None:
     from rtee.log.info import iso
 
-    recording = summary.recording
     for path, size in summary.files:
         print(f"{path}  {size / 1e6:.1f} MB")
-    rate = f", {recording.rate:g} Hz" if recording.rate else ""
-    _print_safely(f"hand {recording.hand or 'unknown'}{rate}, written by {summary.library}")
+    rate = f", {summary.rate:g} Hz" if summary.rate else ""
+    _print_safely(f"hand {summary.hand or 'unknown'}{rate}, written by {summary.library}")
     print(
-        f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
+        f"{iso(summary.start) or 'no messages'}, {summary.duration:.1f} s, "
         f"{summary.size_per_minute / 1e6:.1f} MB a minute"
     )
     _show_topics(summary)
     if summary.attachments:
         names = ", ".join(name for name, _ in summary.attachments)
         _print_safely(f"attachments: {names}")
-    if summary.statistics is not None:
-        last = summary.statistics
+    if (last := summary.loop) is not None:
         print(
-            f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
-            f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
-            f"{last.dropped} records dropped"
+            f"loop: {last['ticks']} ticks, {last['missed']} missed, lateness p99 "
+            f"{last['lateness_p99'] * 1e6:.0f} µs, max {last['lateness_max'] * 1e6:.0f} µs, "
+            f"{last['dropped']} records dropped"
         )
-    if recording.spans:
-        _show_goals(recording)
-    for entry in recording.events:
-        event = entry.value
-        # Traces hold the bytes on the buses, with several in each tick.
-        if event.kind != "trace":
-            _print_safely(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
-    for note in recording.notes:
+    if summary.goals:
+        _show_goals(summary)
+    for event in summary.events:
+        _print_safely(f"{event.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
+    for note in summary.notes:
         _print_safely(f"note: {note}")
 
 
@@ -115,13 +110,13 @@ def _show_topics(summary: Info) -> None:
         Column("rate [Hz]", right=True, whole=True),
     )
     topics = (
-        Row((*map(foreign, (each.topic, each.kind)), str(each.messages), f"{each.rate:.1f}"))
+        Row((*map(foreign, (each.topic, each.type)), str(each.messages), f"{each.rate:.1f}"))
         for each in summary.topics
     )
     Table(columns, tuple(topics)).show()
 
 
-def _show_goals(recording: Recording) -> None:
+def _show_goals(summary: Info) -> None:
     columns = (
         Column("at [s]", right=True, whole=True),
         Column("goal"),
@@ -130,7 +125,7 @@ def _show_goals(recording: Recording) -> None:
     )
     spans = (
         Row((f"{s.start:.2f}", foreign(s.name), f"{s.end - s.start:.2f}", s.outcome))
-        for s in recording.spans
+        for s in summary.goals
     )
     Table(columns, tuple(spans)).show()
 

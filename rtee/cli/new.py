@@ -13,18 +13,29 @@ import typer
 
 from rtee.cli._common import (
     AngleOption,
-    OutsideOption,
-    RootOption,
     XacroArguments,
     complete_hand,
     hand_folder,
-    subtree_of,
 )
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import Outside
 
 if TYPE_CHECKING:
     from rtee.hand.scaffold import NewHand
+    from rtee.hand.subtree import Subtree
+
+RootOption = Annotated[
+    str | None,
+    typer.Option(
+        "--root", metavar="LINK", help="The link below which the hand is, out of a whole robot."
+    ),
+]
+OutsideOption = Annotated[
+    Outside,
+    typer.Option(
+        help="What becomes of what is not below --root: absent, or rigid, as an obstacle."
+    ),
+]
 
 
 def new(
@@ -136,3 +147,12 @@ def new_driver(
     for path in write_package(name, folder):
         print(path)
     print(f"now: cd {folder / name} && pip install -e '.[test]' && pytest")
+
+
+def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
+    """Return which part of a robot is the hand; raises `ConfigError` for ``outside`` without it."""
+    from rtee.hand.subtree import Subtree
+
+    if root is None and outside is not Outside.ABSENT:
+        raise ConfigError("--outside says what becomes of what is not below --root LINK; give both")
+    return None if root is None else Subtree(root, outside)

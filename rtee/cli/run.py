@@ -79,7 +79,7 @@ def run(
         typer.Option(
             "--object",
             metavar="SHAPE",
-            help="Between the fingers. With --emulated: 50mm, or 0.4 of the way that they close. "
+            help="Between the fingers. With --emulated: 50mm, or 0.4 of their closing travel. "
             "With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a "
             "mesh.",
         ),

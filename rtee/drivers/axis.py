@@ -62,7 +62,7 @@ class Axis:
         heating: Heating rate at the effort `rating` [K/s].
         cooling: Share of the difference to `ambient` lost per second [1/s].
         rating: Effort at which `heating` applies.
-        way: Its whole way, to which shares of wear refer; by default that between the stops.
+        travel: Its whole way, to which shares of wear refer; by default that between the stops.
         lag: Time from a change of `target` until it is followed [s]; a stop, the target at the
             present position, is followed at once.
         pace: Share of `max_velocity` that it reaches.
@@ -104,7 +104,7 @@ class Axis:
         self.heating = 0.5
         self.cooling = 0.01
         self.rating = max_effort
-        self.way = upper - lower if upper - lower < _ENDLESS else 0.0
+        self.travel = upper - lower if upper - lower < _ENDLESS else 0.0
         self.lag = 0.0
         self.pace = 1.0
         self.sensor = WornSensor()
@@ -117,7 +117,7 @@ class Axis:
     def wear_down(self, wear: Wear) -> None:
         """Differ from the sheet, and be warm after a while."""
         self.lag, self.pace = wear.lag, wear.pace
-        self.sensor = WornSensor.of(wear, self.way)
+        self.sensor = WornSensor.of(wear, self.travel)
         self.ambient += wear.warmth
 
     @property

@@ -30,7 +30,7 @@ wire NAME=SHARE   let the wire drop, corrupt, duplicate, delay or split a share 
                   or put noise before it: wire drop=0.05 noise=0.01
 unplug, replug    pull the cable, put it back
 power             cut the supply for a moment
-object SIZE       put an object between the fingers, 50mm wide or met after 0.4 of the way
+object SIZE       put an object between the fingers, 50mm wide or met after 0.4 of the travel
 object            take it away
 state             show the device
 quit              end

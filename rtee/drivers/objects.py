@@ -28,7 +28,7 @@ IDEAL_STATE, WORN_STATE = "ideal", "worn"
 STIFFNESS = 50.0
 """Default stiffness of an object; for its unit, see `ObjectInHand`."""
 
-WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50mm:20 (softer)"
+WRITTEN = "0.4 (fraction of the closing travel), 50mm (its width), or 50mm:20 (softer)"
 """How an object is written, for messages."""
 
 _PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
@@ -38,7 +38,7 @@ _SOFTEST, _HARDEST = 0.1, 1e6
 in a harder one a single encoder count is more than full effort."""
 _SLACK = 0.02
 """How far the fingers may already be closed beyond an object that is placed [fraction of their
-way]: friction and the resolution of encoders leave fingers that far from their target."""
+travel]: friction and the resolution of encoders leave fingers that far from their target."""
 
 
 class Closes(Protocol):
@@ -69,7 +69,7 @@ class Closing(NamedTuple):
 
     @property
     def part(self) -> float:
-        """Fraction of the way that it is closed, 0 to 1."""
+        """Fraction of the travel that it is closed, 0 to 1."""
         return (self.motor.position - self.opened) / (self.closed - self.opened)
 
 
@@ -78,11 +78,11 @@ class ObjectInHand:
     """An object that fingers close on.
 
     Attributes:
-        closure: Fraction of the way from open to closed at which the fingers meet it, 0 to 1;
+        closure: Fraction of the travel from open to closed at which the fingers meet it, 0 to 1;
             ignored if the width is given.
         width: Width [m], for devices whose distance between the fingers is known.
-        stiffness: Effort that presses the fingers through their whole way [greatest effort of the
-            device]: at 50, full effort presses them 2 % of the way into the object.
+        stiffness: Effort that presses the fingers through their full travel [greatest effort of the
+            device]: at 50, full effort presses them 2 % of the travel into the object.
     """
 
     closure: float = 0.0
@@ -112,8 +112,8 @@ class ObjectInHand:
             return cls(width=size * _METRES[unit], stiffness=stiffness)
         if not 0.0 <= size <= 1.0:
             raise ConfigError(
-                f"an object is met after 0 to 1 of the way, not {size:g}; a width has a unit, such "
-                "as 50mm"
+                f"an object is met after 0 to 1 of the travel, not {size:g}; a width has a "
+                "unit, such as 50mm"
             )
         return cls(closure=size, stiffness=stiffness)
 
@@ -130,14 +130,14 @@ class Grasps(ABC):
         """Return how each motor that closes on an object does so."""
 
     def closure_at(self, width: float) -> float:
-        """Return the fraction of the way at which the fingers meet an object of a width [m].
+        """Return the fraction of the travel at which the fingers meet an object of a width [m].
 
         Raises:
             ConfigError: if the distance between this device's fingers is not known.
         """
         raise ConfigError(
-            "the distance between this device's fingers is not known; give the part of the way at "
-            "which they meet the object, 0 to 1"
+            "the distance between this device's fingers is not known; give the fraction of the "
+            "travel at which they meet the object, 0 to 1"
         )
 
     def place_object(self, obj: ObjectInHand) -> None:
@@ -155,12 +155,12 @@ class Grasps(ABC):
         if any(one.motor.obstacle is None and one.part > at + _SLACK for one in closings):
             raise ConfigError("the fingers are closed further than that; open them first")
         for one in closings:
-            way = one.closed - one.opened
+            travel = one.closed - one.opened
             one.motor.obstacle = VirtualObject(
-                one.opened + at * way,
-                obj.stiffness * one.effort / abs(way),
+                one.opened + at * travel,
+                obj.stiffness * one.effort / abs(travel),
                 # Whether the motor's counts rise or fall while the fingers close.
-                math.copysign(1.0, way),
+                math.copysign(1.0, travel),
             )
 
     def remove_object(self) -> None:
@@ -242,13 +242,14 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
     try:
         return validated(Wear, {**worn, **state})
     except Invalid as error:
-        what = ".".join(map(str, error.first.at))
-        raise ConfigError(f"wear '{what}' of the emulated device: {error.sentence}") from None
+        first = error.errors()[0]
+        what = ".".join(map(str, first["loc"]))
+        raise ConfigError(f"wear '{what}' of the emulated device: {first['msg'].lower()}") from None
 
 
 def wear_down(emulator: Emulator, wear: Wear) -> None:
     """Make an emulated device differ from its sheet."""
     for one in emulator.closings() if isinstance(emulator, Grasps) else ():
         if isinstance(one.motor, Axis):
-            one.motor.way = abs(one.closed - one.opened)
+            one.motor.travel = abs(one.closed - one.opened)
     emulator.wear_down(wear)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -11,8 +12,7 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, Mod
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
 from rtee.drivers.onrobot_common import FIRMWARE, PRODUCT, SERIAL, SERIAL_COUNT
-from rtee.drivers.options import Byte, Duration, Positive, Rate
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Byte, Duration, Positive, Rate
 
 _GATEWAY_NO_TARGET = 0x0B  # Modbus exception: the target device does not answer the gateway
 _VERSION, _BUILD = 0x0105, 7  # firmware 1.5, build 7, as of no gripper in particular
@@ -24,7 +24,8 @@ IDENTITY: Window = (PRODUCT, SERIAL + SERIAL_COUNT - 1)
 """The registers of product code, firmware and serial number."""
 
 
-class OnRobotProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class OnRobotProperties:
     """Properties of an emulated gripper.
 
     Attributes:
@@ -54,11 +55,11 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         moves: Number of motions started.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | {"no_tool"}
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x06, 0x10, 0x17})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS = ModbusEmulator.FAULTS | {"no_tool"}
+    FUNCTIONS = frozenset({0x03, 0x06, 0x10, 0x17})
+    EXCEPTIONS = True
     # Without a port, the driver reaches the Compute Box by its host, which is Modbus TCP.
-    PORT: ClassVar[str] = "tcp://"
+    PORT = "tcp://"
     READABLE: ClassVar[Sequence[Window]]
     WRITABLE: ClassVar[Sequence[Window]]
     CONTROL: ClassVar[type[IntEnum]]

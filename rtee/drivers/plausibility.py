@@ -205,10 +205,12 @@ class Plausibility:
 
     def _moved(self, i: int, here: float, stamp: float, active: bool) -> None:
         # Called for each actuator at each tick of a motion, so min() and max() are written out.
-        way, most = abs(here - self._last[i]), self._most[i]
-        if way != way or not active:  # the first measurement, or an undriven actuator
+        travel, most = abs(here - self._last[i]), self._most[i]
+        if travel != travel or not active:  # the first measurement, or an undriven actuator
             self._left[i] = most
-            if way != way:  # as new as this tick, even if it was collected before the first one
+            if (
+                travel != travel
+            ):  # as new as this tick, even if it was collected before the first one
                 self._seen[i] = stamp
             if active and self._outside(i, here):
                 self._doubt(i, stamp, f"is at {here:.3g}", "far outside of its limits", step=False)
@@ -222,15 +224,15 @@ class Plausibility:
                 left += rate * (before - self._changed[i])
             if left > most:
                 left = most
-            if way > self._leap[i]:
+            if travel > self._leap[i]:
                 # A device may repeat an answer until it has a new one.
                 repeated = min(stamp - self._changed[i], _SPARE)
                 self._leaping_until[i] = stamp + _AGREEING * max(stamp - before, repeated)
-            rest = left + rate * (stamp - before) - way
+            rest = left + rate * (stamp - before) - travel
             self._left[i] = most if rest > most else rest if rest > 0.0 else 0.0
             if rest < 0.0:
                 late = f"within {(stamp - before) * 1e3:.3g} ms"
-                self._doubt(i, stamp, f"moved {way:.3g}", late, step=True)
+                self._doubt(i, stamp, f"moved {travel:.3g}", late, step=True)
             elif not self._lowest[i] <= here <= self._highest[i]:
                 self._doubt(i, stamp, f"is at {here:.3g}", "far outside of its limits", step=False)
         self._changed[i] = stamp

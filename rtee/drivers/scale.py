@@ -57,8 +57,8 @@ class FingerScale:
         position: Counts of the position to [rad | m].
         lever: Change of the width by the actuator's position [m/rad | 1].
         counts: Least and greatest count of speed and force.
-        speeds: Slowest and fastest fingertip [m/s].
         forces: Weakest and strongest grip [N].
+        speeds: Slowest and fastest fingertip [m/s]; 0 where it takes none.
 
     Attributes:
         position: Counts to [rad | m].
@@ -71,8 +71,8 @@ class FingerScale:
         position: LinearScale,
         lever: float,
         counts: tuple[float, float],
-        speeds: tuple[float, float],
         forces: tuple[float, float],
+        speeds: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.position = position
         self.velocity = LinearScale(counts, (speeds[0] / lever, speeds[1] / lever))

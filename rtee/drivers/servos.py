@@ -32,9 +32,9 @@ from rtee.drivers.servo_lines import (
     Calibrated,
     LineOptions,
     Measured,
-    Scale,
-    Scales,
     ServoOptions,
+    ServoScale,
+    ServoScales,
     check_present,
     fault_of,
     zeros_of,
@@ -215,7 +215,7 @@ class ServoDriver(Driver, Generic[L]):
         buses: BusPool,
         line: LineOptions,
         servos: Mapping[str, ServoOptions],
-        scales: Sequence[Scale],
+        scales: Sequence[ServoScale],
         coupling: Coupling | None = None,
     ) -> None:
         super().__init__(spec, buses)
@@ -264,7 +264,7 @@ class ServoDriver(Driver, Generic[L]):
         """Raise `HandshakeError` if a servo is set up in a way that excludes driving it."""
 
     @abstractmethod
-    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
         """Set the units of a servo according to what was found."""
 
     @abstractmethod
@@ -358,7 +358,7 @@ class ServoDriver(Driver, Generic[L]):
 
     def _use_scales(self) -> None:
         """Apply changes of the servos' units."""
-        self._units = Scales(self.scales)
+        self._units = ServoScales(self.scales)
 
     def _describe(self) -> None:
         """Refine the capabilities according to the servos found."""

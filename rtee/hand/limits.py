@@ -12,6 +12,7 @@ from rtee.errors import ModelError, UserError
 from rtee.hand.config_schema import (
     ActuatorDynamics,
     ActuatorLimits,
+    DefaultLimits,
     FlangeSection,
     PositionRange,
     TouchSection,
@@ -74,7 +75,7 @@ class Overrides:
     package_dirs: tuple[Path, ...] = ()
     rest: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, ActuatorLimits] = field(default_factory=dict)
-    default_limits: ActuatorLimits = field(default_factory=ActuatorLimits)
+    default_limits: DefaultLimits = field(default_factory=DefaultLimits)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
     tip_friction: Mapping[str, float] = field(default_factory=dict)

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -29,7 +30,6 @@ INDEX_ENTRY = 16
 
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _INDEX_AFTER_LENGTH = INDEX.size - 9  # the same of a message index
-_RECORD_HEAD = 9  # bytes of opcode and length, before any record's content
 _LEAST_ROOM = 65536  # first size of a chunk's buffer [byte]: a second of a small hand
 _SPARE = 1.25
 """A buffer is this many times as large as the chunk that it was made for: those that follow are
@@ -73,7 +73,7 @@ class PackedChunk:
         start: Earliest log time [ns since 1970].
         end: Latest log time [ns since 1970].
         compression: ``zstd``, ``lz4`` or empty.
-        digest: Records of its goals, results and events; ``None``: not known.
+        digest: What a digest tells of it (`rtee.log.digest`); ``None``: not known.
     """
 
     record: bytes | memoryview
@@ -85,7 +85,7 @@ class PackedChunk:
     compressed_size: int
     uncompressed_size: int
     compression: str = "zstd"
-    digest: Sequence[bytes] | None = None
+    digest: Sequence[Sequence[Any]] | None = None
 
     @property
     def size(self) -> int:
@@ -246,38 +246,6 @@ class ChunkBuilder:
                 self._block_offsets.append(self._room.size)
                 self._room.append(row.tobytes())
             del rows, row  # the view is released
-
-
-class Digest:
-    """Records collected into the content of one chunk, compressed as they come."""
-
-    def __init__(self) -> None:
-        # A small window, which takes a tenth of the usual memory: the records are alike.
-        parameters = zstandard.ZstdCompressionParameters.from_level(
-            3, window_log=16, chain_log=14, hash_log=14
-        )
-        self._stream = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
-        self._data = bytearray()
-        self._checksum = 0
-        self.size = 0
-
-    def add(self, record: bytes) -> None:
-        """Add a record."""
-        self._data += self._stream.compress(record)
-        self._checksum = zlib.crc32(record, self._checksum)
-        self.size += len(record)
-
-    def content(self, start: int, end: int) -> bytes:
-        """Return the chunk's content, with times [ns since 1970]; then no more may be added."""
-        chunk = Chunk(
-            compression="zstd",
-            data=bytes(self._data + self._stream.flush()),
-            message_start_time=start,
-            message_end_time=end,
-            uncompressed_crc=self._checksum,
-            uncompressed_size=self.size,
-        )
-        return record_bytes(chunk)[_RECORD_HEAD:]
 
 
 def pack(

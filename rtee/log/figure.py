@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import LogError
-from rtee.log.file_index import index_file
+from rtee.log.brief import brief
 from rtee.log.labels import Band, Label, bands_of, labels_of
-from rtee.log.reader import read_indexed, windows
+from rtee.log.reader import windows
 from rtee.log.recording import Entry, JointSeries, Recording, Span, TouchSeries
 from rtee.loop.plan import Plan
 from rtee.messages import topics
@@ -198,11 +198,10 @@ class _Lines:
 def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> Iterator[Recording]:
     """Read what `figure` needs of a recording, piece by piece."""
     only = [*_TOPICS]
-    brief = [index_file(path, brief=True) for path in paths]
-    told = read_indexed(brief, [topics.GOALS, topics.PLANS])
-    simple = {entry.value.goal_id for entry in told.plans if not entry.value.timed}
+    briefs = [brief(path) for path in paths]
     # There is much of it, of which that of timed actions alone tells more than goals and results.
-    if any(entry.value.goal_id not in simple for entry in told.goals):
+    simple = {plan[1] for each in briefs if each for plan in each.of("plan") if not plan[-1]}
+    if any(each is None or any(g[1] not in simple for g in each.of("goal")) for each in briefs):
         only.append(topics.FEEDBACK)
     pieces = windows(paths, only=only, start=start, end=end)
     first = next(pieces)

@@ -13,19 +13,16 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
     Header,
     Metadata,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
 
 from rtee.errors import LogError
 from rtee.hand.files import reason
+from rtee.log.brief import DIGEST, MAGIC
 from rtee.log.chunks import INDEX_ENTRY
-from rtee.log.mcapfile import DIGEST, MAGIC
 from rtee.log.record_scanner import messages_of, parsed, records_of, scan
 from rtee.log.resync import DAMAGE, HEAD, LATEST, DamagedRecordError, Record
 from rtee.log.rotation import METADATA
@@ -84,9 +81,6 @@ class FileIndex:
         notes: Sentences about problems of the file.
         damage: Those notes that report damage.
         repairable: Those of them about damage that is not in a recovered file any more.
-        digest: The goals, results and events of a file of which only begin and end were read, as
-            records; ``None`` if all of it was.
-        statistics: What its summary counts, in that case.
     """
 
     path: Path
@@ -103,8 +97,6 @@ class FileIndex:
     notes: tuple[str, ...]
     damage: tuple[str, ...] = ()
     repairable: tuple[str, ...] = ()
-    digest: bytes | None = None
-    statistics: Statistics | None = None
 
     @property
     def values(self) -> Mapping[str, str]:
@@ -124,76 +116,28 @@ class FileIndex:
 
     def count(self, channel: int) -> int:
         """Return the number of messages on a channel, according to the indexes."""
-        if self.statistics is not None:
-            return self.statistics.channel_message_counts.get(channel, 0)
         return sum(chunk.count(channel) for chunk in self.chunks)
 
     @property
     def start(self) -> int:
         """Earliest log time [ns since 1970]; 0 without messages."""
-        if self.statistics is not None:
-            return self.statistics.message_start_time
         return min((chunk.start for chunk in self.chunks), default=0)
 
     @property
     def end(self) -> int:
         """Latest log time [ns since 1970]; 0 without messages."""
-        if self.statistics is not None:
-            return self.statistics.message_end_time
         return max((chunk.end for chunk in self.chunks), default=0)
 
 
-def index_file(path: Path | str, *, brief: bool = False) -> FileIndex:
-    """Index the content of a file; with ``brief`` read its begin and its end alone, if they do.
-
-    They do for a file that rtee has closed. Damage in between is not noticed then.
-
-    Raises `LogError` if it cannot be opened or is not an MCAP file.
-    """
+def index_file(path: Path | str) -> FileIndex:
+    """Index the content of a file; raises `LogError` if it cannot be opened or is not MCAP."""
     path = Path(path)
     try:
         if path.exists() and not path.is_file():
             raise LogError("is not a file", path=path)
-        return _Indexer(path).look(brief=brief)
+        return _Indexer(path).look()
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
-
-
-def _ending(stream: BinaryIO, size: int) -> tuple[Statistics, bytes] | None:
-    """Return statistics and digest of a file that rtee has closed, ``None`` if it lacks them."""
-    offset = size - len(MAGIC) - _FOOTER.size
-    stream.seek(max(0, offset - HEAD.size))
-    head = stream.read(HEAD.size)
-    footer = Record(Opcode.FOOTER, offset, _FOOTER.size)
-    if head != HEAD.pack(Opcode.FOOTER, _FOOTER.size) or stream.read()[_FOOTER.size :] != MAGIC:
-        return None
-    begin = _FOOTER.unpack(footer.read(stream))[1]
-    try:
-        if not _summary_sound(footer, stream) or not 0 < begin <= offset:
-            return None
-        stream.seek(begin)
-        offsets = stream.read(offset - begin)
-        groups = {
-            group.group_opcode: Record(group.group_opcode, group.group_start, group.group_length)
-            for _, content in records_of(offsets, Opcode.SUMMARY_OFFSET)
-            for group in (parsed(SummaryOffset, content),)
-        }
-        kinds = Opcode.STATISTICS, Opcode.ATTACHMENT_INDEX
-        (_, counts), *indexes = (
-            each for kind in kinds for each in records_of(groups[kind].read(stream), kind)
-        )
-        for _, content in indexes:
-            index = parsed(AttachmentIndex, content)
-            if index.name == DIGEST:
-                where = Record(
-                    Opcode.ATTACHMENT, index.offset + HEAD.size, index.length - HEAD.size
-                )
-                attachment = parsed(Attachment, where.read(stream))
-                data = attachment.data and messages_of(attachment.data)[0]
-                return parsed(Statistics, counts), data
-    except (DamagedRecordError, LookupError, ValueError):
-        pass  # whoever reads all of the file says what is damaged
-    return None
 
 
 def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
@@ -233,7 +177,7 @@ class _Indexer:
         self._repeats = False  # whether the summary is read, which repeats the definitions
         self._defined: tuple[dict[tuple[int, int], bytes], ...] = ({}, {})
 
-    def look(self, *, brief: bool) -> FileIndex:
+    def look(self) -> FileIndex:
         with self._path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise LogError("is not an MCAP file", path=self._path)
@@ -241,13 +185,7 @@ class _Indexer:
             good = len(MAGIC)
             data = True
             finished = False
-            ending = None
             for record in scan(stream):
-                if brief and record.opcode == Opcode.CHUNK:
-                    brief, ending = False, _ending(stream, size)
-                    if ending is not None:
-                        finished = True
-                        break
                 if record.opcode == Opcode.FOOTER:
                     stream.seek(record.end)
                     finished = stream.read(len(MAGIC)) == MAGIC
@@ -286,7 +224,6 @@ class _Indexer:
                 good = size
             else:
                 self._damage.summary = True
-        statistics, digest = ending or (None, None)
         if all(self._defined) and self._defined[0] != self._defined[1] and self._ours:
             self._unreadable.append("the definitions of its messages are altered")
         repairable = self._damage.sentences([(chunk.start, chunk.end) for chunk in self._chunks])
@@ -306,8 +243,6 @@ class _Indexer:
             notes=(*damage, *self._notes),
             damage=damage,
             repairable=repairable,
-            digest=digest,
-            statistics=statistics,
         )
 
     def _define_from_chunks(self, stream: BinaryIO) -> None:

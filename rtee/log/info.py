@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from rtee.errors import MessageError
-from rtee.log import column_reader
-from rtee.log.file_index import FileIndex, index_file
-from rtee.log.reader import read_indexed
-from rtee.log.record_scanner import messages_of
-from rtee.log.recording import Recording
-from rtee.log.resync import DamagedRecordError
-from rtee.messages import topics
-from rtee.messages.codec import SECOND
-from rtee.messages.convert import LOOP_STATISTICS
-from rtee.types import LoopStatistics
+from rtee.errors import LogError
+from rtee.log.brief import SECOND, Brief, brief, rate_of, spans_of
 
 _STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
-_FEW = topics.DIGESTED - {topics.LOOP_STATISTICS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,27 +19,66 @@ class TopicInfo:
     """A topic of a recording, with the type, the number and the rate [Hz] of its messages."""
 
     topic: str
-    kind: str
+    type: str
     messages: int
     rate: float
 
 
 @dataclass(frozen=True, slots=True)
+class GoalInfo:
+    """A goal, with times since the recording's start [s]; `rtee.log.Span` has the outcomes."""
+
+    name: str
+    start: float
+    end: float
+    outcome: str
+    goal_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class EventInfo:
+    """An event, with its time since the recording's start [s]."""
+
+    t: float
+    kind: str
+    source: str
+    text: str
+    severity: str
+
+
+@dataclass(frozen=True, slots=True)
 class Info:
-    """Summary of a recording: files and attachments with their sizes [bytes], topics with messages.
+    """Summary of a recording.
 
     Attributes:
+        files: Files with their sizes [bytes].
         library: Name of the software that wrote the files.
-        statistics: The last loop statistics.
-        recording: Goals, results and events.
+        start: Time of the first message since 1970 [ns].
+        duration: Time from the first to the last message [s].
+        finished: Whether all files were closed properly.
+        attachments: Names with sizes [bytes].
+        loop: The last loop statistics by name (`rtee.types.LoopStatistics`).
+        notes: Sentences about problems of the files.
     """
 
     files: tuple[tuple[Path, int], ...]
+    hand: str
     library: str
+    start: int
+    duration: float
+    finished: bool
+    metadata: Mapping[str, str]
     topics: tuple[TopicInfo, ...]
     attachments: tuple[tuple[str, int], ...]
-    statistics: LoopStatistics | None
-    recording: Recording
+    goals: tuple[GoalInfo, ...]
+    events: tuple[EventInfo, ...]
+    loop: Mapping[str, float] | None
+    notes: tuple[str, ...]
+
+    @property
+    def rate(self) -> float:
+        """Rate of the loop [Hz]; 0 if unknown."""
+        return rate_of(self.metadata)
 
     @property
     def size(self) -> int:
@@ -62,43 +88,19 @@ class Info:
     @property
     def size_per_minute(self) -> float:
         """Average size per minute [bytes]; 0 for an empty recording."""
-        duration = self.recording.duration
-        return 60.0 * self.size / duration if duration else 0.0
+        return 60.0 * self.size / self.duration if self.duration else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the summary as data for JSON."""
-        recording = self.recording
-        return {
-            "hand": recording.hand,
+        return asdict(self) | {
             "files": [{"path": str(path), "bytes": size} for path, size in self.files],
-            "finished": recording.finished,
-            "library": self.library,
-            "start": iso(recording.start),
-            "duration": recording.duration,
+            "start": iso(self.start),
             "bytes": self.size,
             "bytes_per_minute": round(self.size_per_minute),
-            "metadata": dict(recording.metadata),
-            "topics": [
-                {"topic": t.topic, "type": t.kind, "messages": t.messages, "rate": round(t.rate, 3)}
-                for t in self.topics
-            ],
+            "topics": [asdict(each) | {"rate": round(each.rate, 3)} for each in self.topics],
             "attachments": dict(self.attachments),
-            "goals": [
-                _chosen(span, "name", "start", "end", "outcome", "goal_id")
-                for span in recording.spans
-            ],
-            "events": [
-                {"t": entry.t} | _chosen(entry.value, "kind", "source", "text", "severity")
-                for entry in recording.events
-                if entry.value.kind != "trace"
-            ],
-            "loop": self.statistics and _chosen(self.statistics, *_STATISTICS),
-            "notes": list(recording.notes),
+            "loop": self.loop and {name: self.loop[name] for name in _STATISTICS},
         }
-
-
-def _chosen(value: object, *names: str) -> dict[str, Any]:
-    return {name: getattr(value, name) for name in names}
 
 
 def iso(wall_ns: int) -> str:
@@ -111,65 +113,83 @@ def iso(wall_ns: int) -> str:
 def info(paths: Sequence[Path], *, deep: bool = False) -> Info:
     """Return the summary of a recording's files.
 
-    Of files that rtee has closed, only begin and end are read; with ``deep`` every record is, so
-    that damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
+    Of files that rtee has closed, only the end is read; with ``deep`` every record is, so that
+    damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
     """
-    file_indexes = [index_file(path, brief=not deep) for path in paths]
-    recording = read_indexed(file_indexes, _FEW)
+    files = [(None if deep else brief(path)) or _whole(path) for path in paths]
+    for other in files[1:]:
+        if other.hand != files[0].hand:
+            raise LogError(
+                f"is a recording of '{other.hand}', not of '{files[0].hand}'", path=other.path
+            )
+    start = min((each.start for each in files if each.end), default=0)
+    duration = (max(each.end for each in files) - start) / SECOND
+
+    def all_of(kind: str) -> list[list[Any]]:
+        told = (entry for each in files for entry in each.of(kind))
+        return [[(wall - start) / SECOND, *rest] for wall, *rest in sorted(told, key=_time)]
+
+    counts: dict[tuple[str, str], int] = {}
+    for each in files:
+        for topic, kind, count in each.topics:
+            counts[topic, kind] = counts.get((topic, kind), 0) + count
+    spans = spans_of(
+        ((t, *rest) for t, *rest in all_of("goal")),
+        {goal_id: action for _, goal_id, action, _ in all_of("plan")},
+        {goal_id: (t, outcome) for t, goal_id, outcome in all_of("result")},
+        duration,
+    )
+    loop = all_of("loop")
     return Info(
-        files=tuple((each.path, each.size) for each in file_indexes),
-        library=file_indexes[0].library,
-        topics=tuple(_topics(file_indexes, recording.duration)),
-        attachments=tuple(
-            (name, len(attachment.data)) for name, attachment in file_indexes[0].attachments.items()
+        files=tuple((each.path, each.size) for each in files),
+        hand=files[0].hand,
+        library=files[0].library,
+        start=start,
+        duration=duration,
+        finished=all(each.finished for each in files),
+        metadata=files[0].metadata,
+        topics=tuple(
+            TopicInfo(topic, kind, count, count / duration if duration else 0.0)
+            for (topic, kind), count in sorted(counts.items())
+            if count
         ),
-        statistics=_statistics(file_indexes[-1]),
-        recording=recording,
+        attachments=tuple((name, size) for name, size in files[0].attachments),
+        goals=tuple(GoalInfo(*span) for span in spans),
+        events=tuple(EventInfo(*event) for event in all_of("event")),
+        loop=loop[-1][1] if loop else None,
+        notes=tuple(note for each in files for note in each.notes),
     )
 
 
-def _topics(file_indexes: Sequence[FileIndex], duration: float) -> list[TopicInfo]:
-    counts: dict[tuple[str, str], int] = {}
-    for each in file_indexes:
-        for number, channel in each.channels.items():
-            schema = each.schemas.get(channel.schema_id)
-            key = (channel.topic, schema.name if schema else "")
-            counts[key] = counts.get(key, 0) + each.count(number)
-    return [
-        TopicInfo(topic, kind, count, count / duration if duration else 0.0)
-        for (topic, kind), count in sorted(counts.items())
-        if count
-    ]
+def _time(told: Sequence[Any]) -> int:
+    return int(told[0])
 
 
-def _statistics(file: FileIndex) -> LoopStatistics | None:
-    """Return the last loop statistics of a file."""
-    topic = topics.log_topic(file.hand, topics.LOOP_STATISTICS)
-    number = next((k for k, channel in file.channels.items() if channel.topic == topic), None)
-    if number is None:
-        return None
-    if file.digest is not None:
-        return _last(file.digest, number)
-    with file.path.open("rb") as stream:
-        # The last ones cover the whole run, so that no other chunk need be decompressed.
-        for place in reversed(file.chunks):
-            # The last chunk of a killed writer has no index and must be decompressed.
-            if place.indexes and number not in place.indexes:
-                continue
-            try:
-                data, _ = messages_of(place.record.read(stream))
-            except DamagedRecordError:
-                continue
-            if (last := _last(data, number)) is not None:
-                return last
-    return None
+def _whole(path: Path) -> Brief:
+    """Read all of a file, which need not be closed, or be of rtee."""
+    # Only here: NumPy and what imports it take longer than most summaries.
+    from rtee.log.digest import lines_of
+    from rtee.log.file_index import index_file
+    from rtee.log.reader import read_indexed
+    from rtee.messages.topics import DIGESTED
 
-
-def _last(data: bytes, number: int) -> LoopStatistics | None:
-    """Return the last valid loop statistics on a channel among records."""
-    starts = column_reader.walk(data).get(number, ())[-1:]
-    last = column_reader.messages(np.frombuffer(data, dtype=np.uint8), starts)
-    for message in () if last is None else last.contents():
-        with contextlib.suppress(MessageError):
-            return LOOP_STATISTICS.decode(message)
-    return None
+    file = index_file(path)
+    recording = read_indexed([file], DIGESTED)
+    return Brief(
+        path=path,
+        size=file.size,
+        library=file.library,
+        hand=file.hand,
+        metadata=recording.metadata,
+        topics=[
+            (channel.topic, schema.name if schema else "", file.count(number))
+            for number, channel in file.channels.items()
+            for schema in (file.schemas.get(channel.schema_id),)
+        ],
+        attachments=[(name, len(each.data)) for name, each in file.attachments.items()],
+        start=recording.start,
+        end=recording.end,
+        told=list(lines_of(recording)),
+        finished=recording.finished,
+        notes=recording.notes,
+    )

@@ -9,7 +9,6 @@ of `mcap.records`.
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import os
 import struct
@@ -17,6 +16,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -35,17 +35,11 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from rtee.log.chunks import Digest, PackedChunk, record_bytes
+from rtee.log.brief import DIGEST, LARGEST_DIGEST, MAGIC
+from rtee.log.chunks import PackedChunk, record_bytes
+from rtee.log.digest import Digest
 
-MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
-
-DIGEST = "digest"
-"""Name of the last attachment: a copy of goals, results and events, so that a summary of a file
-needs nothing but its begin and its end."""
-
-_LARGEST_DIGEST = 1 << 25
-"""Size from which a digest is left out [bytes]: 32 MB hold 30,000 goals, and would take memory."""
 
 _MODE = 0o640
 """Mode of a recording, readable only for the robot's user and group."""
@@ -72,24 +66,6 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def being_written(path: Path) -> bool:
-    """Return whether a recorder has the file open."""
-    try:
-        # Without O_NONBLOCK, opening a named pipe would wait for its writer.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except OSError:
-        return False
-    try:
-        # The kernel drops the recorder's lock with its process, unlike a lock file. This lock is
-        # shared, so that two programs that look at once do not take each other for a recorder.
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno in (errno.EWOULDBLOCK, errno.EACCES)
-    finally:
-        os.close(descriptor)
-    return False
 
 
 class McapFile:
@@ -225,9 +201,9 @@ class McapFile:
         for channel, count in chunk.counts.items():
             self._counts[channel] = self._counts.get(channel, 0) + count
         if self._digest is not None:
-            for record in chunk.digest or ():
-                self._digest.add(record)
-            if chunk.digest is None or self._digest.size > _LARGEST_DIGEST:
+            for line in chunk.digest or ():
+                self._digest.add(line)
+            if chunk.digest is None or self._digest.size > LARGEST_DIGEST:
                 self._digest = None
 
     def attach(self, name: str, data: bytes) -> None:
@@ -269,13 +245,32 @@ class McapFile:
             schema_count=len(self._preamble.schemas),
         )
 
+    def _own(self) -> dict[str, Any]:
+        """Return the fields of `rtee.log.brief.Brief` that the file itself tells."""
+        types = {schema.id: schema.name for schema in self._preamble.schemas}
+        values = self._preamble.metadata.get("rtee", {})
+        return {
+            "library": self._preamble.library,
+            "hand": values.get("hand", ""),
+            "metadata": values,
+            "topics": [
+                (channel.topic, types.get(channel.schema_id, ""), self._counts.get(channel.id, 0))
+                for channel in self._preamble.channels
+            ],
+            "attachments": [
+                (each.name, each.data_size)
+                for each in self._indexes
+                if isinstance(each, AttachmentIndex)
+            ],
+            "start": self._start,
+            "end": self._end,
+        }
+
     def _ending(self) -> tuple[bytes, bytes]:
         last = b""
         if self._digest is not None and self._end:
-            digest = self._digest.content(self._start, self._end)
-            attachment = Attachment(
-                self._end, self._end, DIGEST, "application/octet-stream", digest
-            )
+            digest = self._digest.content(self._own())
+            attachment = Attachment(self._end, self._end, DIGEST, "application/zlib", digest)
             last = self._attached(attachment, self._size)
         # 0: no checksum over the data, as each chunk has one.
         data_end = record_bytes(DataEnd(0))

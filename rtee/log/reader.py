@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
-from mcap.opcode import Opcode
 
 from rtee.errors import GoalRejected, LogError, MessageError
 from rtee.hand.files import reason
 from rtee.log import column_reader
+from rtee.log.brief import Brief, brief
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.plans import plan_of
 from rtee.log.record_scanner import messages_of
@@ -28,8 +28,8 @@ from rtee.log.recording import (
     TouchSeries,
     touch_series,
 )
-from rtee.log.resync import LATEST, DamagedRecordError, Record
-from rtee.log.rotation import MESHES, parts_of, recordings
+from rtee.log.resync import LATEST, DamagedRecordError
+from rtee.log.rotation import MESHES, paths_of
 from rtee.log.tick_columns import decode_ticks
 from rtee.loop.plan import Plan
 from rtee.messages import GOAL, convert, topics
@@ -80,7 +80,7 @@ def read(
 
 
 def read_indexed(file_indexes: Sequence[FileIndex], only: Iterable[str] | None = None) -> Recording:
-    """Read files that were indexed; of those indexed in brief, what their digests hold."""
+    """Read files that were indexed."""
     return _Collector(file_indexes, _wanted(only)).read()
 
 
@@ -100,16 +100,16 @@ def windows(
     are those of `read`.
     """
     wanted = _wanted(only)
-    briefs = [index_file(each, brief=True) for each in paths_of(path, series=series)]
+    briefs = [brief(each) or index_file(each) for each in paths_of(path, series=series)]
     briefs.sort(key=lambda each: each.start)
     span = _span(briefs)
     first = span[0] + round((start or 0.0) * SECOND)
     last = span[1] if end is None else span[0] + round(end * SECOND)
     _check_hands(briefs)
     chosen = [each for each in briefs if each.end >= first and each.start <= last]
-    for brief in chosen or briefs[:1]:
+    for file in chosen or briefs[:1]:
         # One after the other: the index of an hour takes some 30 MB.
-        whole = brief if brief.digest is None else index_file(brief.path)
+        whole = file if isinstance(file, FileIndex) else index_file(file.path)
         yield from _Collector([whole], wanted, span).pieces(first, last)
 
 
@@ -121,7 +121,7 @@ def _wanted(only: Iterable[str] | None) -> set[str]:
     return wanted | {topics.TICKS} if wanted.intersection(_TABLES) else wanted
 
 
-def _span(file_indexes: Sequence[FileIndex]) -> tuple[int, int]:
+def _span(file_indexes: Sequence[FileIndex | Brief]) -> tuple[int, int]:
     """Return the earliest and the latest log time [ns since 1970]; 0 without messages."""
     return (
         min((each.start for each in file_indexes if each.end), default=0),
@@ -129,27 +129,11 @@ def _span(file_indexes: Sequence[FileIndex]) -> tuple[int, int]:
     )
 
 
-def _check_hands(file_indexes: Sequence[FileIndex]) -> None:
+def _check_hands(file_indexes: Sequence[FileIndex | Brief]) -> None:
     hand = file_indexes[0].hand
     for other in file_indexes[1:]:
         if other.hand != hand:
             raise LogError(f"is a recording of '{other.hand}', not of '{hand}'", path=other.path)
-
-
-def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
-    """Return the files that `read` would read; `LogError` if a folder holds no recording."""
-    if not isinstance(path, (str, Path)):
-        if not path:
-            raise LogError("no file is given")
-        return [Path(each) for each in path]
-    path = Path(path)
-    if path.is_dir():
-        # Not the flight recorder's files, which hold only the last minute before a fault.
-        parts = [file for file in recordings(path) if file.part is not None]
-        if not parts:
-            raise LogError("there is no recording in this folder", path=path)
-        return parts_of(parts[-1].path)
-    return parts_of(path) if series else [path]
 
 
 class _Channel(NamedTuple):
@@ -257,9 +241,6 @@ class _Collector:
         ]
         try:
             with file.path.open("rb") as stream:
-                if file.digest is not None:
-                    all_of_it = ChunkPlace(Record(Opcode.CHUNK, 0, 0), file.start, file.end)
-                    self._chunk(all_of_it, file.digest, stream, channels)
                 for place, data in _chunks_ahead(file.path, wanted):
                     if not isinstance(data, DamagedRecordError):
                         self._chunk(place, data, stream, channels)

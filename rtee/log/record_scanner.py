@@ -13,17 +13,14 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
     Chunk,
     Header,
     Metadata,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
 
-from rtee.log.mcapfile import MAGIC
+from rtee.log.brief import MAGIC
 from rtee.log.resync import DAMAGE, HEAD, DamagedRecordError, Finder, Record
 from rtee.messages.mcap_chunk import DamagedChunkError, decompressed
 
@@ -35,9 +32,6 @@ R = TypeVar(
     Schema,
     Channel,
     Chunk,
-    Statistics,
-    SummaryOffset,
-    AttachmentIndex,
 )
 
 

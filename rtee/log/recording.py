@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
+from rtee.log.brief import rate_of, spans_of
 from rtee.loop.plan import Plan
 from rtee.messages.codec import SECOND
 from rtee.objects.description import ObjectDescription
@@ -301,10 +302,7 @@ class Recording(Value):
     @property
     def rate(self) -> float:
         """Rate of the loop [Hz]; 0 if unknown."""
-        try:
-            return float(self.metadata.get("rate", "0"))
-        except ValueError:
-            return 0.0
+        return rate_of(self.metadata)
 
     @property
     def marks(self) -> list[Entry[Event]]:
@@ -314,29 +312,26 @@ class Recording(Value):
     @cached_property
     def spans(self) -> list[Span]:
         """The spans of all goals, in order."""
-        results = {entry.value.goal_id: entry for entry in self.results}
         feedback: dict[str, list[Entry[Feedback]]] = {}
         for entry in self.feedback:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
-        spans = []
-        names = {plan.value.goal_id: plan.value.action for plan in self.plans}
-        # A goal whose result is missing was preempted by the next one at the latest.
-        ends = [(entry.t, "unknown") for entry in self.goals[1:]] + [(self.duration, "running")]
-        for goal, (after, left) in zip(self.goals, ends, strict=False):
-            what = goal.value.what
-            action = names.get(goal.value.goal_id, getattr(what, "action", ""))
-            name = " ".join((action, *what.elements))
-            ended = results.get(goal.value.goal_id)
-            end = ended.t if ended else after
-            outcome = ended.value.outcome if ended else left
-            progress = feedback.get(goal.value.goal_id, [])
-            inner = tuple(_inner_spans(progress, goal.value.goal_id, end, outcome))
-            spans.append(Span(name, goal.t, end, outcome, goal.value.goal_id, inner))
-        return spans
+        told = spans_of(
+            [
+                (e.t, e.value.goal_id, getattr(e.value.what, "action", ""), e.value.what.elements)
+                for e in self.goals
+            ],
+            {entry.value.goal_id: entry.value.action for entry in self.plans},
+            {entry.value.goal_id: (entry.t, entry.value.outcome) for entry in self.results},
+            self.duration,
+        )
+        return [
+            Span(*span, tuple(_inner_spans(feedback.get(span[-1], []), *reversed(span[2:]))))
+            for span in told
+        ]
 
 
 def _inner_spans(
-    feedback: Sequence[Entry[Feedback]], goal_id: str, end: float, outcome: str
+    feedback: Sequence[Entry[Feedback]], goal_id: str, outcome: str, end: float
 ) -> Iterator[Span]:
     """Yield the inner actions of a timed action, as its feedback names them."""
     name, start = "", 0.0

@@ -17,11 +17,14 @@ from mcap.opcode import Opcode
 from rtee.errors import LogError
 from rtee.hand.files import reason
 from rtee.log import column_reader
-from rtee.log.chunks import MESSAGE, PackedChunk, index_records
+from rtee.log.chunks import PackedChunk, index_records
+from rtee.log.digest import lines_of
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
-from rtee.log.mcapfile import McapFile, Preamble, being_written
+from rtee.log.mcapfile import McapFile, Preamble
+from rtee.log.reader import read_indexed
 from rtee.log.record_scanner import messages_of
 from rtee.log.resync import HEAD, DamagedRecordError
+from rtee.log.rotation import being_written
 from rtee.messages import topics
 from rtee.messages.codec import SECOND
 
@@ -147,8 +150,11 @@ def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
 
 
 def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
-    """Yield the intact chunks, each with an index and a digest made from its messages."""
-    digested = {topics.log_topic(file.hand, name) for name in topics.DIGESTED}
+    """Yield the intact chunks, each with an index made from its messages."""
+    try:
+        digest = [*lines_of(read_indexed([file], topics.DIGESTED))]
+    except LogError:  # a recording of other software
+        digest = None
     for place in file.chunks:
         content = place.record.read(stream)
         try:
@@ -156,15 +162,12 @@ def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
         except DamagedRecordError:
             continue
         array = np.frombuffer(data, dtype=np.uint8)
-        entries, digest = {}, []
+        entries = {}
         for number, offsets in column_reader.walk(data).items():
             if number in file.channels:
                 found = column_reader.messages(array, offsets)
                 assert found is not None  # noqa: S101 - they were found there
                 entries[number] = found.times.astype(np.uint64), found.starts.astype(np.uint64)
-                if file.channels[number].topic in digested:
-                    ends = found.starts + MESSAGE.size + found.sizes
-                    digest += [data[a:z] for a, z in zip(offsets, ends.tolist(), strict=True)]
         if not entries:
             continue
         index, where = index_records(entries)
@@ -181,3 +184,4 @@ def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
             compression=chunk.compression,
             digest=digest,
         )
+        digest = digest and []  # told with the first

@@ -15,7 +15,7 @@ from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
 
-from rtee.log.mcapfile import MAGIC
+from rtee.log.brief import MAGIC
 from rtee.messages.mcap_chunk import LARGEST_CHUNK
 
 HEAD = struct.Struct("<BQ")

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import re
 import stat
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mcap.opcode import Opcode
-from mcap.records import Metadata
+from rtee.errors import LogError
+from rtee.log.brief import SECOND, metadata_of
 
-from rtee.log.mcapfile import MAGIC, being_written
-from rtee.log.record_scanner import parsed, scan
-from rtee.log.settings import RecorderSettings
-from rtee.messages.codec import SECOND
+if TYPE_CHECKING:
+    from rtee.log.settings import RecorderSettings
 
 METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""
@@ -29,7 +30,24 @@ FLIGHT = "flight"
 
 _STAMP = r"\d{8}T\d{9}Z"
 _NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
-_FEW_RECORDS = 3  # records read to recognise a recording: header and metadata are the first
+
+
+def being_written(path: Path) -> bool:
+    """Return whether a recorder has the file open."""
+    try:
+        # Without O_NONBLOCK, opening a named pipe would wait for its writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        # The kernel drops the recorder's lock with its process, unlike a lock file. This lock is
+        # shared, so that two programs that look at once do not take each other for a recorder.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in (errno.EWOULDBLOCK, errno.EACCES)
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def session_name(wall_ns: int) -> str:
@@ -92,16 +110,10 @@ def _head(path: Path, inode: int) -> tuple[str, int]:
     """Return hand and run in a file's metadata; an empty name if rtee did not write it."""
     if (path, inode) not in _heads:
         try:
-            with path.open("rb") as stream:
-                if stream.read(len(MAGIC)) != MAGIC:
-                    return "", 0
-                for record in islice(scan(stream), _FEW_RECORDS):
-                    if record.opcode == Opcode.METADATA:
-                        metadata = parsed(Metadata, record.read(stream))
-                        if metadata.name == METADATA:
-                            values = metadata.metadata
-                            # Read once, since the head of a recording never changes.
-                            _heads[path, inode] = values.get("hand", ""), int(values.get("run", 0))
+            values = metadata_of(path, METADATA)
+            if values is not None:
+                # Read once, since the head of a recording never changes.
+                _heads[path, inode] = values.get("hand", ""), int(values.get("run", 0))
         except (OSError, ValueError):
             return "", 0
     return _heads.get((path, inode), ("", 0))
@@ -147,6 +159,22 @@ def parts_of(path: Path) -> list[Path]:
         for other in recordings(path.parent, file.hand)
         if other.session == file.session and other.part is not None
     ]
+
+
+def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
+    """Return the files that `read` would read; `LogError` if a folder holds no recording."""
+    if not isinstance(path, (str, Path)):
+        if not path:
+            raise LogError("no file is given")
+        return [Path(each) for each in path]
+    path = Path(path)
+    if path.is_dir():
+        # Not the flight recorder's files, which hold only the last minute before a fault.
+        parts = [file for file in recordings(path) if file.part is not None]
+        if not parts:
+            raise LogError("there is no recording in this folder", path=path)
+        return parts_of(parts[-1].path)
+    return parts_of(path) if series else [path]
 
 
 def is_ours(path: Path, hand: str) -> bool:

@@ -1,4 +1,4 @@
-"""Settings and status of the recorder."""
+"""Settings and status of the recorder, as dataclasses without pydantic."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 from rtee.hand.config_schema import LogSection
 
 
-class RecorderSettings(LogSection, frozen=True):
+@dataclass(frozen=True, slots=True)
+class RecorderSettings(LogSection):
     """Settings of the recorder: the section of hand.yaml, and some that it does not have.
 
     Attributes:

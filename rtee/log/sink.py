@@ -11,10 +11,11 @@ from pathlib import Path
 from rtee.hand.files import reason
 from rtee.log.chunks import PackedChunk
 from rtee.log.layout import STATE, Contents
-from rtee.log.mcapfile import McapFile, being_written
+from rtee.log.mcapfile import McapFile
 from rtee.log.rotation import (
     FLIGHT,
     Retention,
+    being_written,
     flight_path,
     next_run,
     part_path,

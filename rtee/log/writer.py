@@ -6,7 +6,7 @@ import contextlib
 import mmap
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ from zlib import crc32
 
 from rtee.commands import CommandRecord, StreamSample
 from rtee.hand.config_schema import Layout, Recorded
-from rtee.log.chunks import ChunkBuilder, InColumns, PackedChunk, message_head
+from rtee.log.chunks import ChunkBuilder, InColumns, PackedChunk
+from rtee.log.digest import line_of
 from rtee.log.layout import CHANNELS, Contents, library_name
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
@@ -51,9 +52,6 @@ ITSELF = "recorder"
 
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write, besides all events of severity error."""
-
-TRACE = "trace"
-"""Kind of the events with the bytes on a bus, of which there may be several in each tick."""
 
 _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
     Goal: (topics.GOALS, GOAL),
@@ -130,7 +128,7 @@ class LogWriter:
             every = max(1, round(rate / settings.tf_rate)) if settings.tf_rate else _SELDOM
             columns = InColumns(CHANNELS[topics.TICKS], every)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level, columns)
-        self._digest: list[bytes] = []
+        self._digest: list[Sequence[Any]] = []
         self._held: deque[tuple[PackedChunk, int]] = deque()
         self._until = 0  # what happens is recorded until then [ns since 1970]
         self._due: float | None = None
@@ -259,37 +257,26 @@ class LogWriter:
             self._until = wall + _AROUND
         if isinstance(item, Plan):
             self._plan = item if item.grip is not None else None
-            # A summary needs the name of the action alone.
-            named = replace(item, legs=(), effort={}, grip=None)
-            self._add(
-                topics.PLANS,
-                wall,
-                *(
-                    encode_plan(each, self._actuators, time=stamp, wall=wall)
-                    for each in (item, named)
-                ),
-            )
+            data = encode_plan(item, self._actuators, time=stamp, wall=wall)
+            self._add(topics.PLANS, wall, data)
         else:
             topic, codec = _CODECS[type(item)]
             if isinstance(item, CommandRecord) and isinstance(item.command, StreamSample):
                 topic, codec = topics.STREAM_SAMPLES, convert.STREAM_SAMPLE
-            data = codec.encode(item, time=stamp, wall=wall)
-            brief = (
-                data if topic in topics.DIGESTED and getattr(item, "kind", "") != TRACE else None
-            )
-            self._add(topic, wall, data, brief)
+            self._add(topic, wall, codec.encode(item, time=stamp, wall=wall))
+        self._tell(item, wall)
         if isinstance(item, Event) and (item.severity == "error" or item.kind in FAULTS):
             self.fault(f"{item.kind}: {item.text}")
         self._begun()
 
-    def _add(self, topic: str, wall: int, data: bytes, brief: bytes | None = None) -> None:
-        """Add a message, and a brief one to the digest."""
+    def _tell(self, item: Item, wall: int) -> None:
+        if line := line_of(item, wall):
+            self._digest.append(line)
+
+    def _add(self, topic: str, wall: int, data: bytes) -> None:
         # One counter for all these topics keeps their order at equal times.
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self._builder.add(CHANNELS[topic], self._sequence, wall, data)
-        if brief is not None:
-            head = message_head(CHANNELS[topic], self._sequence, wall, len(brief))
-            self._digest.append(head + brief)
 
     def _begun(self) -> None:
         if self._due is None:
@@ -378,8 +365,8 @@ class LogWriter:
         event = Event(kind, ITSELF, text, now, "warning")
         # Also into the recording itself, where it explains the gap to a reader.
         wall = self.wall_of(event.stamp)
-        data = convert.EVENT.encode(event, wall=wall)
-        self._add(topics.EVENTS, wall, data, data)
+        self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
+        self._tell(event, wall)
         if self._notify is not None:
             with contextlib.suppress(RuntimeError):  # the loop that would be notified has ended
                 self._notify(event)

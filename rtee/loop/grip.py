@@ -200,9 +200,9 @@ class Grip:
         """Return the intensity whose posture is nearest to actuator positions."""
         along = length = 0.0
         for i, rest, target in zip(self.indices, self.rest, self.target, strict=True):
-            way = target - rest
-            along += (position[i] - rest) * way
-            length += way * way
+            travel = target - rest
+            along += (position[i] - rest) * travel
+            length += travel * travel
         return along / length if length > _LEAST_TRAVEL else math.nan
 
     def intensity_at(self, width: float) -> float:
@@ -233,8 +233,8 @@ class Grip:
         k, _ = self._cell(intensity)
         # Over a few cells, since a single cell may be as short as rounding.
         low, high = max(k - 2, 0), min(k + 3, len(self.width) - 1)
-        way = self.intensity[high] - self.intensity[low]
-        return (self.width[low] - self.width[high]) / way
+        travel = self.intensity[high] - self.intensity[low]
+        return (self.width[low] - self.width[high]) / travel
 
     def error_of(self, width: float, intensity: float) -> float:
         """Return the actuators' error that corresponds to an error of the opening.

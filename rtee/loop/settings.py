@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-
-from msgspec import field
+from dataclasses import dataclass, field
 
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import (
@@ -44,7 +42,8 @@ class DeviceSettings:
     reconnect_active: bool = False
 
 
-class LoopSettings(LoopSection, frozen=True):
+@dataclass(frozen=True, slots=True)
+class LoopSettings(LoopSection):
     """The settings of one hand's loop.
 
     Attributes:

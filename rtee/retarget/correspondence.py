@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from msgspec import Meta, field
+from annotated_types import Ge, Len
 
 from rtee.actions.openings import model_of
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
-from rtee.hand.validation import Section, checked
+from rtee.hand.validation import checked
 from rtee.hand.yamlfile import read_yaml
 from rtee.hand.yamlwrite import emit
 
@@ -37,7 +38,8 @@ class Human(StrEnum):
     NEAREST = "nearest"
 
 
-class Palm(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Palm:
     """The palm's axes, unit vectors in the hand's base frame.
 
     Attributes:
@@ -51,7 +53,8 @@ class Palm(Section, frozen=True):
     distal: Vector
 
 
-class FingerMap(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class FingerMap:
     """A finger of the hand and the human one that it follows.
 
     Attributes:
@@ -66,12 +69,13 @@ class FingerMap(Section, frozen=True):
     human: Human
     base: Vector
     tip: Vector
-    reach: Annotated[float, Meta(ge=0.0)]
-    scale: Annotated[float, Meta(ge=0.0)] = 1.0
-    follow: Annotated[float, Meta(ge=0.0)] = 1.0
+    reach: Annotated[float, Ge(0.0)]
+    scale: Annotated[float, Ge(0.0)] = 1.0
+    follow: Annotated[float, Ge(0.0)] = 1.0
 
 
-class Pinch(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Pinch:
     """Two fingertips that meet.
 
     Attributes:
@@ -89,7 +93,8 @@ class Pinch(Section, frozen=True):
     way: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
-class Correspondence(Section, frozen=True):
+@dataclass(frozen=True)
+class Correspondence:
     """How a person's hand moves this one.
 
     Attributes:
@@ -104,7 +109,7 @@ class Correspondence(Section, frozen=True):
     format: int
     model: str
     palm: Palm
-    fingers: Annotated[dict[str, FingerMap], Meta(min_length=1)]
+    fingers: Annotated[dict[str, FingerMap], Len(1)]
     closed: dict[str, float] = field(default_factory=dict)
     pinches: tuple[Pinch, ...] = ()
 

@@ -286,8 +286,8 @@ class DriverContract:
             await asyncio.sleep(0.2)
             moved = (await session.sense()).position - there.position
             onward = [
-                math.copysign(float(way), way * (f - n))
-                for way, n, f in zip(moved, near, far, strict=True)
+                math.copysign(float(travel), travel * (f - n))
+                for travel, n, f in zip(moved, near, far, strict=True)
             ]
             # Only motion towards the goal is wrong: a hand may spring back a little when it stops.
             assert max(onward) <= self.case.tolerance, "it moved on"

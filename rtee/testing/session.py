@@ -128,18 +128,18 @@ class Session:
             await asyncio.sleep(0.002)
 
     async def approach(self, goal: Sequence[float], share: float) -> list[float]:
-        """Go a share of the way to a posture as the loop does; return the last reference.
+        """Move part of the way to a posture as the loop does; return the last reference.
 
         At a tenth of the velocity limits, and what is measured and asked is told to the driver.
         """
         standstill = self.driver.standstill
         here = list(map(float, (await self.sense()).position))
-        ways = [share * (g - q) for g, q in zip(goal, here, strict=True)]
-        pairs = zip(ways, self.case.actuators, strict=True)
+        travels = [share * (g - q) for g, q in zip(goal, here, strict=True)]
+        pairs = zip(travels, self.case.actuators, strict=True)
         ticks = math.ceil(max(abs(w) / (0.1 * a.velocity) for w, a in pairs) * self.case.rate)
         wanted = here
         for tick in range(1, ticks + 1):
-            wanted = [q + way * tick / ticks for q, way in zip(here, ways, strict=True)]
+            wanted = [q + travel * tick / ticks for q, travel in zip(here, travels, strict=True)]
             reference = Reference.at(wanted)
             standstill.asked(reference)
             state = await self.cycle(reference)

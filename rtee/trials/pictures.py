@@ -29,9 +29,6 @@ _TABLE_COLOUR = "#c9ccd1"
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
 """Ways of the hand in a trial, from where it starts."""
 
-_FAR = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.14], [0.16, 0.1, 0.14], [0.24, 0.12, 0.0]])
-"""Ways of the hand in a transfer."""
-
 
 class SimulationRenderer:
     """Renders one simulation, always from the same place."""
@@ -133,7 +130,7 @@ def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
 
 
 class Stills:
-    """Pictures of the moments of a trial or a transfer; give it as what watches.
+    """Pictures of the moments of a trial; give it as what watches.
 
     Another try takes the place of the one before. All pictures of one try show the same section.
 
@@ -158,11 +155,6 @@ class Stills:
     def of_trial(cls, hand: Hand, back: FloatArray | None = None) -> Stills:
         """Return what takes the pictures of a trial."""
         return cls(hand, _REACH, back)
-
-    @classmethod
-    def of_transfer(cls, hand: Hand) -> Stills:
-        """Return what takes the pictures of a transfer; they show a wider section."""
-        return cls(hand, _FAR)
 
     def __call__(self, moment: str, headless: HeadlessHand[Simulation]) -> None:
         """Take a picture."""

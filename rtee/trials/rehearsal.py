@@ -21,9 +21,9 @@ from rtee.loop.configure import loop_settings
 from rtee.loop.planning import make_plan
 from rtee.remote.words import sentence
 from rtee.trials.grasp_placement import Places
-from rtee.trials.grasp_truth import RATE
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP
+from rtee.trials.tasks import RATE
 from rtee.types import Goal, Result
 
 _SETTLE: Final = 0.5

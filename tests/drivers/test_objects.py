@@ -44,7 +44,7 @@ def test_an_object_is_a_width_or_a_part_of_the_way(
         ("1.2.3", "cannot be read"),
         ("0.4:0", "stiffness 0.1 to 1e6"),
         ("0.4:hard", "cannot be read"),
-        ("-0.1", "0 to 1 of the way, not -0.1"),
+        ("-0.1", "0 to 1 of the travel, not -0.1"),
         (50, "a width has a unit, such as 50mm"),
     ],
 )
@@ -130,7 +130,7 @@ def test_an_internal_grip_opens_into_its_object() -> None:
     ("name", "text", "sentence"),
     [
         ("robotiq_2f", "90mm", "90 mm wide is not between the fingers"),
-        ("qb_softhand", "50mm", "give the part of the way"),
+        ("qb_softhand", "50mm", "give the fraction of the travel"),
         ("schunk_svh", "0.1", "open them first"),
     ],
 )

@@ -28,11 +28,10 @@ from rtee.log.column_reader import walk
 from rtee.log.export import Format, export
 from rtee.log.file_index import index_file
 from rtee.log.info import info
-from rtee.log.mcapfile import being_written
 from rtee.log.record_scanner import messages_of, scan
 from rtee.log.recover import recover
 from rtee.log.resync import DamagedRecordError, Record
-from rtee.log.rotation import recordings
+from rtee.log.rotation import being_written, recordings
 
 HEAD = struct.Struct("<BQ")
 LATEST = 2**64 - 1

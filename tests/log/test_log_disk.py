@@ -17,8 +17,7 @@ from rtee.errors import LogError
 from rtee.hand.config_schema import Recorded
 from rtee.hand.model import Hand
 from rtee.log import read, rotation
-from rtee.log.mcapfile import being_written
-from rtee.log.rotation import is_ours, parse_name, parts_of, recordings
+from rtee.log.rotation import being_written, is_ours, parse_name, parts_of, recordings
 from rtee.types import Event
 
 

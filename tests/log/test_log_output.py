@@ -69,8 +69,8 @@ def test_info_counts_what_is_there(story: Path) -> None:
     assert counts["/claw/joint_states"] == 200
     assert counts["/claw/goals"] == 2
     assert found.size == story.stat().st_size
-    assert found.statistics is not None
-    assert found.statistics.ticks == 100
+    assert found.loop is not None
+    assert found.loop["ticks"] == 100
     assert [name for name, _ in found.attachments] == ["claw.urdf", "hand.yaml"]
     document = json.loads(json.dumps(found.as_dict()))
     assert document == json.loads(json.dumps(info([story], deep=True).as_dict()))
@@ -80,10 +80,18 @@ def test_info_counts_what_is_there(story: Path) -> None:
     assert document["events"][0]["text"] == "look here"
 
 
+def test_a_summary_waits_for_no_numpy(story: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from rtee.log.info import info;"
+        " info([Path(sys.argv[1])]); sys.exit('numpy' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(story)], check=True)
+
+
 def test_info_of_a_cut_off_file_says_so(story: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(story.read_bytes()[:-300])
-    assert any("not closed" in note for note in info([path]).recording.notes)
+    assert any("not closed" in note for note in info([path]).notes)
 
 
 def test_pieces_give_the_same_tables_and_the_same_plot(

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from rtee.cli.log import app
 from rtee.errors import LogError
 from rtee.log import Recording, read
+from rtee.log.brief import MAGIC
 from rtee.log.file_index import index_file
-from rtee.log.mcapfile import MAGIC
 from rtee.log.record_scanner import scan
 from rtee.log.recover import recover
 from rtee.log.resync import DAMAGE, HEAD, Record

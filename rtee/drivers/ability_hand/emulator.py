@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, Self
 
-from msgspec import Meta
+from pydantic import Field
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.wear import TYPICAL, Wear
@@ -32,10 +32,9 @@ from rtee.drivers.ability_hand.codec import (
 from rtee.drivers.ability_hand.control import EFFORTS, SPEEDS
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, read_properties
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Byte, Duration, Positive, read_properties
 
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 _RANGES = ((0.0, 1.74),) * 5 + ((-1.74, 0.0),)
 """Ranges of the motors' joints [rad], from the maker's model."""
@@ -51,7 +50,8 @@ _INDEX, _ROTATOR = 0, 5
 """Indices of two motors in `codec.MOTORS`; the thumb's rotator does not react to collisions."""
 
 
-class AbilityProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class AbilityProperties:
     """Properties of the emulated hand.
 
     Attributes:
@@ -91,9 +91,9 @@ class AbilityHandEmulator(Emulator, Grasps):
     """
 
     # Words of the sensors of one finger of a real hand, while nothing touches them.
-    WEAR: ClassVar[Wear] = replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "hot"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
+    WEAR = replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
+    FAULTS = Emulator.FAULTS | {"silent", "hot"}
+    BAUDRATES = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction
     period = 0.05
     """Time between two steps [s]: it leaves API mode by itself, without any traffic."""

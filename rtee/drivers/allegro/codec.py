@@ -7,7 +7,6 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.packed import Packed, part
@@ -62,8 +61,8 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 class Periods(Packed):
     """Periods at which the hand sends data by itself [ms]; 0: never."""
 
-    WHAT: ClassVar[str] = "periods"
-    ERROR: ClassVar[type[ValueError]] = AllegroFrameError
+    WHAT = "periods"
+    ERROR = AllegroFrameError
 
     joints: int = part("H", default=0)
     imu: int = part("H", default=0)
@@ -94,9 +93,9 @@ class HandInfo(Packed):
         status: Servo, over-temperature, internal communication.
     """
 
-    WHAT: ClassVar[str] = "hand information"
-    ERROR: ClassVar[type[ValueError]] = AllegroFrameError
-    LONGER: ClassVar[bool] = True
+    WHAT = "hand information"
+    ERROR = AllegroFrameError
+    LONGER = True
 
     hardware: int = part("H")
     firmware: int = part("H")
@@ -137,7 +136,7 @@ def read_counts(data: bytes) -> tuple[int, int, int, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class JointScale:
     """The units of a version.
 
     Attributes:
@@ -161,9 +160,9 @@ class Scale:
         return round(angle / self.rad_per_count)
 
 
-SCALES: dict[int, Scale] = {
-    4: Scale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
-    5: Scale(5, math.radians(0.088), 1200.0, 2),
+SCALES: dict[int, JointScale] = {
+    4: JointScale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
+    5: JointScale(5, math.radians(0.088), 1200.0, 2),
 }
 """Units by version."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from rtee.drivers.allegro.codec import FINGERS, JOINTS, LIMITS_PWM, PER_FINGER, Scale
+from rtee.drivers.allegro.codec import FINGERS, JOINTS, LIMITS_PWM, PER_FINGER, JointScale
 
 _AT_REST = 0.05
 """Largest speed of a reference that counts as at rest [rad/s]."""
@@ -40,7 +40,7 @@ class JointControl:
 
     def __init__(
         self,
-        scale: Scale,
+        scale: JointScale,
         *,
         kp: float,
         kd: float,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.drivers.allegro import codec
@@ -26,8 +26,7 @@ from rtee.drivers.allegro.codec import (
 )
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Duration, Positive, read_properties
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Duration, Positive, read_properties
 
 _STEP = 0.0005
 """Longest integration step [s]: a joint against an object oscillates with a period of 30 ms."""
@@ -48,7 +47,8 @@ _SERIALS = {
 """Serial numbers by version and whether it is a left hand."""
 
 
-class AllegroProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class AllegroProperties:
     """Properties of the emulated hand.
 
     Attributes:
@@ -130,7 +130,7 @@ class AllegroEmulator(Emulator, Grasps):
         frames: Number of frames received, by command.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
+    FAULTS = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
     period = 0.0005
 
     def __init__(self, properties: AllegroProperties | None = None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Self
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.packed import Packed, part
@@ -90,8 +90,8 @@ class Emergency(Packed):
         vendor: Five manufacturer-specific bytes.
     """
 
-    WHAT: ClassVar[str] = "an emergency message"
-    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
+    WHAT = "an emergency message"
+    ERROR = CanopenFrameError
 
     code: int = part("H")
     register: int = part("B", default=0)
@@ -129,8 +129,8 @@ class Sdo(Packed):
         data: Four bytes: the value, the length or the abort code.
     """
 
-    WHAT: ClassVar[str] = "an SDO frame"
-    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
+    WHAT = "an SDO frame"
+    ERROR = CanopenFrameError
 
     command: int = part("B")
     index: int = part("H")

@@ -141,8 +141,8 @@ class Pdo(Packed):
 
     __slots__ = ()
 
-    WHAT: ClassVar[str] = "the data of a PDO"
-    ERROR: ClassVar[type[ValueError]] = CanopenFrameError
+    WHAT = "the data of a PDO"
+    ERROR = CanopenFrameError
     MAP: ClassVar[tuple[int, ...]]
 
 
@@ -150,7 +150,7 @@ class Pdo(Packed):
 class Command(Pdo):
     """The first receive PDO: controlword, target position, mode."""
 
-    MAP: ClassVar[tuple[int, ...]] = (0x6040_0010, 0x607A_0020, 0x6060_0008)
+    MAP = (0x6040_0010, 0x607A_0020, 0x6060_0008)
 
     controlword: int = part("H")
     target: int = part("i")
@@ -161,7 +161,7 @@ class Command(Pdo):
 class Limits(Pdo):
     """The second receive PDO: maximal torque [0.1 %] and profile velocity [drive's unit]."""
 
-    MAP: ClassVar[tuple[int, ...]] = (0x6072_0010, 0x6081_0020)
+    MAP = (0x6072_0010, 0x6081_0020)
 
     torque: int = part("H")
     velocity: int = part("I")
@@ -171,7 +171,7 @@ class Limits(Pdo):
 class Status(Pdo):
     """The first transmit PDO: statusword, position [counts], mode."""
 
-    MAP: ClassVar[tuple[int, ...]] = (0x6041_0010, 0x6064_0020, 0x6061_0008)
+    MAP = (0x6041_0010, 0x6064_0020, 0x6061_0008)
 
     statusword: int = part("H")
     position: int = part("i")
@@ -187,7 +187,7 @@ class Status(Pdo):
 class Motion(Pdo):
     """The second transmit PDO: velocity [drive's unit], torque [0.1 %], error code."""
 
-    MAP: ClassVar[tuple[int, ...]] = (0x606C_0020, 0x6077_0010, 0x603F_0010)
+    MAP = (0x606C_0020, 0x6077_0010, 0x603F_0010)
 
     velocity: int = part("i")
     torque: int = part("h")
@@ -195,7 +195,7 @@ class Motion(Pdo):
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class DriveScale:
     """The units of one drive.
 
     Attributes:

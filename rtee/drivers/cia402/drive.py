@@ -51,7 +51,7 @@ class DriveLink:
     bus: CanopenBus
     options: NodeOptions
     name: str
-    scale: codec.Scale = field(default_factory=lambda: codec.Scale(1.0))
+    scale: codec.DriveScale = field(default_factory=lambda: codec.DriveScale(1.0))
     status: Status | None = None
     motion: Motion = field(default_factory=lambda: Motion(0, 0, 0))
     stamp: float = 0.0

@@ -17,7 +17,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import NmtCommand
-from rtee.drivers.cia402.codec import Control, Limits, Mode, Object, Scale, State, StatusBit
+from rtee.drivers.cia402.codec import Control, DriveScale, Limits, Mode, Object, State, StatusBit
 from rtee.drivers.cia402.cycle import MODES, SET_UP_WITHIN, DriveCycle
 from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.options import Cia402Options
@@ -83,7 +83,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
     return name, str(drive.number(Object.IDENTITY, 4, default=0))
 
 
-def read_scale(drive: DriveLink, device: str) -> Scale:
+def read_scale(drive: DriveLink, device: str) -> DriveScale:
     """Return a drive's units from its options or its objects; in the worker thread.
 
     Raises `HandshakeError` if its objects are inconsistent, and `BusError`.
@@ -111,7 +111,7 @@ def read_scale(drive: DriveLink, device: str) -> Scale:
         rated = drive.number(Object.RATED_TORQUE, default=0) / 1000.0
         torque = rated * motor / shaft if rated > 0.0 and shaft > 0 else math.nan
     current = drive.number(Object.RATED_CURRENT, default=0) / 1000.0
-    return Scale(counts, given.zero, torque, current or math.nan, given.velocity_unit)
+    return DriveScale(counts, given.zero, torque, current or math.nan, given.velocity_unit)
 
 
 _DISARM_WITHIN = 0.5

@@ -25,8 +25,7 @@ from rtee.drivers.cia402.codec import (
     StatusBit,
 )
 from rtee.drivers.cia402.node import Entry, Node
-from rtee.drivers.options import Positive
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Positive
 
 Method = Literal[1, 2, 17, 18, 33, 34, 35, 37]
 METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
@@ -58,7 +57,8 @@ class Leg:
     speed: float
 
 
-class DriveProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class DriveProperties:
     """Properties of the emulated drives.
 
     Attributes:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
-from rtee.buses.wear import TYPICAL, Wear
+from rtee.buses.wear import TYPICAL
 from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import read_properties
+from rtee.drivers.properties import read_properties
 
 _CODES = {"overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611}
 """Error codes of the faults of the first drive."""
@@ -28,8 +28,8 @@ class Cia402Emulator(Emulator, Grasps):
     """
 
     # The encoder of a drive sits on its motor and is homed: it sees neither play nor an offset.
-    WEAR: ClassVar[Wear] = replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
+    WEAR = replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
+    FAULTS = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
 
     def __init__(self, properties: DriveProperties | None = None) -> None:

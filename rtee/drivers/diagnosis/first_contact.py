@@ -27,19 +27,19 @@ _PERIOD = 0.05
 _REST = 2.0
 """Time for which it is watched at rest [s]: long enough for a hundred readings."""
 _SLOW = 0.1
-"""Share of its way that an actuator is moved in a second: a hand can be taken away in time."""
+"""Share of its travel that an actuator is moved in a second: a hand can be taken away in time."""
 _ARRIVES = 8.0
 """Longest time from the last reference until it stands [s]; some devices grip over seconds."""
 _PLACES = (0.25, 0.75)
-"""Parts of the way at which a person measures."""
+"""Fractions of the travel at which a person measures."""
 _NEAR = 0.15
 """Error of a scale that a ruler and a person explain [share]: 2 mm of 13."""
 _ZERO = 0.08
-"""Error of a zero that a ruler and a person explain [share of the way]."""
+"""Error of a zero that a ruler and a person explain [share of the travel]."""
 _HARDLY = (0.005, 0.01, 0.02, 0.04, 0.08)
-"""Steps with which the smallest motion is looked for [share of the way]."""
+"""Steps with which the smallest motion is looked for [share of the travel]."""
 _STOPS = 0.05
-"""Way after a stop that counts as standing [share]: 0.3 s of lag at the speed of this test."""
+"""Travel after a stop that counts as standing [share]: 0.3 s of lag at the speed of this test."""
 _LEAST_FORCE, _MOST_FORCE = 0.4, 2.5
 """Range of the measured by the told force within which a rough gauge confirms it."""
 
@@ -162,8 +162,8 @@ class FirstContact:
         one = self._actuators[index]
         state = await self._sense()
         start = float(state.position[index])
-        way = one.upper - one.lower
-        speed = min(_SLOW * way, one.velocity)
+        travel = one.upper - one.lower
+        speed = min(_SLOW * travel, one.velocity)
         begun, lasts = monotonic.now(), abs(goal - start) / speed
         mask = [i == index for i in range(len(self._actuators))]
         fastest = [2.0 * speed if i == index else math.inf for i in range(len(mask))]
@@ -179,7 +179,7 @@ class FirstContact:
             with contextlib.suppress(BusError):
                 state = await self._sense(target)
             here = float(state.position[index])
-            moved = not abs(here - before) < 0.001 * way
+            moved = not abs(here - before) < 0.001 * travel
             if moved:
                 before, still = here, now
             if until() or now > begun + lasts + _ARRIVES:
@@ -213,14 +213,14 @@ class FirstContact:
         while monotonic.now() < end:
             states.append(await self._sense())
             await asyncio.sleep(_PERIOD)
-        ways = np.array([one.upper - one.lower for one in self._actuators])
+        travels = np.array([one.upper - one.lower for one in self._actuators])
         # A device that is not homed measures no positions.
         known = np.isfinite(np.array([state.position for state in states])).all(axis=0)
         if known.any():
             positions = np.array([state.position for state in states])[:, known]
-            noise = float((positions.std(axis=0) / ways[known]).max())
+            noise = float((positions.std(axis=0) / travels[known]).max())
             self._find(
-                Topic.REST, noise < 0.01, f"positions have a noise of {noise:.2%} of their way"
+                Topic.REST, noise < 0.01, f"positions have a noise of {noise:.2%} of their travel"
             )
         holding = [state for state in states if any(state.grasped or ())]
         if holding:
@@ -256,7 +256,7 @@ class FirstContact:
             await self._put(
                 Question(
                     Topic.POWER_UP,
-                    f"It is {needs}: press Enter, and it moves over its whole way. Keep clear.",
+                    f"It is {needs}: press Enter, and it moves over its full travel. Keep clear.",
                     "enter",
                 )
             )
@@ -275,17 +275,22 @@ class FirstContact:
     async def _smallest(self) -> None:
         for index, one in enumerate(self._actuators):
             state = await self._sense()
-            start, way = float(state.position[index]), one.upper - one.lower
+            start, travel = float(state.position[index]), one.upper - one.lower
             onward = 1.0 if start < 0.5 * (one.lower + one.upper) else -1.0
             for step in _HARDLY:
-                here = await self._glide(index, start + onward * step * way)
-                if (here - start) * onward > 0.4 * step * way:
+                here = await self._glide(index, start + onward * step * travel)
+                if (here - start) * onward > 0.4 * step * travel:
                     self._find(
-                        Topic.LIMITS, True, f"it follows steps of {step:.1%} of its way", one.name
+                        Topic.LIMITS,
+                        True,
+                        f"it follows steps of {step:.1%} of its travel",
+                        one.name,
                     )
                     break
             else:
-                self._find(Topic.LIMITS, False, "it follows no step up to 8% of its way", one.name)
+                self._find(
+                    Topic.LIMITS, False, "it follows no step up to 8% of its travel", one.name
+                )
 
     async def _measure(self) -> None:
         """Have a person measure where each actuator is: direction, scale and zero follow."""
@@ -317,7 +322,12 @@ class FirstContact:
                 self._find(Topic.SCALE, None, "nobody measured", one.name)
 
     def _compare(
-        self, one: ActuatorSpec, told: Sequence[float], seen: Sequence[float], way: float, unit: str
+        self,
+        one: ActuatorSpec,
+        told: Sequence[float],
+        seen: Sequence[float],
+        travel: float,
+        unit: str,
     ) -> None:
         """Judge direction, scale and zero by two places that were told and seen."""
         ratio = (seen[1] - seen[0]) / (told[1] - told[0])
@@ -338,7 +348,7 @@ class FirstContact:
         if math.isfinite(zero):
             self._find(
                 Topic.OFFSET,
-                abs(zero) <= _ZERO * way,
+                abs(zero) <= _ZERO * travel,
                 f"it is {zero:+.1f} {unit} from its open end where it is told to be there",
                 one.name,
             )
@@ -389,7 +399,7 @@ class FirstContact:
         if not self._actuators:
             return
         index, one = 0, self._actuators[0]
-        way = one.upper - one.lower
+        travel = one.upper - one.lower
         state = await self._sense()
         start = float(state.position[index])
         far = one.upper if start < 0.5 * (one.lower + one.upper) else one.lower
@@ -409,10 +419,10 @@ class FirstContact:
         while monotonic.now() < end:
             state = await self._sense()
             await asyncio.sleep(_PERIOD)
-        after = abs(float(state.position[index]) - here) / way
+        after = abs(float(state.position[index]) - here) / travel
         said = await self._yes(Topic.STOP, "Did it stop at once, without jumping?", one.name)
         right = None if said is None else said and after <= _STOPS
-        self._find(Topic.STOP, right, f"it moved on by {after:.1%} of its way after the stop")
+        self._find(Topic.STOP, right, f"it moved on by {after:.1%} of its travel after the stop")
 
     async def _cut(self) -> None:
         if self._unplug is None:
@@ -441,8 +451,8 @@ class FirstContact:
         state = await self._sense()
         gone = 0.0
         if len(before):
-            ways = np.array([one.upper - one.lower for one in self._actuators])
-            gone = float(np.nan_to_num(np.abs(state.position - before) / ways).max())
+            travels = np.array([one.upper - one.lower for one in self._actuators])
+            gone = float(np.nan_to_num(np.abs(state.position - before) / travels).max())
         self._find(
-            Topic.LINK, noticed, f"{text}; meanwhile it moved by {gone:.1%} of its way at most"
+            Topic.LINK, noticed, f"{text}; meanwhile it moved by {gone:.1%} of its travel at most"
         )

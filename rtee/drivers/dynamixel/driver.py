@@ -8,10 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import IntFlag
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from msgspec import Meta
+from pydantic import Field, model_validator
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -28,7 +28,7 @@ from rtee.drivers.dynamixel.table import (
     model_of,
 )
 from rtee.drivers.options import Positive, read_options
-from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, Scale, ServoOptions, check_line
+from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
 from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, BusTimeout, ConfigError, FrameError, HandshakeError
@@ -36,7 +36,7 @@ from rtee.sample import FloatArray
 from rtee.types import DeviceSpec
 
 
-class DynamixelServo(ServoOptions, frozen=True, kw_only=True):
+class DynamixelServo(ServoOptions):
     """Options of one servo.
 
     Attributes:
@@ -46,40 +46,42 @@ class DynamixelServo(ServoOptions, frozen=True, kw_only=True):
         current_unit: Current per count [A]; by default that of the model.
     """
 
-    id: Annotated[int, Meta(ge=0, le=252)]
-    zero: Annotated[float, Meta(ge=0, lt=PULSES)] | None = None
+    id: Annotated[int, Field(ge=0, le=252)]
+    zero: Annotated[float, Field(ge=0, lt=PULSES)] | None = None
     drive_mode: int = 0
     current: Positive | None = None
     current_unit: Positive | None = None
 
 
-class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
+class DynamixelOptions(LineOptions):
     """Options of a line of Dynamixel servos."""
 
-    baudrate: int = 4_000_000
-    """Rate of the line [baud]."""
-    servos: dict[str, DynamixelServo]
-    """The servo of each actuator, by the actuator's name."""
-    mode: Literal["current_based_position", "extended_position", "position"] = (
-        "current_based_position"
+    baudrate: int = Field(4_000_000, description="rate of the line [baud]")
+    servos: dict[str, DynamixelServo] = Field(
+        description="the servo of each actuator, by the actuator's name"
     )
-    """Operating mode."""
-    current: Positive | None = None
-    """Largest current [A]; by default the servos' own limit."""
-    fast: Literal["auto", "always", "never"] = "auto"
-    """Whether to read with the fast sync read; ``auto`` tries it."""
-    watchdog: Annotated[float, Meta(ge=0.0, le=2.54)] = 0.0
-    """Servos stop after a silence of this length on the line [s]; 0: they hold."""
-    health_every: Annotated[int, Meta(ge=1)] = 50
-    """Temperature, voltage and torque are read once in so many exchanges."""
-    reboot_time: Positive = 3.0
-    """Longest time for a reboot [s]."""
-    deadline: Positive = 0.03
-    """For one exchange, retries included [s]."""
+    mode: Literal["current_based_position", "extended_position", "position"] = Field(
+        "current_based_position", description="operating mode"
+    )
+    current: Positive | None = Field(
+        None, description="largest current [A]; by default the servos' own limit"
+    )
+    fast: Literal["auto", "always", "never"] = Field(
+        "auto", description="whether to read with the fast sync read; `auto` tries it"
+    )
+    watchdog: Annotated[float, Field(ge=0.0, le=2.54)] = Field(
+        0.0, description="servos stop after a silence of this length on the line [s]; 0: they hold"
+    )
+    health_every: Annotated[int, Field(ge=1)] = Field(
+        50, description="temperature, voltage and torque are read once in so many exchanges"
+    )
+    reboot_time: Positive = Field(3.0, description="longest time for a reboot [s]")
+    deadline: Positive = Field(0.03, description="for one exchange, retries included [s]")
 
-    def __post_init__(self) -> None:
-        """Check that the options fit each other."""
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
         check_line(self, self.servos, BAUD_RATES, MOST_GAIN)
+        return self
 
 
 WATCHDOG_TRIPPED = 0x101
@@ -113,28 +115,26 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     """
 
     Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
-    TORQUE: ClassVar[Any] = table.TORQUE
-    GOAL: ClassVar[Any] = table.GOAL_POSITION
+    TORQUE = table.TORQUE
+    GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {
         "p": table.POSITION_P,
         "i": table.POSITION_I,
         "d": table.POSITION_D,
     }
-    MOST_GAIN: ClassVar[int] = table.MOST_GAIN
-    STORED: ClassVar[int] = table.RAM
+    MOST_GAIN = table.MOST_GAIN
+    STORED = table.RAM
     # No source says whether the goal of a servo without torque follows the shaft; 16 pulses are
     # 1.4°, too small for a jump.
-    NEAR: ClassVar[int] = 16
-    HINT: ClassVar[str] = (
-        "free the hand and check its supply, then `rtee recover` reboots the servo"
-    )
+    NEAR = 16
+    HINT = "free the hand and check its supply, then `rtee recover` reboots the servo"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = options = read_options(DynamixelOptions, spec)
         check_names(spec, "servos", options.servos)
         servos = {a.name: options.servos[a.name] for a in spec.actuators}
         scales = [
-            Scale(
+            ServoScale(
                 table.RAD_PER_PULSE,
                 float(table.CENTER if s.zero is None else s.zero),
                 s.direction,
@@ -219,7 +219,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
                 hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",
             )
 
-    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
         # In a group read the servos answer one after the other, so their delays add up.
         self.connection.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
         model = model_of(found.model)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, ClassVar, Self
-
-from msgspec import field
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import table
@@ -24,10 +22,9 @@ from rtee.drivers.dynamixel.codec import (
 )
 from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import read_properties
+from rtee.drivers.properties import read_properties
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import LATENCY
-from rtee.hand.validation import Section
 
 _SPAN = 4
 """Bytes of address and length at the beginning of most instructions' parameters."""
@@ -45,7 +42,8 @@ _HARDWARE = {
 }
 
 
-class LineProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class LineProperties:
     """Properties of an emulated line of servos.
 
     Attributes:
@@ -71,7 +69,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
         counts: Number of received instructions, by instruction.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
+    FAULTS = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
 
     baudrate = 57_600
 

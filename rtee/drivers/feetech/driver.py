@@ -18,7 +18,7 @@ from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions
 from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, State, model_name
 from rtee.drivers.options import read_options
-from rtee.drivers.servo_lines import DELAY_UNIT, Scale, ServoOptions
+from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
 from rtee.drivers.servos import POWERED, Found, Goals, Readings, ServoDriver
 from rtee.errors import BusTimeout, ConfigError, FrameError, HandshakeError
 from rtee.types import DeviceSpec
@@ -56,15 +56,13 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     """
 
     Options: ClassVar[type[FeetechOptions]] = FeetechOptions
-    TORQUE: ClassVar[Any] = table.TORQUE
-    GOAL: ClassVar[Any] = table.GOAL_POSITION
+    TORQUE = table.TORQUE
+    GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {"p": table.P, "i": table.I, "d": table.D}
-    MOST_GAIN: ClassVar[int] = table.MOST_GAIN
-    STORED: ClassVar[int] = table.RAM
-    HINT: ClassVar[str] = "free the hand and check its supply, then `rtee recover` powers it again"
-    LOST: ClassVar[str] = (
-        "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
-    )
+    MOST_GAIN = table.MOST_GAIN
+    STORED = table.RAM
+    HINT = "free the hand and check its supply, then `rtee recover` powers it again"
+    LOST = "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = options = read_options(FeetechOptions, spec)
@@ -73,7 +71,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         servos = {name: options.servos[name] for name in joints.names}
         middle = float(family.center)
         scales = [
-            Scale(family.rad_per_count, middle if s.zero is None else s.zero, s.direction, s.gear)
+            ServoScale(
+                family.rad_per_count, middle if s.zero is None else s.zero, s.direction, s.gear
+            )
             for s in servos.values()
         ]
         super().__init__(spec, buses, options, servos, scales, joints if joints.pairs else None)
@@ -150,7 +150,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
                 hint="give it its limits back; from the factory they are 20 and 1003",
             )
 
-    def _adopt(self, servo: ServoOptions, found: Found, scale: Scale) -> None:
+    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
         options, family = self.options, self.family
         # That of the slowest servo, since the deadline is the same for all.
         self.connection.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())

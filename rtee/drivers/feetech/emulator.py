@@ -11,9 +11,8 @@ import functools
 import itertools
 import operator
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, ClassVar, Self
-
-from msgspec import field
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
@@ -23,10 +22,9 @@ from rtee.drivers.feetech.options import DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FULL, FamilyName
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, read_properties
+from rtee.drivers.properties import Byte, Duration, read_properties
 from rtee.drivers.servo_emulator import ServoLine
-from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, Scale
-from rtee.hand.validation import Section, validated
+from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, ServoScale
 
 _ERRORS = {
     "voltage": Status.VOLTAGE,
@@ -41,7 +39,8 @@ _WRONG = 0x0101
 """Model number of a device of another kind."""
 
 
-class LineProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class LineProperties:
     """Properties of an emulated line of servos.
 
     Attributes:
@@ -69,8 +68,8 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         family: The servos' family.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(table.BAUD_RATES)
+    FAULTS = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
+    BAUDRATES = frozenset(table.BAUD_RATES)
 
     baudrate = table.BAUD_RATES[0]
 
@@ -237,7 +236,7 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
     family = FAMILIES[options.get("family", "sts")]
     angles: dict[str, tuple[float, float]] = {}
     if options.get("differential"):
-        pairing = validated(DifferentialOptions, options["differential"])
+        pairing = DifferentialOptions.model_validate(options["differential"])
         differential = Differential(pairing)
         bent = max(pairing.flexion[-1][1], pairing.flexion[0][1])
         for pair in pairing.pairs.values():
@@ -248,7 +247,7 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
     for name, servo in options["servos"].items():
         given = dict(servo)
         zero = given.get("zero")
-        scale = Scale(
+        scale = ServoScale(
             family.rad_per_count,
             float(family.center if zero is None else zero),
             given.get("direction", 1),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import ClassVar
 
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
@@ -43,7 +42,7 @@ class FeetechLink(RelaxedDeadline):
     """
 
     # Beside its time on the line.
-    PATIENCE: ClassVar[float] = 0.2
+    PATIENCE = 0.2
 
     def __init__(
         self,

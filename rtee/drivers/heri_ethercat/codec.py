@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar
 
 from rtee.drivers.packed import Packed, part
 
@@ -102,8 +101,8 @@ class Command(Packed):
         value: The auxiliary value.
     """
 
-    WHAT: ClassVar[str] = "a command of a board"
-    ERROR: ClassVar[type[ValueError]] = HeriFrameError
+    WHAT = "a command of a board"
+    ERROR = HeriFrameError
 
     positions: tuple[float, float] = part("f", 2)
     velocity: float = part("h", per=_MILLI, default=0.0)
@@ -130,8 +129,8 @@ class Reply(Packed):
         value: The auxiliary value.
     """
 
-    WHAT: ClassVar[str] = "a reply of a board"
-    ERROR: ClassVar[type[ValueError]] = HeriFrameError
+    WHAT = "a reply of a board"
+    ERROR = HeriFrameError
 
     positions: tuple[float, float] = part("f", 2)
     velocities: tuple[float, float] = part("h", 2, per=_MILLI, default=(0.0, 0.0))

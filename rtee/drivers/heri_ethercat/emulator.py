@@ -10,7 +10,8 @@ missing frames are not public: here they are properties, or missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, State
@@ -30,14 +31,14 @@ from rtee.drivers.heri_ethercat.codec import (
     Reply,
 )
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Positive, read_properties
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Positive, read_properties
 
 _FAULTS = {"hardware": Fault.HARDWARE, "encoder": Fault.ENCODER_1}
 """Faults of the first board that cut its power."""
 
 
-class BoardProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class BoardProperties:
     """Properties of the emulated boards.
 
     Attributes:
@@ -121,7 +122,7 @@ class HeriEmulator(Emulator, Grasps):
         timeout: Process data watchdog [s]; 0: off.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
+    FAULTS = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
 
     def __init__(self, properties: BoardProperties | None = None) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import STRICT, IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Self
 
 from rtee.buses.parser import FramedParser
 from rtee.drivers.packed import Packed, part
@@ -169,7 +169,7 @@ class Frame:
 class RequestParser(FramedParser[Frame]):
     """Finds requests in a stream, for a hand."""
 
-    HEADER: ClassVar[bytes] = b"\xeb\x90"
+    HEADER = b"\xeb\x90"
     HEAD = 4
     PIECE = _LONGEST
     LIMIT = 2 * _LONGEST
@@ -185,7 +185,7 @@ class RequestParser(FramedParser[Frame]):
 class ReplyParser(RequestParser):
     """Finds replies in a stream, for a host."""
 
-    HEADER: ClassVar[bytes] = b"\x90\xeb"
+    HEADER = b"\x90\xeb"
 
 
 def words(data: bytes) -> tuple[int, ...]:
@@ -220,8 +220,8 @@ class Report(Packed):
         temperatures: Motor temperatures [°C].
     """
 
-    WHAT: ClassVar[str] = "a report of an RH56"
-    ERROR: ClassVar[type[ValueError]] = Rh56FrameError
+    WHAT = "a report of an RH56"
+    ERROR = Rh56FrameError
 
     angles: tuple[int, ...] = part("h", COUNT, kind=_angle)
     forces: tuple[int, ...] = part("h", COUNT, skip=len(GAP))

@@ -8,9 +8,10 @@ import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import BaseModel
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
@@ -81,7 +82,7 @@ class InspireRh56Driver(Driver):
     the set-points are read back now and then.
     """
 
-    Options = InspireRh56Options
+    Options: ClassVar[type[BaseModel] | None] = InspireRh56Options
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

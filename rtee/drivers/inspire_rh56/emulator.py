@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
 from rtee.buses.wear import TYPICAL, Wear
@@ -26,7 +26,7 @@ from rtee.drivers.inspire_rh56.codec import (
 )
 from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import read_properties
+from rtee.drivers.properties import read_properties
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
 _POLL = 0.05
@@ -48,12 +48,10 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
 
     # Recorded with real hands: 44 to 70 ms from a command to the motion, 281 to 2222 counts/s where
     # the sheet's 0.3 s for the whole way are 3333, and force sensors that read a few grams.
-    WEAR: ClassVar[Wear] = replace(
-        TYPICAL, lag=0.066, pace=2222.0 / 3333.0, force=(5, -12, 0, 8, -4, 0)
-    )
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | FAULTS | {"silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
-    EXCEPTIONS: ClassVar[bool] = True
+    WEAR = replace(TYPICAL, lag=0.066, pace=2222.0 / 3333.0, force=(5, -12, 0, 8, -4, 0))
+    FAULTS = ModbusEmulator.FAULTS | FAULTS | {"silent"}
+    BAUDRATES = frozenset(codec.BAUDRATES)
+    EXCEPTIONS = True
 
     def __init__(
         self,

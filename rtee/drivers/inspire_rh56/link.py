@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from abc import ABC, abstractmethod
 
 from rtee.buses.bus import Bus
 from rtee.buses.modbus import ModbusBus
@@ -21,7 +20,7 @@ class WriteRefused(BusError):
         super().__init__(bus, f"the hand refused a write to register {address} ({answer:#04x})")
 
 
-class Rh56Link(RelaxedDeadline, ABC):
+class _Link(RelaxedDeadline):
     """Talks to one hand; several may share a line.
 
     Args:
@@ -40,32 +39,8 @@ class Rh56Link(RelaxedDeadline, ABC):
         self._hand = hand
         self._parser = ReplyParser()
 
-    @abstractmethod
-    async def read(self, address: int, size: int) -> bytes:
-        """Return ``size`` bytes of registers from ``address`` on; raises `BusError`."""
 
-    @abstractmethod
-    async def write(self, address: int, data: bytes) -> None:
-        """Set registers from ``address`` on.
-
-        Raises `WriteRefused` if the hand did not accept it, and `BusError`.
-        """
-
-    @abstractmethod
-    def read_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to read ``size`` bytes of registers [s].
-
-        Args:
-            size: The number of bytes.
-            turnaround: Time that the hand needs before it answers [s].
-        """
-
-    @abstractmethod
-    def write_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to write ``size`` bytes; arguments as for `read_time`."""
-
-
-class FrameLink(Rh56Link):
+class FrameLink(_Link):
     """The hand's own frames on a serial line."""
 
     _bus: SerialBus
@@ -75,7 +50,10 @@ class FrameLink(Rh56Link):
         return await self._ask(Command.READ, address, bytes([size]), size)
 
     async def write(self, address: int, data: bytes) -> None:
-        """Set registers from ``address`` on; raises `WriteRefused` and `BusError`."""
+        """Set registers from ``address`` on.
+
+        Raises `WriteRefused` if the hand did not accept it, and `BusError`.
+        """
         answer = await self._ask(Command.WRITE, address, data, 1)
         if answer != b"\x01":
             raise WriteRefused(self._bus.name, address, answer[0])
@@ -98,7 +76,12 @@ class FrameLink(Rh56Link):
         return reply.data
 
     def read_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to read ``size`` bytes of registers [s]."""
+        """Return the shortest time to read ``size`` bytes of registers [s].
+
+        Args:
+            size: The number of bytes.
+            turnaround: Time that the hand needs before it answers [s].
+        """
         # Two frames; the request has one byte of data, the number of bytes to read.
         count = 2 * OVERHEAD + 1 + size
         return wire_time(count, self._bus.line.baudrate) + turnaround
@@ -108,7 +91,7 @@ class FrameLink(Rh56Link):
         return self.read_time(size, turnaround)
 
 
-class ModbusLink(Rh56Link):
+class ModbusLink(_Link):
     """Modbus RTU or TCP; two bytes make a register, the low one the first of a table."""
 
     _bus: ModbusBus
@@ -138,3 +121,7 @@ class ModbusLink(Rh56Link):
     def write_time(self, size: int, turnaround: float) -> float:
         """Return the shortest time to write ``size`` bytes of registers [s]."""
         return self._bus.exchange_time(6 + size, 5, turnaround=turnaround)
+
+
+Rh56Link = FrameLink | ModbusLink
+"""Either way to talk to a hand."""

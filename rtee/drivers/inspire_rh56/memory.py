@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from rtee.drivers.axis import Axis
@@ -24,8 +25,7 @@ from rtee.drivers.inspire_rh56.codec import (
     words,
 )
 from rtee.drivers.inspire_rh56.options import TURNAROUND
-from rtee.drivers.options import Byte, Duration, Positive
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Byte, Duration, Positive
 
 FIRST, LAST = Register.HAND_ID, Register.TEMPERATURE + COUNT
 _BLOCK_FAULTS = {
@@ -56,7 +56,8 @@ _RUNNING_MA = 150.0
 """Current of a motor that moves freely [mA]; no source gives it."""
 
 
-class Rh56Properties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Rh56Properties:
     """Properties of the emulated hand.
 
     Attributes:

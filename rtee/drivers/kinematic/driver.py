@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
-from msgspec import Meta, field
+from annotated_types import Ge, Gt, Interval
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import read_options
+from rtee.drivers.plain_options import read_plain_options
 from rtee.errors import (
     BusBroken,
     CommandRejected,
@@ -22,7 +22,6 @@ from rtee.errors import (
     NotConnected,
     suggestion,
 )
-from rtee.hand.validation import Section
 from rtee.sample import ActuatorState
 from rtee.types import ActuatorSpec, DeviceSpec, Reference, from_rest
 
@@ -123,7 +122,8 @@ class Plant:
 _MEASURES = frozenset({"position", "velocity", "effort"})
 
 
-class KinematicOptions(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class KinematicOptions:
     """How the simulated hand moves and what is in its way.
 
     Attributes:
@@ -138,14 +138,14 @@ class KinematicOptions(Section, frozen=True):
         thermal_time: Time constant of the temperature [s].
     """
 
-    time_constant: Annotated[float, Meta(gt=0, le=10.0)] = 0.03
+    time_constant: Annotated[float, Interval(gt=0, le=10.0)] = 0.03
     start: Mapping[str, float] = field(default_factory=dict)
     objects: Mapping[str, float] = field(default_factory=dict)
-    full_effort_at: Annotated[float, Meta(gt=0)] = 0.1
+    full_effort_at: Annotated[float, Gt(0)] = 0.1
     temperatures: bool = False
     ambient: float = 25.0
-    heating: Annotated[float, Meta(ge=0)] = 60.0
-    thermal_time: Annotated[float, Meta(gt=0)] = 60.0
+    heating: Annotated[float, Ge(0)] = 60.0
+    thermal_time: Annotated[float, Gt(0)] = 60.0
 
 
 class KinematicDriver(Driver):
@@ -161,7 +161,7 @@ class KinematicDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = monotonic.asked
-        self._options = read_options(KinematicOptions, spec)
+        self._options = read_plain_options(KinematicOptions, spec)
         self._check_names(self._options.start, fingers=False)
         self.plants = [
             Plant(
@@ -209,7 +209,7 @@ class KinematicDriver(Driver):
 
         Args:
             name: The finger or actuator.
-            fraction: Fraction of the way from rest to the farthest bound, 0 to 1.
+            fraction: Fraction of the travel from rest to the farthest bound, 0 to 1.
 
         Raises:
             ConfigError: if there is no such finger or actuator, the actuator turns without end, or
@@ -217,7 +217,7 @@ class KinematicDriver(Driver):
         """
         self._check_names({name: fraction}, fingers=True)
         if not 0.0 <= fraction <= 1.0:
-            raise ConfigError(f"an object is 0 to 1 of the way, not {fraction:g}")
+            raise ConfigError(f"an object is 0 to 1 of the travel, not {fraction:g}")
         for plant in self.plants:
             endless = not math.isfinite(plant.spec.farthest)
             if name == plant.spec.name and endless:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, TypeVar
+from typing import TypeVar
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.registers import Registers, at
@@ -150,8 +150,8 @@ class Version(Registers):
         hardware: The same of its hardware.
     """
 
-    COUNT: ClassVar[int] = 6
-    WHAT: ClassVar[str] = "version block of a LinkerHand"
+    COUNT = 6
+    WHAT = "version block of a LinkerHand"
 
     motors: int = at(0)
     hand: int = at(1)

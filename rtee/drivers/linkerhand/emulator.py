@@ -7,7 +7,8 @@ last set-points when the line falls silent, and answers wrong addresses with exc
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from dataclasses import dataclass
+from typing import Any, Literal, Self
 
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus_frames import READ_INPUT, WRITE_MANY, WRITE_ONE
@@ -26,8 +27,7 @@ from rtee.drivers.linkerhand.codec import (
     Version,
 )
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, read_properties
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Byte, Duration, Positive, read_properties
 
 _FAULTS = {
     "over_current": Fault.OVER_CURRENT,
@@ -44,7 +44,8 @@ _RATING = 0.01
 """Heating rate of a motor at its largest torque [K/s]: it becomes warm within minutes."""
 
 
-class LinkerProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class LinkerProperties:
     """Properties of the emulated hand.
 
     Attributes:
@@ -76,10 +77,10 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         begun: Torque limits when the last motion began.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset({BAUDRATE})
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
+    BAUDRATES = frozenset({BAUDRATE})
+    FUNCTIONS = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
+    EXCEPTIONS = True
 
     def __init__(self, properties: LinkerProperties | None = None) -> None:
         properties = properties or LinkerProperties()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 from rtee import monotonic
 from rtee.buses.bus import Bus
@@ -23,7 +21,7 @@ _CAN_BITS = 130
 """Bits of a CAN frame with eight bytes, stuffing bits included."""
 
 
-class LinkerLink(RelaxedDeadline, ABC):
+class _Link(RelaxedDeadline):
     """Talks to one hand.
 
     Args:
@@ -35,7 +33,7 @@ class LinkerLink(RelaxedDeadline, ABC):
         spacing: Silence to leave between two frames [s].
     """
 
-    PATIENCE: ClassVar[float] = 1.0
+    PATIENCE = 1.0
 
     def __init__(
         self, bus: Bus, model: Model, unit: int, deadline: float, retries: int, spacing: float
@@ -47,28 +45,8 @@ class LinkerLink(RelaxedDeadline, ABC):
         self.retries = retries
         self._spacing = spacing
 
-    @abstractmethod
-    async def version(self) -> Version | None:
-        """Return the hand's version block, ``None`` if it has none; raises `BusError`."""
 
-    @abstractmethod
-    async def read(self, table: Table) -> tuple[int, ...]:
-        """Return the values of all motors; raises `BusError`."""
-
-    async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return temperatures [°C] and fault codes of all motors; raises `BusError`."""
-        return await self.read(Table.TEMPERATURE), await self.read(Table.FAULT)
-
-    @abstractmethod
-    async def write(self, tables: Mapping[Table, Sequence[int]]) -> None:
-        """Set values of all motors, torques and speeds before positions; raises `BusError`."""
-
-    @abstractmethod
-    def cycle_time(self) -> float:
-        """Return the shortest time to read the positions and to set them [s]."""
-
-
-class ModbusLink(LinkerLink):
+class ModbusLink(_Link):
     """Modbus RTU on RS-485; several hands may share a line."""
 
     _bus: ModbusBus
@@ -156,7 +134,7 @@ class ModbusLink(LinkerLink):
         return wire_time(count, rate) + 2 * (self._spacing + silence(rate))
 
 
-class CanLink(LinkerLink):
+class CanLink(_Link):
     """Classic CAN with 11-bit identifiers; other nodes may share the bus."""
 
     _bus: CanBus
@@ -188,6 +166,10 @@ class CanLink(LinkerLink):
             values += answer.data[1 : 1 + count]
         return tuple(values)
 
+    async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return temperatures [°C] and fault codes of all motors; raises `BusError`."""
+        return await self.read(Table.TEMPERATURE), await self.read(Table.FAULT)
+
     async def write(self, tables: Mapping[Table, Sequence[int]]) -> None:
         """Set values of all motors, torques and speeds before positions; raises `BusError`."""
         # Positions last, so that no motion begins with old limits.
@@ -208,3 +190,7 @@ class CanLink(LinkerLink):
         # A request and its answer, and a write; each waits for the pause after the previous frame.
         wire = 3 * parts * _CAN_BITS / codec.BITRATE
         return max(wire, 2 * parts * self._spacing)
+
+
+LinkerLink = ModbusLink | CanLink
+"""Either way to talk to a hand."""

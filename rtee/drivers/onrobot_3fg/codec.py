@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.onrobot_common import TENTH_MM
 from rtee.drivers.registers import Registers, at, flag
-from rtee.drivers.scale import LinearScale
+from rtee.drivers.scale import FingerScale, LinearScale
 
 STATE = 0x0100
 """First of the registers that report the state."""
@@ -63,8 +62,8 @@ class Command(Registers):
         control: What to do.
     """
 
-    COUNT: ClassVar[int] = 4
-    WHAT: ClassVar[str] = "command of a 3FG"
+    COUNT = 4
+    WHAT = "command of a 3FG"
 
     force: int = at(0)
     diameter: int = at(1)
@@ -86,9 +85,9 @@ class Status(Registers):
         force: Force applied [0.1 %].
     """
 
-    COUNT: ClassVar[int] = 4
-    WHAT: ClassVar[str] = "status of a 3FG"
-    STRICT: ClassVar[bool] = True
+    COUNT = 4
+    WHAT = "status of a 3FG"
+    STRICT = True
 
     busy: bool = flag(0, 0)
     grip_detected: bool = flag(0, 1)
@@ -161,37 +160,28 @@ _LOWEST = math.radians(30.0)
 """Lowest angle of the fingers in an external grip; the manual's range is 30° to 165°."""
 
 
-class Scale:
-    """Converts between registers and the actuator's units.
+def scale_of(
+    lower: float,
+    upper: float,
+    largest: float = 0.150,
+    smallest: float = 0.0346,
+    force: float = 240.0,
+) -> FingerScale:
+    """Return the scale of position, raw diameter [0.1 mm] to [rad], and of effort, force [0.1 %].
 
-    The actuator's position is linear in the raw diameter, from the largest at its lower limit to
-    the smallest at its upper one. Effort follows from the force by virtual work.
+    The actuator's position is linear in the raw diameter.
 
     Args:
         lower: Position of the actuator at the largest diameter [rad].
         upper: Position of the actuator at the smallest diameter [rad].
-        force: Largest force [N].
-
-    Attributes:
         largest: Largest raw diameter [m].
         smallest: Smallest raw diameter [m].
-        position: Raw diameter [0.1 mm] to [rad].
-        effort: Force [0.1 %] to [N·m].
+        force: Largest force [N].
     """
-
-    def __init__(
-        self,
-        lower: float,
-        upper: float,
-        largest: float = 0.150,
-        smallest: float = 0.0346,
-        force: float = 240.0,
-    ) -> None:
-        self.largest, self.smallest = largest, smallest
-        ends = (largest / TENTH_MM, smallest / TENTH_MM)
-        self.position = LinearScale(ends, (lower, upper))
-        per_position = (largest - smallest) / (upper - lower)  # of the diameter [m/rad]
-        self.effort = LinearScale((0.0, 1000.0), (0.0, force * per_position))
+    position = LinearScale((largest / TENTH_MM, smallest / TENTH_MM), (lower, upper))
+    return FingerScale(
+        position, (largest - smallest) / (upper - lower), (0.0, 1000.0), (0.0, force)
+    )
 
 
 def offset_metres(hundredth_mm: int) -> float:

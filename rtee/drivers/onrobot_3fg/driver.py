@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusBus
@@ -20,14 +21,14 @@ from rtee.drivers.onrobot_3fg.codec import (
     Control,
     Fingers,
     GripType,
-    Scale,
     Status,
     offset_metres,
+    scale_of,
 )
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
-from rtee.drivers.options import Positive, read_options
-from rtee.drivers.registers import Registers
+from rtee.drivers.options import read_options
+from rtee.drivers.scale import FingerScale
 from rtee.errors import ConfigError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -48,18 +49,22 @@ _GRIP_POINTS = 33
 """Diameters at which the force is computed: linear interpolation between them is off by 1 %."""
 
 
-class OnRobot3FGOptions(OnRobotOptions, frozen=True):
+class OnRobot3FGOptions(OnRobotOptions):
     """Options of a 3FG15 or 3FG25."""
 
     grip: Literal["external", "internal"] = "external"
-    force: Positive = 240.0
-    """Largest force of the model [N]."""
-    smallest: Positive = 0.0346
-    """Raw diameter at the actuator's upper limit [m]."""
-    largest: Positive | None = None
-    """Raw diameter at its lower limit [m]; by default as it reports."""
-    target: Literal["raw", "tips"] = "raw"
-    """What the target diameter means: between the fingertips' centres, or their surfaces."""
+    force: float = Field(240.0, gt=0.0, description="largest force of the model [N]")
+    smallest: float = Field(
+        0.0346, gt=0.0, description="raw diameter at the actuator's upper limit [m]"
+    )
+    largest: float | None = Field(
+        None, gt=0.0, description="raw diameter at its lower limit [m]; by default as it reports"
+    )
+    target: Literal["raw", "tips"] = Field(
+        "raw",
+        description="what the target diameter means: between the fingertips' centres, or their "
+        "surfaces",
+    )
 
 
 class OnRobot3FGDriver(OnRobotDriver[Status]):
@@ -70,13 +75,13 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     limit at one that rests, as soon as the gripper is free.
     """
 
-    Options = OnRobot3FGOptions
+    Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
 
-    MODEL: ClassVar[str] = "an OnRobot 3FG"
-    EMULATOR: ClassVar[str] = "onrobot_3fg"
-    STATUS: ClassVar[type[Registers]] = Status
-    COMMAND: ClassVar[type[Registers]] = Command
-    SOURCE: ClassVar[int] = STATE
+    MODEL = "an OnRobot 3FG"
+    EMULATOR = "onrobot_3fg"
+    STATUS = Status
+    COMMAND = Command
+    SOURCE = STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobot3FGOptions, spec)
@@ -91,9 +96,9 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         self._moved_at = 0.0
         self.capabilities = self._abilities(self.options.rate, {})
 
-    def _scaled(self, largest: float) -> Scale:
+    def _scaled(self, largest: float) -> FingerScale:
         actuator = self.spec.actuators[0]
-        return Scale(
+        return scale_of(
             actuator.lower, actuator.upper, largest, self.options.smallest, self.options.force
         )
 
@@ -121,31 +126,31 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
-        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
+        least, most = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
         length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=CONNECTING)
         # Other tools of the vendor have other contents in these registers.
-        if hole not in (1, 2, 3) or not smallest < largest:
+        if hole not in (1, 2, 3) or not least < most:
             raise HandshakeError(
                 self.spec.name,
                 "an OnRobot 3FG",
-                f"a tool with finger position {hole} and diameters {smallest} to {largest}",
+                f"a tool with finger position {hole} and diameters {least} to {most}",
                 hint="is another tool mounted?",
             )
         self._fingers = Fingers(metres(length), hole, abs(offset_metres(offset)))
         if self.options.target == "tips":
             self._tips = round(self._kind.sign * 2.0 * offset_metres(offset) / metres(1))
         # Made again, since the gripper's own largest diameter is known only now.
-        self.scale = self._scaled(self.options.largest or metres(largest))
-        if self.scale.largest <= self.scale.smallest:
+        self.scale = self._scaled(largest := self.options.largest or metres(most))
+        if largest <= self.options.smallest:
             raise ConfigError(
-                f"device '{self.spec.name}': `smallest` ({self.scale.smallest} m) is not below the "
-                f"largest diameter ({self.scale.largest} m)",
+                f"device '{self.spec.name}': `smallest` ({self.options.smallest} m) is not below "
+                f"the largest diameter ({largest} m)",
                 key=f"devices.{self.spec.name}.options.smallest",
             )
         return {
             "finger length": f"{metres(length) * 1000:.1f} mm",
             "finger position": str(hole),
-            "diameters": f"{metres(smallest) * 1000:.1f} to {metres(largest) * 1000:.1f} mm",
+            "diameters": f"{metres(least) * 1000:.1f} to {metres(most) * 1000:.1f} mm",
         }
 
     # --- every cycle -------------------------------------------------------------------------

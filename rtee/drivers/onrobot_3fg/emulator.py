@@ -7,8 +7,8 @@ what an unlisted register does, and how a missing tool answers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from enum import IntEnum
-from typing import Any, ClassVar, Literal, Self
+from dataclasses import dataclass
+from typing import Any, Literal, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
 from rtee.drivers.axis import Axis
@@ -19,10 +19,9 @@ from rtee.drivers.onrobot_emulator import (
     IDENTITY,
     OnRobotEmulator,
     OnRobotProperties,
-    Window,
     identity,
 )
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.properties import Duration, Positive, read_properties
 
 _SETTINGS = 0x0401
 """First register of the fingers' settings; the targets begin at 0."""
@@ -32,7 +31,8 @@ _FLEXIBLE_FORCE = 140.0
 """Greatest force of a flexible grip [N]; connectivity guide, register 3."""
 
 
-class OnRobot3FGProperties(OnRobotProperties, frozen=True):
+@dataclass(frozen=True, slots=True)
+class OnRobot3FGProperties(OnRobotProperties):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
@@ -71,17 +71,17 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         begun: The force register when the last motion started.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {"calibration_lost"}
-    READABLE: ClassVar[Sequence[Window]] = (
+    FAULTS = OnRobotEmulator.FAULTS | {"calibration_lost"}
+    READABLE = (
         (0x0000, 0x0003),
         (0x0100, 0x0113),
         (0x0201, 0x0202),
         (0x0401, 0x0404),
         IDENTITY,
     )
-    WRITABLE: ClassVar[Sequence[Window]] = ((0x0000, 0x0003), (0x0401, 0x0404))
-    CONTROL: ClassVar[type[IntEnum]] = Control
-    NEAR: ClassVar[float] = 2e-4  # two counts of the diameter register [m], its resolution
+    WRITABLE = ((0x0000, 0x0003), (0x0401, 0x0404))
+    CONTROL = Control
+    NEAR = 2e-4  # two counts of the diameter register [m], its resolution
 
     def __init__(self, properties: OnRobot3FGProperties | None = None) -> None:
         made = self.properties = properties or OnRobot3FGProperties()

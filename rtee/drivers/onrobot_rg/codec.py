@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.onrobot_common import TENTH_MM
 from rtee.drivers.registers import Field, Registers, at, each, flag
@@ -107,8 +106,8 @@ class Command(Registers):
         control: The kind of command.
     """
 
-    COUNT: ClassVar[int] = 3
-    WHAT: ClassVar[str] = "command of an RG"
+    COUNT = 3
+    WHAT = "command of an RG"
 
     force: int = at(0)
     width: int = at(1)
@@ -128,9 +127,9 @@ class Status(Registers):
         safety_error: Whether one of them was pushed at power-up.
     """
 
-    COUNT: ClassVar[int] = 2
-    WHAT: ClassVar[str] = "status of an RG"
-    STRICT: ClassVar[bool] = True
+    COUNT = 2
+    WHAT = "status of an RG"
+    STRICT = True
 
     width: int = at(0, signed=True)
     busy: bool = flag(1, 0)
@@ -140,7 +139,7 @@ class Status(Registers):
     safety_error: bool = flag(1, 6)
 
 
-class Scale:
+class LinkageScale:
     """Converts between registers and the actuator's units.
 
     The position of the actuator is the angle of a finger's links, as in `Model.angle`. The gripper

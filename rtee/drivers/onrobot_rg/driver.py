@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from msgspec import Meta
+from pydantic import BaseModel, Field
 
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
@@ -19,11 +19,10 @@ from rtee.drivers.onrobot_rg.codec import (
     STATE,
     Command,
     Control,
-    Scale,
+    LinkageScale,
     Status,
 )
-from rtee.drivers.options import Positive, read_options
-from rtee.drivers.registers import Registers
+from rtee.drivers.options import read_options
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
@@ -44,15 +43,22 @@ _EMPTY = 10
 """Fingertips within this distance of each other hold nothing [0.1 mm]: they press on each other."""
 
 
-class OnRobotRGOptions(OnRobotOptions, frozen=True):
+class OnRobotRGOptions(OnRobotOptions):
     """Options of an RG2 or RG6."""
 
     model: Literal["rg2", "rg6"] = "rg2"
-    fingertip_offset: Annotated[float, Meta(ge=0.0, le=0.05)] | None = None
-    """Thickness of the fingertips [m], set in the gripper when it is activated; by default as it
-    has it."""
-    step: Positive = 0.005
-    """A moving reference is followed in steps of at least this width [m]."""
+    fingertip_offset: float | None = Field(
+        None,
+        ge=0.0,
+        le=0.05,
+        description="thickness of the fingertips [m], set in the gripper when it is activated; by "
+        "default as it has it",
+    )
+    step: float = Field(
+        0.005,
+        gt=0.0,
+        description="a moving reference is followed in steps of at least this width [m]",
+    )
 
 
 class OnRobotRGDriver(OnRobotDriver[Status]):
@@ -62,19 +68,19 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     and takes no speed. So references are followed in steps: see `StepFollower`.
     """
 
-    Options = OnRobotRGOptions
-    MODEL: ClassVar[str] = "an OnRobot RG"
-    EMULATOR: ClassVar[str] = "onrobot_rg"
-    STATUS: ClassVar[type[Registers]] = Status
-    COMMAND: ClassVar[type[Registers]] = Command
-    SOURCE: ClassVar[int] = STATE
+    Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
+    MODEL = "an OnRobot RG"
+    EMULATOR = "onrobot_rg"
+    STATUS = Status
+    COMMAND = Command
+    SOURCE = STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobotRGOptions, spec)
         super().__init__(spec, buses, self.options)
         actuator = spec.actuators[0]
         self._model = MODELS[self.options.model]
-        self.scale = Scale(self._model, actuator.lower, actuator.upper)
+        self.scale = LinkageScale(self._model, actuator.lower, actuator.upper)
         self._closed = self.scale.width(actuator.lower)
         step = self.options.step / TENTH_MM
         self._follower = StepFollower(self.options.settle, step, _SAME, _REACHED)

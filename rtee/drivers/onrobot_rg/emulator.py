@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from enum import IntEnum
-from typing import Any, ClassVar, Literal, Self
+from dataclasses import dataclass
+from typing import Any, Literal, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
@@ -18,7 +18,6 @@ from rtee.drivers.onrobot_emulator import (
     IDENTITY,
     OnRobotEmulator,
     OnRobotProperties,
-    Window,
     identity,
 )
 from rtee.drivers.onrobot_rg.codec import (
@@ -31,7 +30,7 @@ from rtee.drivers.onrobot_rg.codec import (
     Control,
     Status,
 )
-from rtee.drivers.options import Duration, read_properties
+from rtee.drivers.properties import Duration, read_properties
 
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
 _SAFETY_ERROR = "safety_error"
@@ -40,7 +39,8 @@ _NEAR = 1e-4
 reached [rad]."""
 
 
-class OnRobotRGProperties(OnRobotProperties, frozen=True):
+@dataclass(frozen=True, slots=True)
+class OnRobotRGProperties(OnRobotProperties):
     """Properties of the emulated gripper in addition to those of all OnRobot grippers.
 
     Attributes:
@@ -72,20 +72,20 @@ class OnRobotRGEmulator(OnRobotEmulator):
         stopped: Number of motions ended by a stop.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {
+    FAULTS = OnRobotEmulator.FAULTS | {
         _PUSHED_1,
         _PUSHED_2,
         _SAFETY_ERROR,
     }
-    READABLE: ClassVar[Sequence[Window]] = (
+    READABLE = (
         (TARGETS, TARGETS + 2),
         (0x0100, 0x0117),
         (SET_OFFSET, SET_OFFSET),
         IDENTITY,
     )
-    WRITABLE: ClassVar[Sequence[Window]] = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
-    CONTROL: ClassVar[type[IntEnum]] = Control
-    NEAR: ClassVar[float] = _NEAR
+    WRITABLE = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
+    CONTROL = Control
+    NEAR = _NEAR
 
     def __init__(self, properties: OnRobotRGProperties | None = None) -> None:
         made = self.properties = properties or OnRobotRGProperties()

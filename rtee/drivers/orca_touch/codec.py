@@ -12,7 +12,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,7 +210,7 @@ def _parts(raw: bytes) -> tuple[int, int, int, bytes]:
 class RequestParser(FramedParser[Request]):
     """Finds requests in a stream, for the board."""
 
-    HEADER: ClassVar[bytes] = _REQUEST
+    HEADER = _REQUEST
     HEAD = 8
     PIECE = _OVERHEAD + _LARGEST
     LIMIT = 2 * PIECE
@@ -228,7 +228,7 @@ class RequestParser(FramedParser[Request]):
 class AnswerParser(FramedParser[Answer]):
     """Finds replies and streamed frames, for a host."""
 
-    HEADER: ClassVar[bytes] = b"\xaa"
+    HEADER = b"\xaa"
     HEAD = 8
     PIECE = LONGEST
     LIMIT = 2 * PIECE

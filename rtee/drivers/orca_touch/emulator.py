@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from msgspec import Meta, field
+from pydantic import Field
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.timing import wire_time
-from rtee.drivers.options import Duration, read_properties
 from rtee.drivers.orca_touch import codec
 from rtee.drivers.orca_touch.codec import (
     FINGERS,
@@ -23,7 +23,7 @@ from rtee.drivers.orca_touch.codec import (
     RequestParser,
     Stream,
 )
-from rtee.hand.validation import Section
+from rtee.drivers.properties import Duration, read_properties
 from rtee.sample import FloatArray
 
 _PERIOD = 1e-3
@@ -34,13 +34,14 @@ _SPARE = 0.9
 
 
 _Finger = Literal["thumb", "index", "middle", "ring", "pinky"]
-_Taxels = Annotated[int, Meta(ge=1, le=0xFFFF)]  # its count is a word of 16 bits
+_Taxels = Annotated[int, Field(ge=1, le=0xFFFF)]  # its count is a word of 16 bits
 
 
 _TAXELS: dict[_Finger, _Taxels] = {"thumb": 51, "index": 87, "middle": 87, "ring": 87, "pinky": 51}
 
 
-class OrcaTouchProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class OrcaTouchProperties:
     """Properties of the emulated board.
 
     Attributes:
@@ -64,9 +65,9 @@ class OrcaTouchEmulator(Emulator):
         angles: Counts of the joint encoders ``(17,)``.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"error", "silent"}
-    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
-    duplex: ClassVar[Duplex] = Duplex.FULL
+    FAULTS = Emulator.FAULTS | {"error", "silent"}
+    BAUDRATES = frozenset(codec.BAUDRATES)
+    duplex = Duplex.FULL
 
     def __init__(
         self, properties: OrcaTouchProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]

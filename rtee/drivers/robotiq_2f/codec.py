@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.registers import at, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
@@ -63,7 +62,7 @@ class Bars:
     closed: float
 
     def closure(self, width: float) -> float:
-        """Return the share of the way at which the tips have a distance [m]; ``inf``: nowhere."""
+        """Return the share of the travel at which the tips are this far apart [m], or ``inf``."""
         sine = (width - self.offset) / (2.0 * self.length)
         return (self.angle - math.asin(sine)) / self.closed if abs(sine) <= 1.0 else math.inf
 
@@ -88,7 +87,7 @@ class Model:
     bars: Bars | None = None
 
     def closure(self, width: float) -> float:
-        """Return the share of the way between its ends at which the tips have a distance [m]."""
+        """Return the share of the travel at which the tips have a distance [m]."""
         return 1.0 - width / self.stroke if self.bars is None else self.bars.closure(width)
 
     def scale(
@@ -104,7 +103,7 @@ class Model:
         """
         position = LinearScale((open_count, closed_count), (opened, closed), ends=COUNTS)
         lever = self.stroke / abs(closed - opened)
-        return FingerScale(position, lever, COUNTS, self.speed, self.force)
+        return FingerScale(position, lever, COUNTS, self.force, self.speed)
 
 
 MODELS: dict[str, Model] = {
@@ -136,7 +135,7 @@ class Command(RobotiqCommand):
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    COUNT: ClassVar[int] = 3  # in use; the gripper leaves the rest 0
+    COUNT = 3  # in use; the gripper leaves the rest 0
 
     direction: bool = flag(0, 13)
     position: int = at(1, 0, 8)
@@ -156,9 +155,9 @@ class Status(RobotiqStatus):
         raw_current: gCU.
     """
 
-    COUNT: ClassVar[int] = 3
-    WHAT: ClassVar[str] = "status of a 2-finger gripper"
-    STRICT: ClassVar[bool] = True
+    COUNT = 3
+    WHAT = "status of a 2-finger gripper"
+    STRICT = True
 
     grasp: Grasp = at(0, 14, 2, Grasp)
     controller_fault: int = at(1, 12, 4)

@@ -7,14 +7,15 @@ release goes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
-from rtee.drivers.options import Byte, Duration, read_properties
+from rtee.drivers.properties import Byte, Duration, read_properties
 from rtee.drivers.robotiq_2f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_2f.codec import MODELS, Command, Grasp, Status
-from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Fault, Progress
+from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
 from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties
 from rtee.drivers.scale import LinearScale
 
@@ -23,7 +24,8 @@ _HOTTEST = 85.0
 """Temperature of the motor above which it reports over temperature [°C]; no manual states it."""
 
 
-class Robotiq2FProperties(RobotiqProperties, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Robotiq2FProperties(RobotiqProperties):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
@@ -62,10 +64,10 @@ class Robotiq2FEmulator(RobotiqEmulator):
         "activation_failed": 0x0D,
         "overcurrent": 0x0E,
     }
-    FAULTS: ClassVar[frozenset[str]] = RobotiqEmulator.FAULTS | frozenset(CODES)
-    CODES_OF: ClassVar[Mapping[int, Fault]] = FAULTS_BY_CODE
-    PASSING: ClassVar[str] = "over_temperature"
-    WRONG: ClassVar[tuple[int, int]] = (0, 0xC0)
+    FAULTS = RobotiqEmulator.FAULTS | frozenset(CODES)
+    CODES_OF = FAULTS_BY_CODE
+    PASSING = "over_temperature"
+    WRONG = (0, 0xC0)
 
     def __init__(self, properties: Robotiq2FProperties | None = None) -> None:
         made = self.properties = properties or Robotiq2FProperties()

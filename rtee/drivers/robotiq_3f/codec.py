@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
 
 from rtee.drivers.registers import Field, at, each, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
@@ -91,7 +90,7 @@ class Command(RobotiqCommand):
         axes: Requests of the four motors, in the order of `AXES`.
     """
 
-    COUNT: ClassVar[int] = 8
+    COUNT = 8
 
     mode: Mode = at(0, 9, 2, Mode)
     individual: bool = flag(0, 2)
@@ -126,9 +125,9 @@ class Status(RobotiqStatus):
         axes: The four motors, in the order of `AXES`.
     """
 
-    COUNT: ClassVar[int] = 8
-    WHAT: ClassVar[str] = "status of a 3-finger gripper"
-    STRICT: ClassVar[bool] = True
+    COUNT = 8
+    WHAT = "status of a 3-finger gripper"
+    STRICT = True
 
     mode: Mode = at(0, 9, 2, Mode)
     motion: Motion = at(0, 14, 2, Motion)
@@ -151,7 +150,7 @@ FORCE = (15.0, 60.0)
 def _scale(position: LinearScale) -> FingerScale:
     """Return the scale of a motor: gPOx and rPRx to the joint's angle [rad], and rSPx, rFRx."""
     # The fingertip's way by the angle of the joint.
-    return FingerScale(position, STROKE / 255 / abs(position.gain), COUNTS, SPEED, FORCE)
+    return FingerScale(position, STROKE / 255 / abs(position.gain), COUNTS, FORCE, SPEED)
 
 
 # A finger's first joint turns by the same angle per count all the way: the published driver's 200

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, Literal
 
-from msgspec import field
+from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
-from rtee.drivers.options import Positive, read_options
+from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
     FAULTS,
@@ -28,11 +28,8 @@ from rtee.drivers.robotiq_common import (
     INPUT,
     OUTPUT,
     SAME,
-    Fault,
     Grip,
-    RobotiqCommand,
     RobotiqOptions,
-    RobotiqStatus,
 )
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError
@@ -42,21 +39,26 @@ from rtee.types import DeviceSpec, Reference
 Role = Literal["fingers", "a", "b", "c", "scissor"]
 
 
-class Robotiq3FOptions(RobotiqOptions, frozen=True):
+class Robotiq3FOptions(RobotiqOptions):
     """Options of Robotiq's three-finger gripper."""
 
-    mode: Literal["basic", "pinch", "wide", "scissor"] = "basic"
-    """Arrangement of the fingers; changing it moves the scissor."""
-    roles: dict[str, Role] = field(default_factory=dict)
-    """What each actuator drives: fingers, a, b, c or scissor; guessed from names."""
-    register_base: Literal[0, 1000] | None = None
-    """Where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://."""
-    function: Literal[3, 4] | None = None
-    """Modbus function to read with; by default 4 on tcp://, else 3."""
-    current_per_count: Positive = 0.01
-    """[A]; the manuals contradict each other about it."""
-    activation_timeout: Positive = 30.0
-    """Longest time [s]."""
+    mode: Literal["basic", "pinch", "wide", "scissor"] = Field(
+        "basic", description="arrangement of the fingers; changing it moves the scissor"
+    )
+    roles: dict[str, Role] = Field(
+        default_factory=dict,
+        description="what each actuator drives: fingers, a, b, c or scissor; guessed from names",
+    )
+    register_base: Literal[0, 1000] | None = Field(
+        None, description="where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://"
+    )
+    function: Literal[3, 4] | None = Field(
+        None, description="Modbus function to read with; by default 4 on tcp://, else 3"
+    )
+    current_per_count: float = Field(
+        0.01, gt=0.0, description="[A]; the manuals contradict each other about it"
+    )
+    activation_timeout: float = Field(30.0, gt=0.0, description="[s]")
 
 
 def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
@@ -101,13 +103,13 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     A motor that presses on an object keeps pressing while its reference is the measured position.
     """
 
-    Options = Robotiq3FOptions
-    MODEL: ClassVar[str] = "Robotiq 3-Finger"
-    EMULATOR: ClassVar[str] = "robotiq_3f"
-    STATUS: ClassVar[type[RobotiqStatus]] = Status
-    COMMAND: ClassVar[type[RobotiqCommand]] = Command
-    FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
-    HINT: ClassVar[str] = (
+    Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
+    MODEL = "Robotiq 3-Finger"
+    EMULATOR = "robotiq_3f"
+    STATUS = Status
+    COMMAND = Command
+    FAULTS = FAULTS
+    HINT = (
         "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
         "move, so nothing may be between them"
     )

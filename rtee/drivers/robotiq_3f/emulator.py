@@ -7,11 +7,12 @@ change of mode take. The blocks are served in both places that the editions name
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
-from rtee.drivers.options import Duration, read_properties
+from rtee.drivers.properties import Duration, read_properties
 from rtee.drivers.robotiq_3f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_3f.codec import (
     FINGERS,
@@ -26,7 +27,7 @@ from rtee.drivers.robotiq_3f.codec import (
     Request,
     Status,
 )
-from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Fault, Progress
+from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
 from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties
 from rtee.drivers.scale import LinearScale
 
@@ -46,7 +47,8 @@ _OPEN = 6
 _OBSTRUCTED, _MODE_FAILED = 0x0A, 0x0E  # gFLT: codes of the scissor
 
 
-class Robotiq3FProperties(RobotiqProperties, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Robotiq3FProperties(RobotiqProperties):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
@@ -66,10 +68,10 @@ class Robotiq3FEmulator(RobotiqEmulator):
         "activation_failed": 0x0D,
         "mode_change_failed": _MODE_FAILED,
     }
-    FAULTS: ClassVar[frozenset[str]] = RobotiqEmulator.FAULTS | frozenset(CODES)
-    CODES_OF: ClassVar[Mapping[int, Fault]] = FAULTS_BY_CODE
-    PASSING: ClassVar[str] = "scissor_obstructed"
-    WRONG: ClassVar[tuple[int, int]] = (1, 0xF000)
+    FAULTS = RobotiqEmulator.FAULTS | frozenset(CODES)
+    CODES_OF = FAULTS_BY_CODE
+    PASSING = "scissor_obstructed"
+    WRONG = (1, 0xF000)
 
     def __init__(self, properties: Robotiq3FProperties | None = None) -> None:
         made = self.properties = properties or Robotiq3FProperties()

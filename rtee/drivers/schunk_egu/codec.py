@@ -11,7 +11,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Self
 
 from rtee.drivers.packed import Packed, part, text
 from rtee.errors import FrameError
@@ -198,8 +198,8 @@ class Image(Packed):
 
     __slots__ = ()
 
-    WHAT: ClassVar[str] = "an image of an EGU or EGK"
-    ERROR: ClassVar[type[ValueError]] = ValueError
+    WHAT = "an image of an EGU or EGK"
+    ERROR = ValueError
 
     def to_registers(self) -> tuple[int, ...]:
         """Return the eight registers."""

@@ -7,12 +7,13 @@ grip, and the time to build up its force.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, Rate, read_properties
+from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.schunk_egu.codec import (
     COMMANDS,
     FAST_STOP,
@@ -30,7 +31,6 @@ from rtee.drivers.schunk_egu.codec import (
     float_registers,
     registers,
 )
-from rtee.hand.validation import Section
 
 _COMMANDS = (
     Control.STOP
@@ -66,7 +66,8 @@ _WRITTEN: Mapping[Parameter, int] = {
 _BLOCKED = 0xF4  # error: a motion met something
 
 
-class SchunkEguProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class SchunkEguProperties:
     """Properties of the emulated gripper.
 
     Attributes:
@@ -113,9 +114,9 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         taken: Accepted commands, newest last, for tests.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_ERRORS)
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x10})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS = ModbusEmulator.FAULTS | frozenset(_ERRORS)
+    FUNCTIONS = frozenset({0x03, 0x10})
+    EXCEPTIONS = True
 
     def __init__(self, properties: SchunkEguProperties | None = None) -> None:
         made = self.properties = properties or SchunkEguProperties()

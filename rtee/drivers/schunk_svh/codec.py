@@ -125,8 +125,8 @@ class Fields(Packed):
 
     __slots__ = ()
 
-    ERROR: ClassVar[type[ValueError]] = SvhFrameError
-    LONGER: ClassVar[bool] = True
+    ERROR = SvhFrameError
+    LONGER = True
 
 
 @dataclass(frozen=True, slots=True)

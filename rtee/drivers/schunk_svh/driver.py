@@ -39,7 +39,7 @@ _LEEWAY = 1000
 """Change of a position that is plausible at any speed [ticks]: 1 to 3 % of a range."""
 
 
-class Scales:
+class ChannelScales:
     """The units of the channels in use, computed once for a homed hand.
 
     Args:
@@ -134,7 +134,7 @@ class SchunkSvhDriver(Driver):
         self._table: tuple[Channel, ...] = CHANNELS
         self.connection: Connection[SvhLink] = Connection(spec)
         self.stops: dict[int, int] = {}
-        self._scales: Scales | None = None
+        self._scales: ChannelScales | None = None
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
         self._health = power.Health(spec.name)
@@ -195,10 +195,10 @@ class SchunkSvhDriver(Driver):
         self._scales = None
 
     @property
-    def _units(self) -> Scales:
+    def _units(self) -> ChannelScales:
         if self._scales is None:
             rates = [self._limits.position[index].max_rate for index in self._index]
-            self._scales = Scales(self._used(), self.stops, rates)
+            self._scales = ChannelScales(self._used(), self.stops, rates)
         return self._scales
 
     def _adopt(self, firmware: codec.FirmwareInfo) -> None:

@@ -10,21 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.properties import Duration, Positive, read_properties
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import channels_for, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
-from rtee.hand.validation import Section
 
 _ASIDE = ("Thumb_Opposition", "Finger_Spread")  # channels that do not close on an object
 
 
-class SvhOptions(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class SvhOptions:
     """Properties of the emulated hand.
 
     Attributes:
@@ -75,7 +75,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         early: Packets that came sooner than `codec.GAP` after the previous one.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
+    FAULTS = Emulator.FAULTS | {
         "driver_fault", "over_temperature", "silent",
     }  # fmt: skip
 

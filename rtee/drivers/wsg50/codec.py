@@ -10,7 +10,7 @@ import struct
 from binascii import crc_hqx
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import Self
 
 from rtee.buses.parser import FramedParser
 from rtee.drivers.packed import Packed, part
@@ -202,10 +202,10 @@ class Frame:
 class FrameParser(FramedParser[Frame]):
     """Finds frames in a stream of bytes."""
 
-    HEADER: ClassVar[bytes] = PREAMBLE
-    HEAD: ClassVar[int] = _HEAD.size
-    PIECE: ClassVar[int] = _LONGEST + _OVERHEAD
-    LIMIT: ClassVar[int] = 2 * PIECE
+    HEADER = PREAMBLE
+    HEAD = _HEAD.size
+    PIECE = _LONGEST + _OVERHEAD
+    LIMIT = 2 * PIECE
 
     def _length(self, at: int) -> int:
         length = int.from_bytes(self._buffer[at + 4 : at + 6], "little")
@@ -289,8 +289,8 @@ class Info(Packed):
         serial: Serial number.
     """
 
-    WHAT: ClassVar[str] = "the information of a WSG"
-    ERROR: ClassVar[type[ValueError]] = WsgFrameError
+    WHAT = "the information of a WSG"
+    ERROR = WsgFrameError
 
     kind: int = part("B")
     hardware: int = part("B")
@@ -314,8 +314,8 @@ class Limits(Packed):
         force: Least, nominal and with overdrive [N].
     """
 
-    WHAT: ClassVar[str] = "the limits of a WSG"
-    ERROR: ClassVar[type[ValueError]] = WsgFrameError
+    WHAT = "the limits of a WSG"
+    ERROR = WsgFrameError
 
     stroke: float = part("f", default=110.0)
     speed: tuple[float, float] = part("f", 2, default=(5.0, 420.0))

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.properties import Duration, Positive, read_properties
 from rtee.drivers.wsg50.codec import (
     MOTIONS,
     Command,
@@ -28,7 +29,6 @@ from rtee.drivers.wsg50.codec import (
     answer,
     numbers,
 )
-from rtee.hand.validation import Section
 
 _HOMING_SPEED = 50.0
 """Speed of homing [mm/s]; no document states it."""
@@ -55,7 +55,8 @@ _ERRORS: Mapping[str, State] = {
 }
 
 
-class Wsg50Properties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class Wsg50Properties:
     """Properties of the emulated gripper.
 
     Attributes:
@@ -88,8 +89,8 @@ class Wsg50Emulator(Emulator, Grasps):
         requests: Frames received that ask for no measurement, newest last, for tests.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_ERRORS)
-    SCHEME: ClassVar[str] = "socket"
+    FAULTS = Emulator.FAULTS | frozenset(_ERRORS)
+    SCHEME = "socket"
     period = 0.005
 
     def __init__(self, properties: Wsg50Properties | None = None) -> None:

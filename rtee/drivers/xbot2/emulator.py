@@ -7,19 +7,20 @@ real server interpolates them; the sign of efforts is not known and an option of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Positive, read_properties
+from rtee.drivers.properties import Positive, read_properties
 from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
-from rtee.hand.validation import Section
 
 
-class ServerProperties(Section, frozen=True):
+@dataclass(frozen=True, slots=True)
+class ServerProperties:
     """Properties of the emulated server.
 
     Attributes:
@@ -53,7 +54,7 @@ class XBot2Emulator(Emulator, Grasps):
         commands: Number of commands received.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent"}
+    FAULTS = Emulator.FAULTS | {"silent"}
 
     def __init__(self, properties: ServerProperties | None = None) -> None:
         super().__init__()

@@ -19,8 +19,7 @@ from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log import read
-from rtee.log.mcapfile import being_written
-from rtee.log.rotation import recordings
+from rtee.log.rotation import being_written, recordings
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus

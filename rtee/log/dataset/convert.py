@@ -17,8 +17,9 @@ from rtee.log.dataset.cameras import Camera, cameras_in
 from rtee.log.dataset.episodes import By, Episode, episodes_of
 from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
 from rtee.log.file_index import FileIndex, index_file
-from rtee.log.reader import paths_of, read
+from rtee.log.reader import read
 from rtee.log.recording import Recording
+from rtee.log.rotation import paths_of
 from rtee.messages.codec import SECOND
 from rtee.messages.features import USUAL, Quantity
 from rtee.sample import FloatArray

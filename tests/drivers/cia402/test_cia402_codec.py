@@ -19,7 +19,7 @@ from rtee.drivers.cia402.cia301 import (
     NmtState,
     Sdo,
 )
-from rtee.drivers.cia402.codec import Command, Limits, Motion, Scale, State, Status
+from rtee.drivers.cia402.codec import Command, DriveScale, Limits, Motion, State, Status
 from rtee.drivers.cia402.emulated_drive import DriveProperties
 from rtee.drivers.cia402.emulator import Cia402Emulator
 
@@ -86,11 +86,11 @@ def test_any_data_is_read_or_refused(data: bytes) -> None:
 
 @given(st.floats(-3.0, 3.0), st.sampled_from([651.9, -651.9, 12345.6]))
 def test_units_have_inverses(position: float, counts: float) -> None:
-    scale = Scale(counts, 77, 2.0, 1.5)
+    scale = DriveScale(counts, 77, 2.0, 1.5)
     there = scale.to_counts(position)
     assert scale.to_position(there) == pytest.approx(position, abs=0.51 / abs(counts))
     assert scale.to_velocity(scale.to_velocity_limit(1.0)) * counts > 0
-    rpm = Scale(counts, velocity_unit=4096 / 60)
+    rpm = DriveScale(counts, velocity_unit=4096 / 60)
     assert rpm.to_velocity_limit(60 * 4096 / counts) == 3600
     assert rpm.to_velocity(60) == pytest.approx(4096 / counts)
     assert abs(scale.to_effort(scale.to_permille(1.3))) == pytest.approx(1.3, abs=1e-3)

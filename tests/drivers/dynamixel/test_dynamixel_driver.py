@@ -18,7 +18,7 @@ from rtee.drivers.dynamixel.codec import BROADCAST, STATUS, Hardware, Instructio
 from rtee.drivers.dynamixel.driver import DynamixelDriver
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.table import Mode
-from rtee.drivers.servo_lines import Scale, Scales
+from rtee.drivers.servo_lines import ServoScale, ServoScales
 from rtee.errors import (
     BusError,
     CalibrationError,
@@ -436,7 +436,7 @@ def test_mistakes_in_options_are_told(options: dict[str, Any], sentence: str) ->
 @pytest.mark.parametrize("gear", [1.0, 2.5])
 def test_units_have_inverses(direction: int, gear: float) -> None:
     effort = 0.001 * 0.35 * gear
-    scale = Scale(
+    scale = ServoScale(
         table.RAD_PER_PULSE,
         1000.0,
         direction,
@@ -449,15 +449,15 @@ def test_units_have_inverses(direction: int, gear: float) -> None:
         pulses = scale.to_counts(float(angle))
         assert scale.to_rad(pulses) == pytest.approx(angle, abs=table.RAD_PER_PULSE / gear * 0.51)
         for lost in (-2, -1, 0, 1, 3):
-            other = Scale(table.RAD_PER_PULSE, 1000.0, direction, gear)
+            other = ServoScale(table.RAD_PER_PULSE, 1000.0, direction, gear)
             other.unwrap(pulses + lost * table.PULSES, -0.6, 0.6)
             assert other.to_rad(pulses + lost * table.PULSES) == pytest.approx(scale.to_rad(pulses))
     counts = scale.to_speed(1.0)
     assert counts * table.VELOCITY_UNIT / gear == pytest.approx(1.0, rel=0.02)
     assert scale.to_limit(0.2) * scale.effort_unit == pytest.approx(0.2, rel=0.01)
     column = np.array([[1000.0], [0.0], [400.0], [400.0], [25.0], [50.0]])
-    assert Scales([scale]).measured(column).torque == pytest.approx([400 * effort * direction])
-    assert np.isnan(Scales([Scale(1.0, 0.0)]).measured(column).torque).all()
+    assert ServoScales([scale]).measured(column).torque == pytest.approx([400 * effort * direction])
+    assert np.isnan(ServoScales([ServoScale(1.0, 0.0)]).measured(column).torque).all()
 
 
 def _group_write(address: int) -> Callable[[bytes], bool]:

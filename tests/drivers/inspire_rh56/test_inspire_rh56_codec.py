@@ -24,7 +24,7 @@ from rtee.drivers.inspire_rh56.codec import (
 )
 from rtee.drivers.inspire_rh56.emulator import InspireRh56Emulator
 from rtee.drivers.inspire_rh56.memory import Rh56Properties
-from rtee.drivers.inspire_rh56.options import FORCES, Scale
+from rtee.drivers.inspire_rh56.options import FORCES, MotorScale
 
 READ, WRITE = Command.READ, Command.WRITE
 OPENED = codec.table([1000] * 5 + [0])
@@ -162,8 +162,8 @@ def test_what_no_hand_reports_is_refused(at: int, value: bytes) -> None:
 # --- what the numbers stand for -------------------------------------------------------------
 
 
-def scale(finger: str, **options: bool) -> Scale:
-    return Scale(0.0, 1.47, FORCES[finger], most=1000, travel_time=0.3, **options)
+def scale(finger: str, **options: bool) -> MotorScale:
+    return MotorScale(0.0, 1.47, FORCES[finger], most=1000, travel_time=0.3, **options)
 
 
 @pytest.mark.parametrize(

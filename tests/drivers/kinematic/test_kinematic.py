@@ -242,7 +242,7 @@ async def test_it_breaks_and_mends() -> None:
         ({"time_constant": 0.0}, "time_constant"),
         ({"start": {"bned": 1.0}}, "did you mean 'bend'"),
         ({"objects": {"middle": 0.5}}, "unknown name 'middle'"),
-        ({"objects": {"bend": 1.5}}, "0 to 1 of the way"),
+        ({"objects": {"bend": 1.5}}, "0 to 1 of the travel"),
     ],
 )
 def test_wrong_options_are_named_with_file_and_line(
@@ -250,4 +250,4 @@ def test_wrong_options_are_named_with_file_and_line(
 ) -> None:
     with pytest.raises(ConfigError, match=reason) as caught:
         make(**options)
-    assert "hand.yaml:4" in str(caught.value) or "of the way" in reason
+    assert "hand.yaml:4" in str(caught.value) or "of the travel" in reason

@@ -15,8 +15,8 @@ from rtee.drivers.onrobot_3fg.codec import (
     Control,
     Fingers,
     GripType,
-    Scale,
     Status,
+    scale_of,
 )
 from rtee.drivers.onrobot_common import serial_number
 from rtee.errors import FrameError
@@ -73,7 +73,7 @@ def test_any_registers_are_a_status_or_refused(found: tuple[int, ...]) -> None:
 
 
 def test_every_diameter_and_force_comes_back() -> None:
-    scale = Scale(0.0, 2.9)
+    scale = scale_of(0.0, 2.9)
     for register in range(346, 1501):
         assert scale.position.to_count(scale.position.to_si(register)) == register
     for register in range(1001):
@@ -85,7 +85,7 @@ def test_every_diameter_and_force_comes_back() -> None:
 
 
 def test_effort_follows_from_force_by_virtual_work() -> None:
-    scale = Scale(0.0, 2.9)
+    scale = scale_of(0.0, 2.9)
     work = 240.0 * (scale.position.to_raw(1.0) - scale.position.to_raw(1.1)) * 1e-4
     assert scale.effort.to_si(1000) * 0.1 == pytest.approx(work)
 

@@ -10,13 +10,13 @@ import pytest
 
 from rtee.buses.faults import Faults
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.onrobot_3fg.codec import Scale
+from rtee.drivers.onrobot_3fg.codec import scale_of
 from rtee.errors import HandshakeError, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import Reference
 from tests.drivers.objects import close_onrobot_3fg
 
-SCALE = Scale(0.0, 2.9)
+SCALE = scale_of(0.0, 2.9)
 
 
 def with_an_object(emulator: Any) -> list[float]:

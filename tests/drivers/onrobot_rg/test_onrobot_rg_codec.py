@@ -17,7 +17,7 @@ from rtee.drivers.onrobot_rg.codec import (
     TIPS_WIDTH,
     Command,
     Control,
-    Scale,
+    LinkageScale,
     Status,
 )
 from rtee.errors import FrameError
@@ -109,7 +109,7 @@ def test_between_its_fingertips_it_is_the_published_linkage(name: str, published
 @pytest.mark.parametrize(("name", "force"), [("rg2", 40.0), ("rg6", 120.0)])
 def test_every_tenth_of_a_millimetre_and_newton_comes_back(name: str, force: float) -> None:
     model = MODELS[name]
-    scale = Scale(model, model.angle(0.0098), model.angle(model.stroke))
+    scale = LinkageScale(model, model.angle(0.0098), model.angle(model.stroke))
     for width in range(round(model.stroke * 1e4) + 1):
         assert scale.width(scale.position(width)) == width
     assert scale.width(-9.0) == 0

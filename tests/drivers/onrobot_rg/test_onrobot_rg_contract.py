@@ -9,7 +9,7 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.onrobot_rg.codec import MODELS, Scale
+from rtee.drivers.onrobot_rg.codec import MODELS, LinkageScale
 from rtee.drivers.onrobot_rg.driver import OnRobotRGDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
@@ -19,7 +19,7 @@ from tests.drivers.use import cycled
 
 RG2 = MODELS["rg2"]
 FINGER = actuator("finger_joint", 0.0789, 1.2873, effort=3.33, rest=1.2873)
-SCALE = Scale(RG2, FINGER.lower, FINGER.upper)
+SCALE = LinkageScale(RG2, FINGER.lower, FINGER.upper)
 
 TCP = DeviceCase(
     driver="onrobot_rg",

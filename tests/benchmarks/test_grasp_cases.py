@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
+pytest.importorskip("mujoco")
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from grasp_cases import RATE, Case, Thing, try_case
+
 from rtee.trials.bench import bench
-from rtee.trials.grasp_truth import RATE, Case, Thing, try_case
 
 FORCES = {"wsg50": 20.0, "robotiq_hand_e": 30.0, "schunk_egu": 40.0, "onrobot_rg2": 12.0}
 """The force asked for [N]: of linear grippers with heavy drives, and of a linkage."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from experiments.transfer import MOMENTS, OFF, SLIDE, Transfer, TransferResult, run_transfer
 from rtee.errors import UnknownAction
 from rtee.log import read
 from rtee.trials.bench import bench
 from rtee.trials.recorded import recorder_for
-from rtee.trials.transfer import MOMENTS, OFF, SLIDE, run_transfer
-from rtee.trials.transfer_result import Transfer, TransferResult
 from rtee.trials.trial import Trial, run_trial
 
 GRIPPER = "robotiq_2f_85"
