@@ -54,7 +54,7 @@ from rtee.commands import StreamTargets
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import RteeError
 from rtee.gui.access import Access
-from rtee.gui.access import Role as Visitor
+from rtee.gui.access import PageRole as Visitor
 from rtee.gui.app import App
 from rtee.gui.visitors import Visitors
 from rtee.hand.config_schema import SecuritySettings

@@ -28,7 +28,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import ConfigError, ModelError, UserError, foreign
-from rtee.exchange.export import Kind, export_hand
+from rtee.exchange.export import ExportFormat, export_hand
 from rtee.exchange.reading import as_urdf
 from rtee.extract.extraction import extract
 from rtee.extract.kinematic import kinematic_primitives
@@ -236,7 +236,7 @@ def test_exports_are_read_again(folder: Path, tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     export_hand(folder, tmp_path / "out")
     names = set(ALLOWED)
-    for kind in Kind:
+    for kind in ExportFormat:
         files = sorted((tmp_path / "out").glob(f"*.{ {'mjcf': 'xml'}.get(kind, kind) }"))
         for file in files:
             root = ElementTree.fromstring(file.read_text())

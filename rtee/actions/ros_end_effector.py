@@ -155,7 +155,7 @@ class _Source:
 
 
 @dataclass
-class Imported:
+class ImportedActions:
     """Result of an import from ROS End-Effector.
 
     Attributes:
@@ -169,7 +169,7 @@ class Imported:
     notes: list[str] = field(default_factory=list)
 
 
-def import_folder(hand: Hand, folder: Path) -> Imported:
+def import_folder(hand: Hand, folder: Path) -> ImportedActions:
     """Read all action files of ROS End-Effector in a folder and those below it.
 
     Raises:
@@ -232,7 +232,7 @@ class _Reader:
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
         self.library = ActionLibrary(hand)
-        self.imported = Imported()
+        self.imported = ImportedActions()
 
     def add(self, source: _Source, stage: int | None) -> None:
         name = str(source.key)

@@ -12,7 +12,7 @@ import anyio.to_thread
 from rtee.agent import texts
 from rtee.errors import GoalRejected, NoHand, RteeError, needing_extra
 from rtee.hand.config_schema import Gate
-from rtee.remote.agent_limits import Limits
+from rtee.remote.agent_limits import AgentLimits
 from rtee.remote.agents import AGENT
 from rtee.remote.approval import approve
 from rtee.remote.client import RemoteHand, connect
@@ -43,7 +43,7 @@ class Agent:
         notes: Numbered events and results, oldest first.
     """
 
-    def __init__(self, name: str, limits: Limits, endpoint: str | None = None) -> None:
+    def __init__(self, name: str, limits: AgentLimits, endpoint: str | None = None) -> None:
         self.name, self.limits, self.endpoint = name, limits, endpoint
         self.notes: deque[dict[str, Any]] = deque(maxlen=_MOST)
         self._count = 0

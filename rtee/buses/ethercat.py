@@ -23,7 +23,7 @@ _OPENING, _CLOSING = 5.0, 2.0
 1 s."""
 
 
-class State(IntEnum):
+class SlaveState(IntEnum):
     """States of a slave, as in the AL control register (ETG.1000.6)."""
 
     INIT = 1
@@ -56,7 +56,7 @@ class Ring(ABC):
         """Find the slaves and bring them to PRE-OPERATIONAL; raises `OSError`."""
 
     @abstractmethod
-    def request(self, state: State, within: float) -> None:
+    def request(self, state: SlaveState, within: float) -> None:
         """Bring all slaves to a state within a time [s]; raises `TimeoutError`."""
 
     @abstractmethod
@@ -89,7 +89,7 @@ class PysoemRing(Ring):
         self._soem: Any = pysoem
         self._interface = interface
         self._master: Any = None
-        self._state = State.INIT
+        self._state = SlaveState.INIT
 
     def open(self) -> list[Slave]:
         """Find the slaves."""
@@ -106,7 +106,7 @@ class PysoemRing(Ring):
         master.config_map()
         return slaves
 
-    def request(self, state: State, within: float) -> None:
+    def request(self, state: SlaveState, within: float) -> None:
         """Bring all slaves to a state."""
         master = self._master
         master.read_state()
@@ -133,7 +133,9 @@ class PysoemRing(Ring):
         count = master.receive_processdata(_FRAME_TIMEOUT)
         # Safe-operational slaves report their inputs but ignore outputs.
         reporting = sum(1 for slave in master.slaves if slave.input)
-        if count < (reporting if self._state is State.SAFE_OPERATIONAL else master.expected_wkc):
+        if count < (
+            reporting if self._state is SlaveState.SAFE_OPERATIONAL else master.expected_wkc
+        ):
             return None
         # Copies: SOEM reuses its process image in the next cycle.
         return [bytes(slave.input) for slave in master.slaves]
@@ -161,7 +163,7 @@ class PysoemRing(Ring):
         """Leave the slaves initialised."""
         master, self._master = self._master, None
         if master is not None:
-            master.state = int(State.INIT)
+            master.state = int(SlaveState.INIT)
             master.write_state()
             master.close()
 

@@ -110,7 +110,7 @@ class AnswerParser:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ModbusRequest:
     """A request to a slave.
 
     Attributes:
@@ -162,7 +162,7 @@ class RtuRequests(_Requests):
         super().__init__()
         self.unit = unit
 
-    def feed(self, data: bytes) -> list[Request]:
+    def feed(self, data: bytes) -> list[ModbusRequest]:
         """Receive bytes and return the requests that they complete."""
         self._buffer += data
         requests = []
@@ -173,7 +173,7 @@ class RtuRequests(_Requests):
             self._buffer = self._buffer[-_MOST:]
         return requests
 
-    def _next(self) -> Request | None:
+    def _next(self) -> ModbusRequest | None:
         data = self._buffer
         # A request may begin anywhere after garbage; the checksum decides.
         for start in range(len(data) - 3):
@@ -183,7 +183,7 @@ class RtuRequests(_Requests):
             if start < end <= len(data) and crc16(data[start : end - 2]) == data[end - 2 : end]:
                 self.errors += start
                 self._buffer = data[end:]
-                return Request(data[start], data[start + 1 : end - 2])
+                return ModbusRequest(data[start], data[start + 1 : end - 2])
         return None
 
 
@@ -205,13 +205,13 @@ class TcpRequests(_Requests):
     must fit its function, and data that is exactly one request discards an incomplete one before.
     """
 
-    def feed(self, data: bytes) -> list[Request]:
+    def feed(self, data: bytes) -> list[ModbusRequest]:
         """Receive bytes and return the requests that they complete."""
         if self._buffer and _network_size(data) == len(data):
             self.errors += len(self._buffer)
             self._buffer = b""
         if not self._buffer and len(data) >= 8 and _length(data) == len(data):
-            return [Request(data[6], data[7:], data[:4])]
+            return [ModbusRequest(data[6], data[7:], data[:4])]
         self._buffer += data
         requests = []
         while len(self._buffer) >= 8:
@@ -223,7 +223,7 @@ class TcpRequests(_Requests):
             if size < 0 or len(self._buffer) < size:
                 break
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
-            requests.append(Request(frame[6], frame[7:], frame[:4]))
+            requests.append(ModbusRequest(frame[6], frame[7:], frame[:4]))
         return requests
 
 

@@ -14,7 +14,7 @@ from rtee.buses.modbus_frames import (
     READ_WRITE,
     WRITE_MANY,
     WRITE_ONE,
-    Request,
+    ModbusRequest,
     RtuRequests,
     TcpRequests,
 )
@@ -119,7 +119,7 @@ class ModbusEmulator(Emulator):
         """Forget the bytes of an incomplete request."""
         self._parser.reset()
 
-    def _handle(self, request: Request, now: float) -> bytes | None:
+    def _handle(self, request: ModbusRequest, now: float) -> bytes | None:
         function = request.pdu[0]
         try:
             if function not in self.functions:

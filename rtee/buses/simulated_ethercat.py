@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Protocol, cast
 
 from rtee import monotonic
-from rtee.buses.ethercat import Ring, Slave, State
+from rtee.buses.ethercat import Ring, Slave, SlaveState
 from rtee.buses.faults import Faults
 from rtee.buses.simulated import Simulation
 
@@ -23,7 +23,7 @@ class PlaysSlaves(Protocol):
         """Return the slaves."""
         ...
 
-    def become(self, state: State, now: float) -> bool:
+    def become(self, state: SlaveState, now: float) -> bool:
         """Request a state of the slaves; return whether they reach it."""
         ...
 
@@ -101,10 +101,10 @@ class SimulatedRing(Ring):
     def open(self) -> list[Slave]:
         """Find the slaves."""
         played = self._played()
-        played.become(State.PRE_OPERATIONAL, monotonic.now())
+        played.become(SlaveState.PRE_OPERATIONAL, monotonic.now())
         return played.slaves()
 
-    def request(self, state: State, within: float) -> None:
+    def request(self, state: SlaveState, within: float) -> None:
         """Bring all slaves to a state."""
         if not self._played().become(state, monotonic.now()):
             raise TimeoutError(f"the slaves did not become {state.name.lower()}")
@@ -139,4 +139,4 @@ class SimulatedRing(Ring):
     def close(self) -> None:
         """Leave the slaves initialised."""
         if self._simulation.plugged and self._simulation.emulators:
-            self._simulation.played.become(State.INIT, monotonic.now())
+            self._simulation.played.become(SlaveState.INIT, monotonic.now())

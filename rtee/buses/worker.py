@@ -15,7 +15,7 @@ from rtee.buses.timing import ask_for_short_slices, wake_exactly
 T = TypeVar("T")
 
 
-class _Call(NamedTuple):
+class _QueuedCall(NamedTuple):
     function: Callable[[], Any]
     loop: asyncio.AbstractEventLoop
     result: asyncio.Future[Any]
@@ -65,7 +65,7 @@ class _Thread:
     """The thread with its calls."""
 
     def __init__(self, name: str) -> None:
-        self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[_QueuedCall | None] = queue.SimpleQueue()
         self._pending = 0
         thread = threading.Thread(target=self._serve, name=name, daemon=True)
         self.join = thread.join
@@ -79,7 +79,7 @@ class _Thread:
         if not self._pending and isinstance(loop, SimulatedTimeLoop):
             loop.work_begins()
         self._pending += 1
-        self._calls.put(_Call(function, loop, result))
+        self._calls.put(_QueuedCall(function, loop, result))
         return result
 
     def end(self, loop: asyncio.AbstractEventLoop) -> asyncio.Future[None]:
@@ -105,7 +105,7 @@ class _Thread:
                 call.loop.call_soon_threadsafe(self._done, call, result, error)
             del call, result, error  # release their objects before the next wait
 
-    def _done(self, call: _Call, result: object, error: BaseException | None) -> None:
+    def _done(self, call: _QueuedCall, result: object, error: BaseException | None) -> None:
         _settle(call.result, result, error)
         self._pending -= 1
         if not self._pending and isinstance(call.loop, SimulatedTimeLoop):

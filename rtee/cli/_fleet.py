@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._online import to_json
-from rtee.cli._table import Column, Row, Table, on_terminal
+from rtee.cli._table import Column, Row, TextTable, on_terminal
 from rtee.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _plain(look: Look) -> dict[str, Any]:
     return {**status, **place, **own}
 
 
-def _table(looks: Sequence[Look]) -> Table:
+def _table(looks: Sequence[Look]) -> TextTable:
     columns = (
         Column("hand", whole=True),
         *([Column("at")] if any(look.place.endpoint for look in looks) else []),
@@ -88,7 +88,7 @@ def _table(looks: Sequence[Look]) -> Table:
         Column("remarks"),
     )
     places = len(columns) > 10
-    return Table(columns, tuple(_row(look, places) for look in looks))
+    return TextTable(columns, tuple(_row(look, places) for look in looks))
 
 
 def _row(look: Look, places: bool) -> Row:

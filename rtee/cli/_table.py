@@ -56,7 +56,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TextTable:
     """Columns and rows; the title is shown only on terminals.
 
     ``heading`` is the name of the column of headings, empty if the rows have none.

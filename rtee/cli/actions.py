@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rtee.cli._common import Hand, JsonOption, actions_of
-from rtee.cli._table import Column, Row, Table, WideOption, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, TextTable, WideOption, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
     from rtee.actions.types import Action, ActionReference, Evidence, Primitive
@@ -42,7 +42,7 @@ def _show(hand: HandModel, library: list[Action]) -> None:
         title += f"\n(names of actuators begin with {prefix})"
     columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
     rows = [_row(hand, action, prefix) for action in library]
-    Table(columns, tuple(rows), title, "action").show()
+    TextTable(columns, tuple(rows), title, "action").show()
 
 
 def _row(hand: HandModel, action: Action, prefix: str) -> Row:

@@ -122,7 +122,7 @@ def compare(
 
 
 def _show(found: Comparison) -> None:
-    from rtee.cli._table import Column, Row, Table
+    from rtee.cli._table import Column, Row, TextTable
     from rtee.trials.comparison import name_of
 
     rows = []
@@ -140,4 +140,4 @@ def _show(found: Comparison) -> None:
             )
         rows.append(Row(tuple(cells)))
     columns = (Column("part"), *(Column(name_of(hand)) for hand in found.hands))
-    Table(columns, tuple(rows)).show()
+    TextTable(columns, tuple(rows)).show()

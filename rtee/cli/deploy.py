@@ -11,7 +11,7 @@ import typer
 from rtee.cli._common import Hand
 
 if TYPE_CHECKING:
-    from rtee.deploy.install import Installation, State
+    from rtee.deploy.install import FileState, Installation
     from rtee.deploy.needs import Needs
 
 app = typer.Typer(no_args_is_help=True, help="Make a hand a service that starts with the computer.")
@@ -136,7 +136,7 @@ def _check_rights(installation: Installation, command: str) -> None:
         raise ConfigError(f"the system's files are root's; type: sudo rtee deploy {command}")
 
 
-def _print_states(installation: Installation, states: dict[str, State]) -> None:
+def _print_states(installation: Installation, states: dict[str, FileState]) -> None:
     for path, state in states.items():
         print(f"{state}: {installation.root / path.lstrip('/')}")
 

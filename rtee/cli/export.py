@@ -24,10 +24,10 @@ def export(
     ] = False,
 ) -> None:
     """Write a hand's model for other programs: URDF, MJCF and SRDF, or those asked for."""
-    from rtee.exchange.export import Kind, export_hand
+    from rtee.exchange.export import ExportFormat, export_hand
 
-    paths = {Kind.URDF: urdf, Kind.MJCF: mjcf, Kind.SRDF: srdf}
-    kinds = [kind for kind, wanted in paths.items() if wanted] or list(Kind)
+    paths = {ExportFormat.URDF: urdf, ExportFormat.MJCF: mjcf, ExportFormat.SRDF: srdf}
+    kinds = [kind for kind, wanted in paths.items() if wanted] or list(ExportFormat)
     exported = export_hand(hand_folder(hand), target, kinds)
     for note in exported.notes:
         print(f"note: {note}")

@@ -25,7 +25,7 @@ from rtee.cli._common import (
     hand_folder,
     owned,
 )
-from rtee.cli._table import Column, Row, Table, WideOption, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, TextTable, WideOption, on_terminal, prefix_to_drop
 from rtee.cli.new import OutsideOption, RootOption, subtree_of
 from rtee.hand.config_schema import Outside
 
@@ -318,7 +318,7 @@ def _show(hand: HandModel, extraction: Extraction) -> None:
     for primitive in extraction.primitives:
         colliding = bool(primitive.evidence) and not primitive.evidence[0].clear
         rows.append(Row(_cells(hand, primitive, prefix, width), primitive.name, faint=colliding))
-    Table(columns, tuple(rows), title, "primitive").show()
+    TextTable(columns, tuple(rows), title, "primitive").show()
 
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:

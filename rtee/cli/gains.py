@@ -10,7 +10,7 @@ import typer
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 from rtee.cli._online import to_json, with_hand
-from rtee.cli._table import Column, Row, Table
+from rtee.cli._table import Column, Row, TextTable
 from rtee.errors import ConfigError, suggestion
 
 if TYPE_CHECKING:
@@ -114,4 +114,4 @@ def _show(by_device: Mapping[str, Mapping[str, float]]) -> None:
         for device, values in by_device.items()
         for name, value in values.items()
     ]
-    Table((Column("device"), Column("gain"), Column("value", right=True)), tuple(rows)).show()
+    TextTable((Column("device"), Column("gain"), Column("value", right=True)), tuple(rows)).show()

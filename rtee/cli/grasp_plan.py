@@ -155,7 +155,7 @@ def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ra
 
 
 def _show(ranking: Ranking, top: int) -> None:
-    from rtee.cli._table import Column, Row, Table
+    from rtee.cli._table import Column, Row, TextTable
 
     columns = ("action", "score", "intensity", "pre-shape", "effort", "load", "quality", "dynamics")
     rows = [
@@ -180,7 +180,7 @@ def _show(ranking: Ranking, top: int) -> None:
         for name, why in ranking.rejected:
             print(f"  {name}: {why}")
         return
-    Table(
+    TextTable(
         tuple(Column(name, name not in ("action", "dynamics")) for name in columns), tuple(rows)
     ).show()
     first = ranking.plans[0]

@@ -11,7 +11,7 @@ import typer
 
 from rtee.cli._common import JsonOption
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
-from rtee.cli._table import Column, Row, Table
+from rtee.cli._table import Column, Row, TextTable
 
 
 def hands(
@@ -69,7 +69,7 @@ def _print(rows: list[dict[str, Any]]) -> None:
         Column("joints", right=True),
         Column("devices"),
     )
-    Table(columns, tuple(Row(_cells(row)) for row in rows if "error" not in row)).show()
+    TextTable(columns, tuple(Row(_cells(row)) for row in rows if "error" not in row)).show()
     for row in rows:
         if "error" in row:
             print(f"{row['name']}: {row['error']}", file=sys.stderr)

@@ -10,7 +10,7 @@ import typer
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 from rtee.cli._online import to_json, with_hand
-from rtee.cli._table import Column, Row, Table
+from rtee.cli._table import Column, Row, TextTable
 
 if TYPE_CHECKING:
     from rtee.remote.hand_info import HandInfo
@@ -67,7 +67,7 @@ def _show(description: HandInfo) -> None:
         )
         for each in description.actuators
     ]
-    Table(tuple(Column(name, right=name in numbers) for name in columns), tuple(rows)).show()
+    TextTable(tuple(Column(name, right=name in numbers) for name in columns), tuple(rows)).show()
     print("rad, rad/s, N·m, N·m/rad; of prismatic ones m, m/s, N, N/m\n")
     tips = [
         Row(
@@ -84,7 +84,7 @@ def _show(description: HandInfo) -> None:
         for each in description.fingers
     ]
     heads = ("finger", "tip", "friction", "tip at [mm]", "moved by")
-    Table(tuple(Column(name, right=name == "friction") for name in heads), tuple(tips)).show()
+    TextTable(tuple(Column(name, right=name == "friction") for name in heads), tuple(tips)).show()
     for sentence in description.missing:
         print(f"note: {sentence}")
 

@@ -14,7 +14,7 @@ from rtee.errors import ConfigError
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
-    from rtee.retarget.frames import Frame
+    from rtee.retarget.frames import TrackerFrame
     from rtee.retarget.layouts import Side
     from rtee.retarget.retargeter import Retargeter
 
@@ -47,14 +47,14 @@ def follow(
         from rtee.retarget.layouts import layout_named, side_named
     efforts, known, chosen = read_efforts(list(effort)), layout_named(layout), side_named(side)
     # Read before the hand is connected, so that a wrong file moves nothing.
-    frames: Sequence[Frame] = ()
+    frames: Sequence[TrackerFrame] = ()
     if source != "-":
         frames = tracker.read_frames(Path(source), known, chosen)
         rate = (len(frames) - 1) / max(frames[-1].stamp - frames[0].stamp, 1e-3) or rate
 
     async def run(remote: RemoteHand) -> None:
         reader = tracker.FrameReader(known, chosen, "the standard input")
-        coming: AsyncIterable[Frame] = (
+        coming: AsyncIterable[TrackerFrame] = (
             tracker.due(frames) if frames else tracker.live(anyio.wrap_file(sys.stdin), reader)
         )
         limits = await effort_limits(remote, efforts)
@@ -88,7 +88,7 @@ async def follow_headset(
 
 async def _drive(
     remote: RemoteHand,
-    frames: AsyncIterable[Frame],
+    frames: AsyncIterable[TrackerFrame],
     side: Side,
     rate: float,
     efforts: Mapping[str, float],

@@ -12,11 +12,11 @@ import typer
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 from rtee.cli._online import to_json, with_hand
-from rtee.cli._table import Column, Row, Table
+from rtee.cli._table import Column, Row, TextTable
 from rtee.errors import ConfigError, LogError, foreign, needing_extra
 
 if TYPE_CHECKING:
-    from rtee.log.check import Check
+    from rtee.log.check import ReplayCheck
     from rtee.log.info import Info
     from rtee.log.recording import Recording
 
@@ -113,7 +113,7 @@ def _show_topics(summary: Info) -> None:
         Row((*map(foreign, (each.topic, each.type)), str(each.messages), f"{each.rate:.1f}"))
         for each in summary.topics
     )
-    Table(columns, tuple(topics)).show()
+    TextTable(columns, tuple(topics)).show()
 
 
 def _show_goals(summary: Info) -> None:
@@ -127,7 +127,7 @@ def _show_goals(summary: Info) -> None:
         Row((f"{s.start:.2f}", foreign(s.name), f"{s.end - s.start:.2f}", s.outcome))
         for s in summary.goals
     )
-    Table(columns, tuple(spans)).show()
+    TextTable(columns, tuple(spans)).show()
 
 
 @app.command()
@@ -386,7 +386,7 @@ def _configured(name: str, actuators: list[str]) -> bool:
         return False
 
 
-def _show_check(comparison: Check, as_json: bool) -> None:
+def _show_check(comparison: ReplayCheck, as_json: bool) -> None:
     from dataclasses import asdict
 
     if as_json:

@@ -63,13 +63,13 @@ def mcp(
     with needing_extra("'rtee mcp'", "mcp"):
         from rtee.agent.server import serve
     from rtee.agent.agent import Agent
-    from rtee.remote.agent_limits import Limits
+    from rtee.remote.agent_limits import AgentLimits
     from rtee.remote.find import hands_running
 
     asked = AgentSettings(gate, force, effort, speed, tuple(action or ()))
     if not (names := hands or list(hands_running())):
         raise ConfigError("no hand runs here; name those that will: rtee mcp HAND")
-    agents = [Agent(name, Limits.of(_settings(name), asked), connect) for name in names]
+    agents = [Agent(name, AgentLimits.of(_settings(name), asked), connect) for name in names]
     for name in names:
         anyio.run(_say_if_absent, name, connect)
     anyio.run(serve, agents)

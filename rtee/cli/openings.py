@@ -125,7 +125,7 @@ def _plain(table: Opening) -> dict[str, Any]:
 
 
 def _show(library: ActionLibrary, valid: list[Opening]) -> None:
-    from rtee.cli._table import Column, Row, Table
+    from rtee.cli._table import Column, Row, TextTable
 
     if not valid:
         return
@@ -145,4 +145,4 @@ def _show(library: ActionLibrary, valid: list[Opening]) -> None:
             ends = tool_centres(library, table)
             cells.insert(2, " to ".join(" ".join(f"{1e3 * v:z.1f}" for v in end) for end in ends))
         rows.append(Row(tuple(cells)))
-    Table(tuple(columns), tuple(rows), f"Openings of {library.hand.name}").show()
+    TextTable(tuple(columns), tuple(rows), f"Openings of {library.hand.name}").show()

@@ -17,7 +17,7 @@ from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
 if TYPE_CHECKING:
     from rtee.hand.model import Hand as HandModel
     from rtee.retarget.correspondence import Correspondence
-    from rtee.retarget.frames import Frame
+    from rtee.retarget.frames import TrackerFrame
     from rtee.retarget.retargeter import Retargeter
     from rtee.sample import FloatArray
 
@@ -88,7 +88,7 @@ def _open_page(folder: Path, file: Path | None, port: int) -> None:
     seen = (
         tracker.read_frames(file, LAYOUTS["mediapipe"], Side.RIGHT)
         if file is not None
-        else [tracker.Frame(k / 30.0, points) for k, points in enumerate(shown())]
+        else [tracker.TrackerFrame(k / 30.0, points) for k, points in enumerate(shown())]
     )
     page = partial(
         show_person, retargeter.hand, answered(retargeter, seen), access=Access(), port=port
@@ -99,7 +99,7 @@ def _open_page(folder: Path, file: Path | None, port: int) -> None:
 
 
 async def answered(
-    retargeter: Retargeter, frames: Sequence[Frame]
+    retargeter: Retargeter, frames: Sequence[TrackerFrame]
 ) -> AsyncIterator[tuple[FloatArray, FloatArray]]:
     """Yield a person's points beside the robot, and its positions, again and again in real time."""
     from rtee.retarget.frames import due
@@ -113,7 +113,7 @@ async def answered(
 
 
 def _show(hand: HandModel, found: Correspondence) -> None:
-    from rtee.cli._table import Column, Row, Table
+    from rtee.cli._table import Column, Row, TextTable
 
     met: dict[str, str] = {}
     for pinch in found.pinches:
@@ -134,4 +134,4 @@ def _show(hand: HandModel, found: Correspondence) -> None:
         for name, each in found.fingers.items()
     )
     columns = (Column("finger"), Column("follows"), Column("reach mm", True), Column("tip"))
-    Table(columns, rows, f"What {hand.name} follows").show()
+    TextTable(columns, rows, f"What {hand.name} follows").show()

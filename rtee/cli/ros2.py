@@ -24,7 +24,7 @@ from rtee.cli._common import (
     log_to_stderr,
 )
 from rtee.cli._online import to_json
-from rtee.cli._table import Column, Row, Table
+from rtee.cli._table import Column, Row, TextTable
 from rtee.errors import ConfigError, MessageError, RemoteError, suggestion
 
 if TYPE_CHECKING:
@@ -292,7 +292,7 @@ def list_(
         )
         for row in rows
     )
-    Table(columns, tuple(cells), heading="kind").show()
+    TextTable(columns, tuple(cells), heading="kind").show()
     for sentence in unheard(everything):
         print(f"rtee: warning: {sentence}", file=sys.stderr)
 

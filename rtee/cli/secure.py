@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._table import Column, Row, Table
+from rtee.cli._table import Column, Row, TextTable
 from rtee.errors import ConfigError, needing_extra
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def list_(hand: HandArgument) -> None:
     ]
     print(f"{hand}: certificate until {_date(known.until)}, in {known.folder}")
     columns = (Column("client", whole=True), Column("role"), Column("until"), Column(""))
-    Table(columns, tuple(rows)).show()
+    TextTable(columns, tuple(rows)).show()
 
 
 def checks(name: str, service: Needs | None = None) -> list[Check]:

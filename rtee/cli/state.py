@@ -11,7 +11,7 @@ import typer
 from rtee import monotonic
 from rtee.cli._common import ConnectOption, RunningOption
 from rtee.cli._online import to_json, with_hand
-from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop
 from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _print(name: str, newest: State, touch: Touch, as_json: bool) -> None:
         _touch_table(touch, newest.stamp).show()
 
 
-def _touch_table(touch: Touch, now: float) -> Table:
+def _touch_table(touch: Touch, now: float) -> TextTable:
     """Return a table of the touch sensors: sum, largest taxel and age of the values."""
     columns = tuple(
         Column(name, right=right, whole=True)
@@ -129,7 +129,7 @@ def _touch_table(touch: Touch, now: float) -> Table:
             numbers = (_number(total, _DIGITS), _number(largest, _DIGITS))
             cells = (sensor.name, sensor.finger or "–", *numbers, sensor.unit, age)
             rows.append(Row(cells, faint=state.stale))
-    return Table(columns, tuple(rows))
+    return TextTable(columns, tuple(rows))
 
 
 def _plain_touch(touch: Touch) -> dict[str, Any]:
@@ -169,7 +169,7 @@ def _plain(name: str, newest: State, touch: Touch) -> dict[str, Any]:
     }
 
 
-def _table(name: str, newest: State) -> Table:
+def _table(name: str, newest: State) -> TextTable:
     prefix = prefix_to_drop(newest.names)
     title = f"{name}, tick {newest.tick}"
     if prefix:
@@ -187,7 +187,7 @@ def _table(name: str, newest: State) -> Table:
     for i, actuator in enumerate(newest.names):
         values = [_number(float(getattr(newest, c)[i]), _COLUMNS[c].digits) for c in measured]
         rows.append(Row((actuator.removeprefix(prefix), *values)))
-    return Table(tuple(columns), tuple(rows), title)
+    return TextTable(tuple(columns), tuple(rows), title)
 
 
 def _number(value: float, digits: int) -> str:

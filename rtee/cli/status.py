@@ -10,7 +10,7 @@ import typer
 from rtee.cli._common import JsonOption, RunningOption
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
 from rtee.cli._online import to_json, with_hand
-from rtee.cli._table import Column, Row, Table, on_terminal
+from rtee.cli._table import Column, Row, TextTable, on_terminal
 from rtee.types import Lifecycle
 
 if TYPE_CHECKING:
@@ -104,10 +104,10 @@ def _show_devices(devices: Sequence[DeviceStatus]) -> None:
         Column("remarks"),
     )
     if not on_terminal():
-        Table(columns, tuple(Row(cells) for cells in rows)).show()
+        TextTable(columns, tuple(Row(cells) for cells in rows)).show()
         return
     # Remarks are sentences; beside seven columns, they would be wrapped at every word.
-    Table(columns[:-1], tuple(Row(cells[:-1]) for cells in rows)).show()
+    TextTable(columns[:-1], tuple(Row(cells[:-1]) for cells in rows)).show()
     for name, *_, remarks in rows:
         if remarks:
             print(f"{name}: {remarks}")

@@ -332,7 +332,7 @@ def _all_in_file(
         if out is None:
             # Copy a shipped hand only when there is something to write.
             path = owned(ready.folder) / FILE_NAME
-        keep = _Kept(_unfinished(path) if old else path, made_with, known)
+        keep = _SavedResults(_unfinished(path) if old else path, made_with, known)
         keep.write()  # fails now rather than after the trials, if the file cannot be written
         shapes = [trial.object for trial in todo]
         sweep = Sweep(workers_for([name], shapes, jobs, cluster, len(todo)))
@@ -365,7 +365,7 @@ def _unfinished(path: Path) -> Path:
     return path.with_name(f"{path.stem}.new{path.suffix}")
 
 
-class _Kept:
+class _SavedResults:
     """Results of a sweep, written to a file as they arrive."""
 
     def __init__(self, path: Path, made_with: Fingerprints, known: dict[str, TrialResult]) -> None:

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from rtee.deploy.files import STATE, USER, certificates_made, drop_in, hand_files, link_of
-from rtee.deploy.install import Installation, State
+from rtee.deploy.install import FileState, Installation
 from rtee.deploy.needs import Needs
 from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
 from rtee.errors import ConfigError
@@ -44,10 +44,10 @@ def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
 
 def _files(needs: Needs, installation: Installation, install: str) -> Check:
     states = {path: installation.written(path) for path in installation.manifest.of(needs.hand)}
-    lost = [path for path, state in states.items() if state is State.NEW]
+    lost = [path for path, state in states.items() if state is FileState.NEW]
     if lost:
         return wrong("service", f"missing: {', '.join(lost)}", install)
-    changed = [path for path, state in states.items() if state is State.KEPT]
+    changed = [path for path, state in states.items() if state is FileState.KEPT]
     if changed:
         # Installing again would keep such a file, so that the user has to remove it first.
         text = f"changed by hand: {', '.join(changed)}"

@@ -23,7 +23,7 @@ MANIFEST = "/etc/rtee/deploy.json"
 WANTS = "/etc/systemd/system/multi-user.target.wants"
 
 
-class State(StrEnum):
+class FileState(StrEnum):
     """State of a file before or after an operation."""
 
     NEW = "new"
@@ -98,13 +98,13 @@ class Installation:
         """Whether this is the running system."""
         return self.root == Path("/")
 
-    def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
+    def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, FileState]:
         """Return what `install` would do to each file, without changing anything.
 
         Raises `ConfigError` if a file exists that rtee did not write, or a folder of the system
         leads out of it.
         """
-        states: dict[str, State] = {}
+        states: dict[str, FileState] = {}
         link = self._link(hand)
         others = [link] if link.exists() and not link.is_symlink() else []
         for path, content in files.items():
@@ -117,19 +117,19 @@ class Installation:
             raise ConfigError(
                 "is there already and not from `rtee deploy`; move it away first", path=others[0]
             )
-        states[f"{WANTS}/{link.name}"] = State.SAME if link.is_symlink() else State.NEW
+        states[f"{WANTS}/{link.name}"] = FileState.SAME if link.is_symlink() else FileState.NEW
         return states
 
-    def written(self, path: str) -> State:
-        """Return the state of a written file; `State.NEW` if it is gone."""
+    def written(self, path: str) -> FileState:
+        """Return the state of a written file; `FileState.NEW` if it is gone."""
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
-            return State.NEW
+            return FileState.NEW
         if path.startswith(f"{WANTS}/"):
             same = place.is_symlink() and os.readlink(place) == UNIT
         else:
             same = _digest(place) == self.manifest.files[path]
-        return State.SAME if same else State.KEPT
+        return FileState.SAME if same else FileState.KEPT
 
     def content(self, path: str) -> bytes:
         """Return the content of a file; empty if it cannot be read."""
@@ -148,7 +148,7 @@ class Installation:
             return int(account[2])
         return None
 
-    def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
+    def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, FileState]:
         """Write a hand's files, enable its service, and return the state of each file, by path.
 
         Raises `ConfigError` if a file cannot be written; the manifest lists those that were.
@@ -162,7 +162,7 @@ class Installation:
             self._make_folders(wanted)
             # Listed before it is written, so that an interrupted installation can be undone.
             for path, state in states.items():
-                if path in files and state is not State.KEPT:
+                if path in files and state is not FileState.KEPT:
                     manifest.files[path] = hashlib.sha256(files[path]).hexdigest()
                 hands = manifest.hands.setdefault(path, [])
                 # A link has no digest, but is one of the hand's files.
@@ -171,7 +171,7 @@ class Installation:
                     hands.append(hand)
             self._save()
             for path, state in states.items():
-                if path in files and state in (State.NEW, State.CHANGED):
+                if path in files and state in (FileState.NEW, FileState.CHANGED):
                     write_atomically(self._place(path), files[path])
             link = self._link(hand)
             if not link.is_symlink():
@@ -180,7 +180,7 @@ class Installation:
         states |= self._drop(hand, stale)
         return states
 
-    def uninstall(self, hand: str) -> dict[str, State]:
+    def uninstall(self, hand: str) -> dict[str, FileState]:
         """Remove the files that only this hand needs, except those changed since.
 
         Raises `ConfigError` if the hand was not installed, or a file cannot be removed.
@@ -257,18 +257,18 @@ class Installation:
     def _link(self, hand: str) -> Path:
         return self._place(f"{WANTS}/rtee@{hand}.service")
 
-    def _state(self, path: str, content: bytes) -> State | None:
+    def _state(self, path: str, content: bytes) -> FileState | None:
         """Return what to do with a file; ``None`` if rtee did not write it."""
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
-            return State.NEW
+            return FileState.NEW
         digest = _digest(place)
         if digest == hashlib.sha256(content).hexdigest() and path in self.manifest.files:
-            return State.SAME
+            return FileState.SAME
         # Even with the same content, since uninstalling must not remove somebody else's file.
         if path not in self.manifest.files:
             return None
-        return State.CHANGED if digest == self.manifest.files[path] else State.KEPT
+        return FileState.CHANGED if digest == self.manifest.files[path] else FileState.KEPT
 
     def _make_folders(self, folders: Sequence[Path]) -> None:
         for folder in folders:
@@ -284,16 +284,16 @@ class Installation:
                 if str(each) not in self.manifest.folders:
                     self.manifest.folders.append(str(each))
 
-    def _drop(self, hand: str, paths: Sequence[str]) -> dict[str, State]:
+    def _drop(self, hand: str, paths: Sequence[str]) -> dict[str, FileState]:
         """Remove a hand from those that need some files, and remove files that none needs."""
-        states: dict[str, State] = {}
+        states: dict[str, FileState] = {}
         manifest = self.manifest
         for path in paths:
             manifest.hands[path].remove(hand)
             if manifest.hands[path]:
                 continue
             place, state = self._place(path), self.written(path)
-            if state is State.SAME:
+            if state is FileState.SAME:
                 try:
                     place.unlink()
                 except OSError as error:
@@ -301,8 +301,8 @@ class Installation:
                     manifest.hands[path].append(hand)
                     self._save()
                     raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
-                states[path] = State.REMOVED
-            elif state is State.KEPT:
+                states[path] = FileState.REMOVED
+            elif state is FileState.KEPT:
                 # A changed file leaves the manifest, too, and from now on belongs to its author.
                 states[path] = state
             del manifest.hands[path], manifest.files[path]

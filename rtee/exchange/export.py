@@ -38,7 +38,7 @@ _COMPILER: Final = {
 """MuJoCo's compiler settings in the URDF, which other programs ignore."""
 
 
-class Kind(StrEnum):
+class ExportFormat(StrEnum):
     """A format of export."""
 
     URDF = "urdf"
@@ -59,7 +59,9 @@ class Exported:
     notes: tuple[str, ...]
 
 
-def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind)) -> Exported:
+def export_hand(
+    folder: Path, target: Path, kinds: Collection[ExportFormat] = tuple(ExportFormat)
+) -> Exported:
     """Write a hand's model into a folder: ``HAND.urdf`` with meshes, ``HAND.xml``, ``HAND.srdf``.
 
     Args:
@@ -77,18 +79,18 @@ def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind
     hand = load_hand(folder)
     files: dict[Path, str | bytes] = {}
     notes: list[str] = []
-    if Kind.URDF in kinds:
+    if ExportFormat.URDF in kinds:
         text, meshes, remarks = _urdf(hand)
         files |= {target / place: read_bytes(path, "mesh", ModelError) for place, path in meshes}
         files[target / f"{hand.name}.urdf"] = text
         notes += remarks
-    if Kind.MJCF in kinds:
+    if ExportFormat.MJCF in kinds:
         with needing_extra("exporting MJCF", "sim"):
             from rtee.exchange.mjcf_export import mjcf_of
         text, remarks = mjcf_of(hand)
         files[target / f"{hand.name}.xml"] = text
         notes += remarks
-    if Kind.SRDF in kinds:
+    if ExportFormat.SRDF in kinds:
         files[target / f"{hand.name}.srdf"] = format_srdf(hand, hand.disabled_collisions)
     # Only now, so that a format that is refused leaves no part of an export.
     write_all(files, folders=[target])

@@ -14,13 +14,13 @@ from rtee.errors import ModelError
 from rtee.exchange.mjcf_loops import Linkage, Solved, horner, solve_loop
 from rtee.exchange.mjcf_motion import (
     TINY,
-    Constraints,
-    Curve,
     Driven,
     Follow,
-    Line,
-    Motion,
+    LinearCoupling,
+    ModelConstraints,
+    ModelMotion,
     Motor,
+    PolynomialCoupling,
     bare,
     constraints_of,
     joint_name,
@@ -40,7 +40,7 @@ _SLACK = 1e-6
 
 
 @dataclass(slots=True, kw_only=True)
-class _Group(Constraints):
+class _Group(ModelConstraints):
     """Joints that depend on one another and on no other joints, with their constraints.
 
     Attributes:
@@ -50,7 +50,7 @@ class _Group(Constraints):
     joints: list[int]
 
 
-def motion_of(model: mujoco.MjModel) -> Motion:
+def motion_of(model: mujoco.MjModel) -> ModelMotion:
     """Return how the joints of a model move, which are hinges and slides.
 
     Raises:
@@ -60,7 +60,7 @@ def motion_of(model: mujoco.MjModel) -> Motion:
     constraints = constraints_of(model)
     # First of all, since held joints drop their motors, and their followers need no solution.
     _hold(constraints)
-    motion = Motion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
+    motion = ModelMotion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
     held = [motor for motor in constraints.motors if motor.joint in constraints.fixed]
     motion.notes += [
         f"actuator '{motor.name}' moves a joint that is held, so it is left out" for motor in held
@@ -69,7 +69,9 @@ def motion_of(model: mujoco.MjModel) -> Motion:
     without_motors = not constraints.motors
     _peel(model, constraints, motion)
     constraints.lines += [
-        Line({c.joint: 1.0, c.of: -c.coefficients[1]}, c.coefficients[0], equality=c.equality)
+        LinearCoupling(
+            {c.joint: 1.0, c.of: -c.coefficients[1]}, c.coefficients[0], equality=c.equality
+        )
         for c in constraints.curves
         if c.straight
     ]
@@ -100,9 +102,9 @@ def motion_of(model: mujoco.MjModel) -> Motion:
     return motion
 
 
-def _hold(constraints: Constraints) -> None:
+def _hold(constraints: ModelConstraints) -> None:
     """Hold the joints that follow only held ones, and the masters of held linear followers."""
-    left: list[Curve] = []
+    left: list[PolynomialCoupling] = []
     # Until nothing changes: a joint that is held may hold its followers in turn.
     while len(left) != len(constraints.curves):
         left, constraints.curves = constraints.curves, []
@@ -118,7 +120,7 @@ def _hold(constraints: Constraints) -> None:
                 constraints.curves.append(curve)
 
 
-def _peel(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> None:
+def _peel(model: mujoco.MjModel, constraints: ModelConstraints, motion: ModelMotion) -> None:
     """Remove the joints that only follow another one, from the ends of chains on."""
     # A tendon with a spring may pull such a joint, too, but the rigid coupling decides.
     while True:
@@ -143,13 +145,13 @@ def _peel(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> No
         constraints.curves = [curve for curve in constraints.curves if curve not in leaves]
 
 
-def _sums(springs: Sequence[Line]) -> list[Line]:
+def _sums(springs: Sequence[LinearCoupling]) -> list[LinearCoupling]:
     """Return the springs that couple several joints, leaving out those on a single joint."""
     return [spring for spring in springs if len(spring.factors) > 1]
 
 
 def _supposed_motors(
-    model: mujoco.MjModel, constraints: Constraints, motion: Motion
+    model: mujoco.MjModel, constraints: ModelConstraints, motion: ModelMotion
 ) -> list[Motor]:
     """Return a motor for each joint that is free to move, where the model has none."""
     motors = []
@@ -162,7 +164,7 @@ def _supposed_motors(
             free -= int(np.linalg.matrix_rank(_matrix(group.lines, group.joints)))
         chosen: list[int] = []
         for joint in group.joints:
-            lines = [*group.lines, *(Line({each: 1.0}, 0.0) for each in (*chosen, joint))]
+            lines = [*group.lines, *(LinearCoupling({each: 1.0}, 0.0) for each in (*chosen, joint))]
             # A joint that the couplings and the chosen ones already determine needs no motor.
             rank = int(np.linalg.matrix_rank(_matrix(lines, group.joints)))
             if len(chosen) < free and (group.loops or group.curves or rank == len(lines)):
@@ -171,7 +173,9 @@ def _supposed_motors(
     return motors
 
 
-def _groups(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> list[_Group]:
+def _groups(
+    model: mujoco.MjModel, constraints: ModelConstraints, motion: ModelMotion
+) -> list[_Group]:
     """Return the remaining joints in independent groups."""
     left = [j for j in range(model.njnt) if j not in motion.fixed and j not in motion.follows]
     # Coupled joints share one set, which is found by its identity in the end.
@@ -216,19 +220,19 @@ def _groups(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> 
     return sorted(groups, key=lambda each: each.joints)
 
 
-def _without_held(line: Line, fixed: dict[int, float]) -> Line:
+def _without_held(line: LinearCoupling, fixed: dict[int, float]) -> LinearCoupling:
     held = sum(factor * fixed[joint] for joint, factor in line.factors.items() if joint in fixed)
     factors = {joint: factor for joint, factor in line.factors.items() if joint not in fixed}
     return replace(line, factors=factors, value=line.value - held)
 
 
-def _matrix(lines: Sequence[Line], joints: Sequence[int]) -> FloatArray:
+def _matrix(lines: Sequence[LinearCoupling], joints: Sequence[int]) -> FloatArray:
     return np.array([[line.factors.get(j, 0.0) for j in joints] for line in lines]).reshape(
         -1, len(joints)
     )
 
 
-def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion) -> None:
+def _solve_lines(model: mujoco.MjModel, group: _Group, motion: ModelMotion) -> None:
     """Solve a group of linear couplings.
 
     Springs decide the degrees of freedom that the couplings leave open, as at rest without load.
@@ -269,7 +273,7 @@ def _positions(model: mujoco.MjModel, group: _Group) -> tuple[FloatArray, FloatA
         The positions ``(n, 1 + motors)``: a constant, then slopes by the motors' positions; and a
         basis ``(n, k)`` of the directions in which nothing decides them.
     """
-    pulls = [Line(motor_factors(model, motor) or {}, 0.0) for motor in group.motors]
+    pulls = [LinearCoupling(motor_factors(model, motor) or {}, 0.0) for motor in group.motors]
     rigid = _matrix(group.lines, group.joints)
     given = np.vstack([rigid, _matrix(pulls, group.joints)])
     lines, motors = len(group.lines), len(pulls)
@@ -310,7 +314,7 @@ def _take(
     group: _Group,
     q: FloatArray,
     joints: set[int],
-    motion: Motion,
+    motion: ModelMotion,
 ) -> None:
     """Store a solved group: one joint of each motor is the actuator, and the others follow it."""
     rows = dict(zip(group.joints, q, strict=True))
@@ -378,7 +382,7 @@ def _driven(model: mujoco.MjModel, joint: int, motor: Motor, offset: float, slop
     return Driven(rounded(lower), rounded(upper), rounded(motor.effort / abs(slope)))
 
 
-def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> None:
+def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: ModelMotion) -> None:
     """Solve a closed linkage for the joints that follow its motor."""
     what = ", ".join([loop.what for loop in group.loops] or ["joint equalities"])
     if len(group.motors) != 1:
@@ -441,7 +445,7 @@ def _within_targets(
 
 def differential_motion(
     model: mujoco.MjModel, motors: Sequence[Motor], rows: Mapping[int, FloatArray]
-) -> Motion | None:
+) -> ModelMotion | None:
     """Return the motion of joints of which some follow several motors, as in a differential.
 
     As many joints as there are motors represent the motors, if each other joint follows one of
@@ -472,7 +476,7 @@ def differential_motion(
         by_joints = {j: rows[j][1:] @ motors_by_joints for j in carrying}
         if any(np.sum(np.abs(row) > TINY) > 1 for row in by_joints.values()):
             continue
-        motion = Motion(dropped=idle)
+        motion = ModelMotion(dropped=idle)
         for i, joint in enumerate(chosen):
             motion.driven[joint] = _driven_by_several(
                 model, joint, motors, rows[joint], motors_by_joints[:, i]

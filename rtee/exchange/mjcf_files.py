@@ -84,7 +84,7 @@ _UNSEEN: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ParsedModel:
     """A model that MuJoCo has parsed.
 
     Attributes:
@@ -102,7 +102,7 @@ class Source:
     notes: tuple[str, ...]
 
 
-def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
+def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> ParsedModel:
     """Read an MJCF file; its includes and meshes may be in further folders, too.
 
     Raises:
@@ -138,7 +138,7 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
         spec = mujoco.MjSpec.from_file(str(file))
     notes += [*_reduce(spec, missing, file), *unread_of_mjcf(elements)]
     says_angle = any(e.tag == "compiler" and "angle" in e.attributes for e in elements)
-    return Source(file, spec, len(parts) == 1, says_angle, tuple(notes))
+    return ParsedModel(file, spec, len(parts) == 1, says_angle, tuple(notes))
 
 
 def _check_depth(root: Element) -> None:

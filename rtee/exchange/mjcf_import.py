@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rtee.drivers.mujoco.model import CARRIER
 from rtee.errors import ConfigError, ModelError, UnknownLink
 from rtee.exchange.mjcf_coupling import motion_of
-from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
-from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
+from rtee.exchange.mjcf_files import ParsedModel, listening, mujoco_says, read_mjcf
+from rtee.exchange.mjcf_motion import Follow, ModelMotion, joint_name, joint_range
 from rtee.hand.files import make_folder, write_atomically
 from rtee.hand.names import free_name, safe_name
 from rtee.hand.tessellation import binary_stl, sphere
@@ -40,7 +40,7 @@ _GIMBAL = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Imported:
+class ImportedModel:
     """An MJCF model as a URDF.
 
     Attributes:
@@ -78,7 +78,7 @@ def import_mjcf(
     *,
     root: str | None = None,
     radians: bool | None = None,
-) -> Imported:
+) -> ImportedModel:
     """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
     Args:
@@ -123,10 +123,10 @@ def import_mjcf(
     writer = _Writer(model, source, motion, folder)
     urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
     write_atomically(urdf, writer.text())
-    return Imported(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))
+    return ImportedModel(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))
 
 
-def _still(source: Source, root: str) -> list[str]:
+def _still(source: ParsedModel, root: str) -> list[str]:
     """Take away the joints outside the hand that no URDF has, or their bodies; return notes."""
     kinds, spec = mujoco.mjtJoint, source.spec
     odd = [each for each in spec.joints if each.type in (kinds.mjJNT_FREE, kinds.mjJNT_BALL)]
@@ -150,7 +150,7 @@ def _still(source: Source, root: str) -> list[str]:
     return notes
 
 
-def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
+def _check_joint(joint: mujoco.MjsJoint, source: ParsedModel) -> None:
     kind, body = joint.type, joint.parent.name
     named = f"'{joint.name}' " if joint.name else ""
     if kind == mujoco.mjtJoint.mjJNT_FREE:
@@ -168,7 +168,7 @@ def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
         )
 
 
-def _degrees(model: mujoco.MjModel, source: Source) -> list[str]:
+def _degrees(model: mujoco.MjModel, source: ParsedModel) -> list[str]:
     """Return a note if angles count as degrees only by default.
 
     Models made for inclusion leave the unit to the including file; read alone, in degrees, their
@@ -191,7 +191,9 @@ def _degrees(model: mujoco.MjModel, source: Source) -> list[str]:
 class _Writer:
     """Writes a model as a URDF."""
 
-    def __init__(self, model: mujoco.MjModel, source: Source, motion: Motion, folder: Path) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, source: ParsedModel, motion: ModelMotion, folder: Path
+    ) -> None:
         self._model, self._source, self._motion, self._folder = model, source, motion, folder
         self.notes = [*source.notes, *motion.notes]
         self._lines: list[str] = []

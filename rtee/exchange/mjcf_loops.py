@@ -18,7 +18,7 @@ from rtee.errors import ModelError
 from rtee.exchange.mjcf_motion import (
     TINY,
     Follow,
-    Line,
+    LinearCoupling,
     joint_name,
     joint_range,
     names_of,
@@ -102,7 +102,7 @@ class Linkage:
         others: Sequence[int],
         equalities: Collection[int],
         fixed: Mapping[int, float],
-        springs: Sequence[Line],
+        springs: Sequence[LinearCoupling],
         cords: Sequence[int] = (),
     ) -> None:
         """Prepare a model.

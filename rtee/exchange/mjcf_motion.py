@@ -50,7 +50,7 @@ class Motor:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class LinearCoupling:
     """A linear coupling of joint positions: ``Σ factor · q = value``.
 
     Attributes:
@@ -67,7 +67,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class PolynomialCoupling:
     """A joint that follows another one by a polynomial.
 
     Attributes:
@@ -136,7 +136,7 @@ class Driven:
 
 
 @dataclass(slots=True)
-class Motion:
+class ModelMotion:
     """Motion of the joints of a hand.
 
     Attributes:
@@ -157,7 +157,7 @@ class Motion:
 
 
 @dataclass(slots=True)
-class Constraints:
+class ModelConstraints:
     """Motors and constraints of a model's joints.
 
     Attributes:
@@ -173,9 +173,9 @@ class Constraints:
 
     motors: list[Motor]
     fixed: dict[int, float] = field(default_factory=dict)
-    lines: list[Line] = field(default_factory=list)
-    springs: list[Line] = field(default_factory=list)
-    curves: list[Curve] = field(default_factory=list)
+    lines: list[LinearCoupling] = field(default_factory=list)
+    springs: list[LinearCoupling] = field(default_factory=list)
+    curves: list[PolynomialCoupling] = field(default_factory=list)
     loops: list[Loop] = field(default_factory=list)
     cords: list[int] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -219,13 +219,13 @@ def resting_length(model: mujoco.MjModel, factors: Mapping[int, float]) -> float
     return sum(factor * float(model.qpos0[joint]) for joint, factor in factors.items())
 
 
-def constraints_of(model: mujoco.MjModel) -> Constraints:
+def constraints_of(model: mujoco.MjModel) -> ModelConstraints:
     """Return the motors and constraints of a model.
 
     Raises:
         ModelError: An actuator moves something other than a joint or tendon.
     """
-    constraints = Constraints(_motors(model))
+    constraints = ModelConstraints(_motors(model))
     for i in range(model.neq):
         if model.eq_active0[i]:
             _add_equality(model, i, constraints)
@@ -235,7 +235,7 @@ def constraints_of(model: mujoco.MjModel) -> Constraints:
             lower, upper = model.tendon_lengthspring[tendon]
             # Such a spring may have a dead band, which its middle represents.
             value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
-            constraints.springs.append(Line(factors, value, stiffness))
+            constraints.springs.append(LinearCoupling(factors, value, stiffness))
         elif stiffness > 0.0:
             constraints.cords.append(tendon)
         _add_limited_tendon(model, tendon, constraints)
@@ -247,11 +247,11 @@ def constraints_of(model: mujoco.MjModel) -> Constraints:
         stiffness = float(model.jnt_stiffness[joint])
         if stiffness > 0.0:
             away = float(model.qpos_spring[joint] - model.qpos0[joint])
-            constraints.springs.append(Line({joint: 1.0}, away, stiffness))
+            constraints.springs.append(LinearCoupling({joint: 1.0}, away, stiffness))
     return constraints
 
 
-def _add_limited_tendon(model: mujoco.MjModel, tendon: int, constraints: Constraints) -> None:
+def _add_limited_tendon(model: mujoco.MjModel, tendon: int, constraints: ModelConstraints) -> None:
     """Add a coupling of the joints of a fixed tendon whose limits hardly let it move.
 
     The coupling is a stiff spring, by which a joint without a motor follows, but which motors and
@@ -269,7 +269,7 @@ def _add_limited_tendon(model: mujoco.MjModel, tendon: int, constraints: Constra
     largest = max(map(abs, factors.values()))
     value = (0.5 * (lower + upper) - resting_length(model, factors)) / largest
     line = {joint: factor / largest for joint, factor in factors.items()}
-    constraints.springs.append(Line(line, value, _RIGID))
+    constraints.springs.append(LinearCoupling(line, value, _RIGID))
     constraints.notes.append(
         f"tendon '{model.tendon(tendon).name}' may move by {upper - lower:g} alone, so that joints "
         f"{names_of(model, factors)} are taken as coupled"
@@ -340,7 +340,7 @@ def _effort(model: mujoco.MjModel, i: int, joint: int | None, gear: float) -> fl
     return min(limits, default=0.0)
 
 
-def _add_equality(model: mujoco.MjModel, i: int, constraints: Constraints) -> None:
+def _add_equality(model: mujoco.MjModel, i: int, constraints: ModelConstraints) -> None:
     kinds, data = mujoco.mjtEq, model.eq_data[i]
     first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
     polynomial = tuple(float(c) for c in data[:5])
@@ -349,7 +349,7 @@ def _add_equality(model: mujoco.MjModel, i: int, constraints: Constraints) -> No
         case kinds.mjEQ_JOINT if second < 0:
             constraints.fixed[first] = polynomial[0]
         case kinds.mjEQ_JOINT:
-            constraints.curves.append(Curve(first, second, polynomial, i))
+            constraints.curves.append(PolynomialCoupling(first, second, polynomial, i))
         case kinds.mjEQ_TENDON:
             factors = tendon_factors(model, first)
             others = tendon_factors(model, second) if second >= 0 else {}
@@ -362,7 +362,7 @@ def _add_equality(model: mujoco.MjModel, i: int, constraints: Constraints) -> No
             total = dict(factors)
             for joint, factor in others.items():
                 total[joint] = total.get(joint, 0.0) - polynomial[1] * factor
-            constraints.lines.append(Line(total, polynomial[0], equality=i))
+            constraints.lines.append(LinearCoupling(total, polynomial[0], equality=i))
         case kinds.mjEQ_CONNECT | kinds.mjEQ_WELD:
             word = "connect" if kind == kinds.mjEQ_CONNECT else "weld"
             name = str(model.eq(i).name) or f"number {i + 1}"

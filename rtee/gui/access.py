@@ -78,7 +78,7 @@ _ASK: Final = "Open the address that `rtee gui` printed last; each opens one bro
 """Remedy in the refusal of a request without a valid token."""
 
 
-class Role(StrEnum):
+class PageRole(StrEnum):
     """Role of the person at a page."""
 
     OPERATOR = "operator"
@@ -188,11 +188,11 @@ class Access:
         self._host = host
         self._public = None if behind is None else public_origin(behind)
         self._any = any(number.is_unspecified for number in numbers)
-        self.announce: Callable[[Role, str], object] = lambda _role, _link: None
-        roles = tuple(Role) if observers else (Role.OPERATOR,)
+        self.announce: Callable[[PageRole, str], object] = lambda _role, _link: None
+        roles = tuple(PageRole) if observers else (PageRole.OPERATOR,)
         self._tokens = {role: secrets.token_urlsafe(_TOKEN_BYTES) for role in roles}
         # By their hashes, so that the time of a lookup says nothing about a cookie.
-        self._browsers: dict[bytes, Role] = {}
+        self._browsers: dict[bytes, PageRole] = {}
 
     @property
     def behind_proxy(self) -> bool:
@@ -201,7 +201,7 @@ class Access:
 
     # --- addresses
 
-    def links(self, port: int) -> dict[Role, str]:
+    def links(self, port: int) -> dict[PageRole, str]:
         """Return the addresses to open, with their tokens, by role; each opens one browser."""
         if self._public is not None:
             base = self._public
@@ -217,7 +217,7 @@ class Access:
 
     # --- checks of a request
 
-    def judge(self, request: Request, port: int) -> Role | Response:
+    def judge(self, request: Request, port: int) -> PageRole | Response:
         """Return the role of who sends a request to a port, or the response that refuses it."""
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_reached_by(hosts[0]):
@@ -261,7 +261,7 @@ class Access:
         """Return the origin of this GUI's pages when browsers reach it by this host name."""
         return self._public or f"{self._scheme}://{host.lower()}"
 
-    def _role_of(self, given: str) -> Role | None:
+    def _role_of(self, given: str) -> PageRole | None:
         """Return the role that an unused token gives."""
         for role, token in self._tokens.items():
             # Compare in constant time, so that the time of a response does not reveal how much of
@@ -270,7 +270,7 @@ class Access:
                 return role
         return None
 
-    def _welcome(self, request: Request, role: Role, path: str, port: int) -> Response:
+    def _welcome(self, request: Request, role: PageRole, path: str, port: int) -> Response:
         """Return a response that sets a cookie and reopens the page without the token.
 
         A cookie that is set after a link on another site is sent only by pages of this GUI, so

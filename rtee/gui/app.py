@@ -17,11 +17,11 @@ from anyio.abc import TaskGroup
 
 from rtee import monotonic
 from rtee.errors import ConfigError, RteeError
-from rtee.gui.access import Access, Role
+from rtee.gui.access import Access, PageRole
 from rtee.gui.bridge import Bridge, Stage
 from rtee.gui.headset import Follow
 from rtee.gui.panels.approval import Approval
-from rtee.gui.session import Session
+from rtee.gui.session import HandSession
 from rtee.gui.visitors import Visitors
 from rtee.gui.watch import AGAIN, Watch, told
 from rtee.loop.memory import give_memory_back
@@ -45,7 +45,7 @@ class Page:
 
     def __init__(self, app: App, stage: Stage) -> None:
         """Build the top of the page; must be called in the event loop."""
-        self.session: Session | None = None
+        self.session: HandSession | None = None
         self.watch = app.watch()
         self._app = app
         self.bridge = Bridge(stage)
@@ -114,7 +114,7 @@ class Page:
             if self.session is not None:
                 self.session.remove()
             with self.bridge.stage.atomic():
-                self.session = session = Session(
+                self.session = session = HandSession(
                     self.bridge, remote, watch, self._top, narrow=self.narrow
                 )
             watch.watched += 1
@@ -307,11 +307,11 @@ class App:
         truth.stopped = words
 
 
-_LINKS: Final = {Role.OPERATOR: "GUI at", Role.OBSERVER: "to watch and stop only:"}
+_LINKS: Final = {PageRole.OPERATOR: "GUI at", PageRole.OBSERVER: "to watch and stop only:"}
 """What is printed before an address, by role."""
 
 
-def _announce(role: Role, link: str) -> None:
+def _announce(role: PageRole, link: str) -> None:
     """Print the address for the next browser."""
     print(f"rtee: for another browser: {_LINKS[role]} {link}", flush=True)  # noqa: T201
 

@@ -33,7 +33,7 @@ _SPANS: Final = 100
 """Actions that are kept: more in a minute could not be told apart."""
 
 
-class Source(Protocol):
+class PlotSource(Protocol):
     """Source of the lines of the plots, on a time axis of its own [s]."""
 
     @property
@@ -55,7 +55,7 @@ def stride(count: int) -> int:
     return max(1, -(-count // POINTS))
 
 
-class History:
+class StateHistory:
     """Ring buffer of the newest states, and the actions meanwhile; times are relative to now."""
 
     pose: float | None = None

@@ -79,7 +79,7 @@ _STRAINED: Final = 0.1
 _PAST: Final = "this window shows a recording; go back to live first"
 
 
-class Session:
+class HandSession:
     """A running hand in a window, until the hand or the window goes, or another hand is chosen."""
 
     def __init__(

@@ -25,7 +25,7 @@ from rtee.gui.headset import Follow
 from rtee.gui.visitors import Visitors
 from rtee.gui.wording import coloured, small
 from rtee.remote.client import stop_hand
-from rtee.remote.fleet import Fleet, Look, Place, following
+from rtee.remote.fleet import Fleet, HandAddress, Look, following
 from rtee.remote.truth import Tone, Words, clock
 
 _DRAWN_EVERY: Final = 1.0
@@ -47,12 +47,12 @@ class Cards:
         """Add nothing yet; must be called in the event loop."""
         self._gui, self._bridge = server.gui, Bridge(server)
         self._gui.set_panel_label("rtee")
-        self.cards: dict[Place, viser.GuiHtmlHandle] = {}
-        self._folders: dict[Place, viser.GuiFolderHandle] = {}
+        self.cards: dict[HandAddress, viser.GuiHtmlHandle] = {}
+        self._folders: dict[HandAddress, viser.GuiFolderHandle] = {}
         self._clicked = anyio.Event()
         self._run = os.urandom(4).hex()  # the page that follows has another, and is loaded anew
         self._stopped = Words("")
-        self.chosen: Place | None = None
+        self.chosen: HandAddress | None = None
 
     def words(self, key: str) -> dict[str, object]:
         """Return what the bar says."""
@@ -69,7 +69,7 @@ class Cards:
     async def _stop(self) -> None:
         said: list[str] = []
 
-        async def stop(place: Place) -> None:
+        async def stop(place: HandAddress) -> None:
             try:
                 _, done = await stop_hand(place.hand, endpoint=place.endpoint or None, client="gui")
                 silent = ", ".join(name for name, confirmed in done.items() if not confirmed)
@@ -98,7 +98,7 @@ class Cards:
                 self._add(look.place, number)
             self.cards[look.place].content = _html(look)
 
-    def _add(self, place: Place, order: int) -> None:
+    def _add(self, place: HandAddress, order: int) -> None:
         name = place.hand or place.endpoint
         self._folders[place] = folder = self._gui.add_folder(name, order=order)
 
@@ -110,12 +110,12 @@ class Cards:
             if place.hand:
                 self._gui.add_button(f"Show {name}").on_click(self._bridge.clicked(choose))
 
-    def choose(self, place: Place) -> None:
+    def choose(self, place: HandAddress) -> None:
         """Choose a hand, as a click on its card does."""
         self.chosen = place
         self._clicked.set()
 
-    async def run(self, fleet: Fleet) -> Place:
+    async def run(self, fleet: Fleet) -> HandAddress:
         """Draw until a hand is chosen, and return it."""
         while self.chosen is None:
             self.draw(await fleet.look())

@@ -25,7 +25,7 @@ from websockets.protocol import State
 
 from rtee.errors import LoopError
 from rtee.gui import bar, headset
-from rtee.gui.access import HEADERS, Access, Role, only_operators, page_of
+from rtee.gui.access import HEADERS, Access, PageRole, only_operators, page_of
 from rtee.gui.headset import PAGE, PATH, Follow
 
 PING_PERIOD: Final = 2.0
@@ -113,13 +113,13 @@ class _Update(_Message, tag=_UPDATE):
     updates: _Value
 
 
-class _Command(_Message, tag=_COMMAND):
+class _PageCommand(_Message, tag=_COMMAND):
     """A command, by its key."""
 
     uuid: str
 
 
-_READER: Final = msgspec.msgpack.Decoder(_Camera | _Update | _Command)
+_READER: Final = msgspec.msgpack.Decoder(_Camera | _Update | _PageCommand)
 
 
 def _fits(value: object, control: Any) -> bool:
@@ -248,7 +248,7 @@ class Visitors:
     async def _greet(self, client: viser.ClientHandle) -> None:
         """Disable and dim the controls in an observer's page."""
         visitor = _visitor.get(None)
-        if visitor is None or visitor.role is not Role.OPERATOR:
+        if visitor is None or visitor.role is not PageRole.OPERATOR:
             client.gui.add_html(_WATCHING, order=-2)
         else:
             self._operators.add(client.client_id)
@@ -261,7 +261,7 @@ class Visitors:
         self._gone(client.client_id)
 
     def admits(
-        self, role: Role | None, message: str | bytes, window: viser.ClientHandle | None = None
+        self, role: PageRole | None, message: str | bytes, window: viser.ClientHandle | None = None
     ) -> bool:
         """Return whether the server may receive a message of a page, which may have controls."""
         try:
@@ -271,9 +271,9 @@ class Visitors:
             return False
         if role is None or isinstance(read, _Camera):
             return role is not None and read.is_finite
-        if role is not Role.OPERATOR:
+        if role is not PageRole.OPERATOR:
             return False
-        if isinstance(read, _Command):
+        if isinstance(read, _PageCommand):
             return True
         # viser has no public way to a control by its id in the messages of a page.
         pages = [page for page in (window, self._server) if page is not None]
@@ -289,7 +289,7 @@ class Visitors:
             if isinstance(connection, Visitor):
                 connection.role = judged
                 if self._follow is not None and request.path.partition("?")[0] == PATH:
-                    connection.headset = judged is Role.OPERATOR
+                    connection.headset = judged is PageRole.OPERATOR
                     if not (connection.headset and request.headers.get_all("Upgrade")):
                         return page_of(PAGE) if connection.headset else only_operators()
                 connection.bar = request.path == bar.PATH and self.desk is not None
@@ -332,7 +332,7 @@ class Visitor(ServerConnection):
     """
 
     visitors: Visitors
-    role: Role | None = None
+    role: PageRole | None = None
     headset = False
     bar = False
     window: viser.ClientHandle | None = None

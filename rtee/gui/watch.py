@@ -12,7 +12,7 @@ import anyio
 import numpy as np
 
 from rtee.errors import RequestRejected, RteeError
-from rtee.gui.history import LONGEST, History, TouchHistory
+from rtee.gui.history import LONGEST, StateHistory, TouchHistory
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.objects.description import OBJECT_POSE, ObjectDescription
@@ -67,7 +67,7 @@ class Watch:
         self.name, self._endpoint = name, endpoint
         self.truth = Truth(name or "")
         self.hand: Hand | None = None
-        self.history: History | None = None
+        self.history: StateHistory | None = None
         self.touched = TouchHistory()
         self.described: ObjectDescription | None = None
         self.watched = 0
@@ -101,7 +101,7 @@ class Watch:
             or self.hand is None
             or self.hand.actuator_names != hand.actuator_names
         ):
-            self.history = History(len(hand.actuators), len(hand.joints))
+            self.history = StateHistory(len(hand.actuators), len(hand.joints))
         self.hand, self.described = hand, None
         self.truth.hand = remote.name
         self.truth.on_status(await remote.status())

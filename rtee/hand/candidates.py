@@ -35,7 +35,7 @@ _PARALLEL: Final = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class UndrivenCandidate:
     """A joint that is read as an actuator but may have no motor.
 
     Attributes:
@@ -49,7 +49,7 @@ class Candidate:
     likely: bool
 
 
-def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
+def passive_candidates(hand: Hand) -> tuple[UndrivenCandidate, ...]:
     """Return the actuators of a hand without SRDF that may have no motor, in its order.
 
     Likely are springs (by a simulator's elements, by name, or by a range of a few degrees), joints
@@ -67,9 +67,9 @@ def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
         for joint, why in found.items():
             # The reasons are in decreasing order of strength, and the first one is kept.
             reasons.setdefault(joint, why)
-    likely = [Candidate(joint, why, True) for joint, why in reasons.items()]
+    likely = [UndrivenCandidate(joint, why, True) for joint, why in reasons.items()]
     possible = [
-        Candidate(joint, why, False)
+        UndrivenCandidate(joint, why, False)
         for joint, why in _outer(hand).items()
         if joint not in reasons and not reasons.keys() & set(_finger_of(hand, joint).own)
     ]
@@ -253,7 +253,7 @@ def _finger_of(hand: Hand, actuator: str) -> Finger:
     return next(finger for finger in hand.fingers if actuator in finger.own)
 
 
-def in_words(candidates: Sequence[Candidate]) -> list[str]:
+def in_words(candidates: Sequence[UndrivenCandidate]) -> list[str]:
     """Return the candidates as sentences, one for each reason."""
     reasons: dict[str, list[str]] = {}
     for candidate in candidates:

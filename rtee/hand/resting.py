@@ -88,7 +88,7 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     Raises:
         ModelError: A mesh cannot be read.
     """
-    search = _Search(geometry)
+    search = _GapSearch(geometry)
     pairs = search.pinching()
     if not pairs:
         return None
@@ -118,7 +118,7 @@ def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
     Raises:
         ModelError: A mesh cannot be read.
     """
-    hand, search = geometry.hand, _Search(geometry)
+    hand, search = geometry.hand, _GapSearch(geometry)
     pairs = search.parted()
     if len(hand.actuators) != 1 or not pairs:
         return None
@@ -139,7 +139,7 @@ def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
 Pair = tuple[int, int]
 
 
-class _Search:
+class _GapSearch:
     """Computes gaps between fingertips, and finds the actuators that widen them."""
 
     def __init__(self, geometry: HandGeometry) -> None:

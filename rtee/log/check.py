@@ -71,7 +71,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class ReplayCheck:
     """The result of comparing the references.
 
     Attributes:
@@ -145,7 +145,7 @@ def _attached(recording: Recording, suffix: str) -> str:
     return ""
 
 
-def check(recording: Recording | Iterable[Recording]) -> Check:
+def check(recording: Recording | Iterable[Recording]) -> ReplayCheck:
     """Run the goals and commands of a recording through the same code again.
 
     Args:
@@ -188,7 +188,7 @@ class _Checker:
         self._newest = 0  # results of the last tick
         self._begin = self._next_tick = 0  # the first tick, and that after the last one
         self._begin_wall = -1
-        self._sum = Check(0, 0, 0, 0, 0.0, None, True, 0, rules=replayable.rules)
+        self._sum = ReplayCheck(0, 0, 0, 0, 0.0, None, True, 0, rules=replayable.rules)
 
     def take(self, piece: Recording) -> None:
         """Compute and compare the ticks of a piece."""
@@ -341,7 +341,7 @@ class _Checker:
             results=same,
         )
 
-    def checked(self) -> Check:
+    def checked(self) -> ReplayCheck:
         """Return the result of all pieces."""
         if not self._sum.ticks:
             raise LogError(_UNEQUAL, path=self.path)

@@ -75,7 +75,7 @@ class By(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PlotLine:
     """A line of a panel: values at times [s]; `dashed` for a reference.
 
     The lines of an actuator share a group.
@@ -90,7 +90,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PlotRow:
     """A row of the plot: positions with their references, and efforts or currents; or touch.
 
     Of touch, the positions are the sums over the taxels, the efforts the largest taxels. Only then
@@ -98,8 +98,8 @@ class Row:
     """
 
     title: str
-    positions: tuple[Line, ...]
-    efforts: tuple[Line, ...]
+    positions: tuple[PlotLine, ...]
+    efforts: tuple[PlotLine, ...]
     unit: str = ""
 
     def labels(self, effort_label: str) -> tuple[str, str]:
@@ -125,7 +125,7 @@ class Figure:
     """
 
     title: str
-    rows: tuple[Row, ...]
+    rows: tuple[PlotRow, ...]
     bands: tuple[Band, ...]
     marks: tuple[float, ...]
     labels: tuple[Label, ...]
@@ -256,8 +256,8 @@ def figure(
     efforts, label = _efforts(lines)
     rows = []
     for title, names in _groups(chosen, by, fingers or {}).items():
-        positions: list[Line] = []
-        forces: list[Line] = []
+        positions: list[PlotLine] = []
+        forces: list[PlotLine] = []
         for name in names:
             # By the index among all chosen actuators, so that every row has the same colours.
             colour = COLOURS[chosen.index(name) % len(COLOURS)]
@@ -269,8 +269,8 @@ def figure(
                 if (kind, name) in lines:
                     dashed = kind == "reference"
                     shown = f"{name} reference" if dashed else name
-                    into.append(Line(shown, *lines.points(kind, name), colour, dashed, name))
-        rows.append(Row(title, tuple(positions), tuple(forces)))
+                    into.append(PlotLine(shown, *lines.points(kind, name), colour, dashed, name))
+        rows.append(PlotRow(title, tuple(positions), tuple(forces)))
     rows += _touch_rows(lines, sensors)
     bands = bands_of(told.spans(first), begin, until)
     marks = [
@@ -345,13 +345,13 @@ def _add(lines: _Lines, piece: Recording, names: Sequence[str]) -> None:
             lines.add(series, {(kind, device, sensor.name): v for kind, v in found.items()})
 
 
-def _touch_rows(lines: _Lines, sensors: Mapping[str, tuple[TouchSensor, ...]]) -> Iterator[Row]:
+def _touch_rows(lines: _Lines, sensors: Mapping[str, tuple[TouchSensor, ...]]) -> Iterator[PlotRow]:
     """Yield a row for each device and unit of touch sensors."""
     for device, its in sensors.items():
         for unit in dict.fromkeys(sensor.unit for sensor in its):
             sums, largest = (
                 tuple(
-                    Line(
+                    PlotLine(
                         s.name,
                         *lines.points(kind, device, s.name),
                         colour,
@@ -363,7 +363,7 @@ def _touch_rows(lines: _Lines, sensors: Mapping[str, tuple[TouchSensor, ...]]) -
                 )
                 for kind in ("sum", "largest")
             )
-            yield Row(f"touch: {device}", sums, largest, unit)
+            yield PlotRow(f"touch: {device}", sums, largest, unit)
 
 
 def _title(recording: Recording) -> str:

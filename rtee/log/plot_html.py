@@ -11,7 +11,7 @@ import numpy as np
 
 from rtee.errors import needing_extra
 from rtee.log.export import replacing
-from rtee.log.figure import Figure, Line
+from rtee.log.figure import Figure, PlotLine
 from rtee.log.labels import MARK_COLOUR
 
 _ROW_HEIGHT = 210  # of a panel [pixels]
@@ -77,7 +77,7 @@ def _lay_out(drawing: Any, figure: Figure) -> None:
     )
 
 
-def _trace(go: Any, line: Line, *, named: bool) -> Any:
+def _trace(go: Any, line: PlotLine, *, named: bool) -> Any:
     name = html.escape(line.name)
     # WebGL, since a dozen lines of 4,000 points as SVG make a browser slow.
     return go.Scattergl(

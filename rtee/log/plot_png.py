@@ -7,7 +7,7 @@ from typing import Any
 
 from rtee.errors import needing_extra
 from rtee.log.export import replacing
-from rtee.log.figure import Figure, Row
+from rtee.log.figure import Figure, PlotRow
 from rtee.log.labels import MARK_COLOUR
 
 _WIDTH = 14.0  # of the drawing [inch]: two panels beside each other
@@ -53,7 +53,7 @@ def write_png(figure: Figure, path: Path) -> None:
         drawing.savefig(temporary, format="png")
 
 
-def _row(row: Row, left: Any, right: Any, figure: Figure) -> None:
+def _row(row: PlotRow, left: Any, right: Any, figure: Figure) -> None:
     for panel, lines in ((left, row.positions), (right, row.efforts)):
         for line in lines:
             panel.plot(

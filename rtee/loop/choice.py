@@ -28,7 +28,7 @@ openings rounded to 0.1 mm."""
 
 
 @dataclass(frozen=True, slots=True)
-class Tips:
+class OpposingTips:
     """The opposing fingertips of an action.
 
     Attributes:
@@ -42,7 +42,7 @@ class Tips:
 
 def choose(
     goal: Goal, hand: Hand, library: ActionLibrary, devices: DeviceForces
-) -> tuple[Action, Tips | None]:
+) -> tuple[Action, OpposingTips | None]:
     """Return the action that a goal means, and its tips, if they oppose each other.
 
     Raises:
@@ -89,10 +89,10 @@ def _named(what: Named, hand: Hand, library: ActionLibrary) -> Action:
 
 def _tips(
     action: Action, opening: Opening, hand: Hand, library: ActionLibrary, devices: DeviceForces
-) -> Tips:
+) -> OpposingTips:
     targets = targets_of(action.waypoints[-1], hand)
     empty = meeting(action, opening, library)
-    return Tips(opening, Grip.of(hand, opening, targets, devices.grips, empty))
+    return OpposingTips(opening, Grip.of(hand, opening, targets, devices.grips, empty))
 
 
 def _spans(opening: Opening, to: ToOpening | Around) -> bool:
@@ -113,14 +113,14 @@ def _best(
     hand: Hand,
     library: ActionLibrary,
     devices: DeviceForces,
-) -> tuple[Action, Tips]:
+) -> tuple[Action, OpposingTips]:
     """Return the action of some fingers, or of any, that suits a width and a force best.
 
     Actions that can exert the force come first, then they are ordered by `suitability`.
     """
     openings = _openings(library, fingers)
     narrower = to.narrower if isinstance(to, Around) else 0.0
-    candidates: list[tuple[tuple[float, ...], tuple[Action, Tips]]] = []
+    candidates: list[tuple[tuple[float, ...], tuple[Action, OpposingTips]]] = []
     for order, (action, opening) in enumerate(openings):
         # At its widest opening, an action cannot get around the object.
         if not opening.narrowest - narrower <= to.width < opening.widest:
@@ -134,7 +134,9 @@ def _best(
     return min(candidates, key=lambda each: each[0])[1]
 
 
-def _exerts(force: float, width: float, tips: Tips, hand: Hand, devices: DeviceForces) -> bool:
+def _exerts(
+    force: float, width: float, tips: OpposingTips, hand: Hand, devices: DeviceForces
+) -> bool:
     """Return whether an action can exert a force at an opening, and its devices limit it."""
     at = tips.opening.intensity_at(width)
     low, high = tips.grip.forces(hand, at)

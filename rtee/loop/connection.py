@@ -84,7 +84,7 @@ class ExchangeCounters:
         return self._rate
 
 
-class Connection:
+class DeviceConnection:
     """The link to one device; its coroutines are called by the device's task alone.
 
     Args:

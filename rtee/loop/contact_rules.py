@@ -1,7 +1,7 @@
 """The rules by which evidence becomes a decision: touched, held, lost, slipped.
 
-Each is a pure function of what `rtee.loop.evidence.Evidence` has found. To change when something
-counts as a contact is to change a function here, its test, and `VERSION`.
+Each is a pure function of what `rtee.loop.evidence.ContactMonitor` has found. To change when
+something counts as a contact is to change a function here, its test, and `VERSION`.
 """
 
 from __future__ import annotations

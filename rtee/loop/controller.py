@@ -30,12 +30,12 @@ from rtee.commands import (
 )
 from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.executor import Executor
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import GRIP_FORCE, Measured
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import make_profile
 from rtee.loop.reference_start import ReferenceStart
@@ -43,7 +43,7 @@ from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
 from rtee.loop.streams.hold import StreamHold
 from rtee.loop.streams.player import StreamPlayer
-from rtee.loop.thermal import Level, Thermal
+from rtee.loop.thermal import Thermal, ThermalLevel
 from rtee.loop.thermal_model import CurrentHeat
 from rtee.sample import FloatArray
 from rtee.types import Around, Event, Feedback, Result
@@ -96,11 +96,11 @@ class Controller:
         self._grasp = settings.grasp
         self.stream: StreamPlayer | None = None
         self.ended_stream = ""
-        self._limits = limits = Limits.of(hand.actuators)
+        self._limits = limits = MotionLimits.of(hand.actuators)
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
-        self._contact = Evidence(hand, settings.stall, settings.grasp, settings.free_motion)
+        self._contact = ContactMonitor(hand, settings.stall, settings.grasp, settings.free_motion)
         self._thermal = Thermal(settings.thermal, n)
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
@@ -512,7 +512,7 @@ class Controller:
             name = self.hand.actuator_names[change.index]
             estimated = math.isnan(measured.temperature[change.index])
             self.outbox.items.append(change.event(name, stamp, estimated=estimated))
-            if change.level is Level.DISABLE:
+            if change.level is ThermalLevel.DISABLE:
                 self.outbox.disable.add(change.index)
         if derating or any(factor != 1.0 for factor in self._thermal.factor):
             self._set_efforts()

@@ -87,7 +87,7 @@ class _Grip:
 
 
 @dataclass(slots=True)
-class _Watched:
+class _WatchedActuator:
     tolerance: float
     target: float
     anchor: float
@@ -109,7 +109,7 @@ class _Watched:
 
 
 @dataclass(slots=True)
-class _Approach:
+class _EffortApproach:
     """An actuator that approaches a contact, by its effort.
 
     Attributes:
@@ -145,7 +145,7 @@ class _Approach:
     surged: float = -math.inf
 
 
-class Evidence:
+class ContactMonitor:
     """Watches the actuators of the last goal or stream for contacts.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
@@ -175,7 +175,7 @@ class Evidence:
         self._places = [tuple(names.index(f) for f in a.fingers if f in names) for a in actuators]
         self._free = [FreeMotion(a.effort, a.velocity, a.acceleration) for a in actuators]
         self._levers = TipLevers(hand)
-        self._approaching: dict[int, _Approach] = {}
+        self._approaching: dict[int, _EffortApproach] = {}
         for actuator, free in zip(actuators, self._free, strict=True):
             if actuator.name in learned:
                 free.restore(learned[actuator.name])
@@ -185,7 +185,7 @@ class Evidence:
         self._now = -math.inf
         self._stall = stall
         self._grasp = grasp
-        self._watched: dict[int, _Watched] = {}
+        self._watched: dict[int, _WatchedActuator] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
         # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
@@ -202,7 +202,7 @@ class Evidence:
             stamp: Now [s].
         """
         for i, target in targets.items():
-            self._watched[i] = _Watched(tolerance[i], target, math.nan, stamp, stamp)
+            self._watched[i] = _WatchedActuator(tolerance[i], target, math.nan, stamp, stamp)
 
     def aim(self, i: int, target: float) -> None:
         """Set another target position for a watched actuator [rad | m]."""
@@ -423,7 +423,13 @@ class Evidence:
                 self._block(i, watched, measured, limits[i], own_report, away, ahead, stamp)
 
     def _own_report(
-        self, i: int, watched: _Watched, position: float, report: int, ahead: float, stalled: bool
+        self,
+        i: int,
+        watched: _WatchedActuator,
+        position: float,
+        report: int,
+        ahead: float,
+        stalled: bool,
     ) -> bool:
         """Return whether the device's own report of a grasp counts."""
         begun = watched.led >= _DELIVERED or (position - watched.start) * ahead > watched.tolerance
@@ -434,7 +440,7 @@ class Evidence:
     def _block(
         self,
         i: int,
-        watched: _Watched,
+        watched: _WatchedActuator,
         measured: Measured,
         limit: float,
         own_report: bool,
@@ -481,7 +487,7 @@ class Evidence:
         dry = self._free[i].dry if self._free[i].known and approach.in_effort else 0.0
         return min(dry + approach.threshold, _ALL * limit)
 
-    def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
+    def _listen(self, i: int, watched: _WatchedActuator, position: float, stamp: float) -> None:
         """Record the time since the last measurement; silence does not count as rest."""
         gap, watched.seen = stamp - watched.seen, stamp
         if watched.new:
@@ -499,7 +505,7 @@ class Evidence:
         self._usual[i] = usual + _USUAL_SHARE * (newest - usual)
 
     def _leads_away(
-        self, i: int, watched: _Watched, position: float, report: int, ahead: float
+        self, i: int, watched: _WatchedActuator, position: float, report: int, ahead: float
     ) -> bool:
         """Return whether the motion leads away from the object the actuator holds or just held."""
         grip = self._grips[i]
@@ -513,7 +519,7 @@ class Evidence:
             grip = self._grips[i] = _Grip(direction, position)
         return grip is not None and grip.direction * ahead < 0.0
 
-    def _at_end(self, i: int, position: float, watched: _Watched) -> bool:
+    def _at_end(self, i: int, position: float, watched: _WatchedActuator) -> bool:
         spec = self._actuators[i]
         # By the target, not by the direction of motion: closing always leads away from rest.
         end = spec.upper if watched.target >= spec.rest else spec.lower
@@ -543,7 +549,7 @@ class Evidence:
         return lost
 
     def _looks_lost(
-        self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
+        self, i: int, watched: _WatchedActuator, measured: Measured, reference: float, limit: float
     ) -> bool:
         if watched.presses is not None:
             return not watched.presses
@@ -587,7 +593,7 @@ class Evidence:
         """
         by_tip = slope is None
         least = self._tip_threshold(i, stamp, measured) if slope is None else self._least(i, slope)
-        self._approaching[i] = _Approach(ahead, least, by_tip)
+        self._approaching[i] = _EffortApproach(ahead, least, by_tip)
         self._stretches[i].restart()
 
     def threshold(self, i: int) -> float:
@@ -762,7 +768,7 @@ class Evidence:
         led = abs(reference - approach.led_from)
         return approach.over >= _CONFIRMED and led >= _STEP_WAYS * stretch.count
 
-    def _surges(self, approach: _Approach, current: float, *, moves: bool) -> bool:
+    def _surges(self, approach: _EffortApproach, current: float, *, moves: bool) -> bool:
         """Return whether an actuator that stands still needs more current than its free motion.
 
         Args:

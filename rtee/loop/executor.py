@@ -13,7 +13,7 @@ from rtee.hand.config_schema import Following
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.closing import leg_speed
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import DEVICE, ELSEWHERE, TIPS
 from rtee.loop.measured import Measured
 from rtee.loop.plan import Leg, Plan
@@ -107,7 +107,7 @@ class Executor:
         hand: Hand,
         settings: LoopSettings,
         profile: Profile,
-        contact: Evidence,
+        contact: ContactMonitor,
         plausible: Plausibility,
         reflexes: Reflexes,
         report: Callable[[Feedback | Result], None],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rtee.loop.motion import Limits, approach, bounded
+from rtee.loop.motion import MotionLimits, approach, bounded
 
 _SLACK = 1e-6  # excess that counts as rounding: share of a limit, and [rad | m]
 
@@ -26,7 +26,7 @@ class Limiter:
         limited: Whether the last `apply` limited each actuator.
     """
 
-    def __init__(self, limits: Limits, period: float, max_step: float | None = None) -> None:
+    def __init__(self, limits: MotionLimits, period: float, max_step: float | None = None) -> None:
         self._limits = limits
         self._period = period
         step = float("inf") if max_step is None else max_step / period

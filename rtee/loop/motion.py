@@ -16,7 +16,7 @@ from rtee.types import ActuatorSpec
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """Limits of all actuators of a hand, in its order.
 
     Attributes:
@@ -34,7 +34,7 @@ class Limits:
     jerk: tuple[float, ...]
 
     @classmethod
-    def of(cls, actuators: Sequence[ActuatorSpec]) -> Limits:
+    def of(cls, actuators: Sequence[ActuatorSpec]) -> MotionLimits:
         """Return the limits of some actuators.
 
         Raises:

@@ -10,7 +10,7 @@ from rtee.actions.openings import MARGIN
 from rtee.actions.types import Action, Timed
 from rtee.errors import GoalRejected, suggestion
 from rtee.hand.model import Hand
-from rtee.loop.choice import Tips, choose
+from rtee.loop.choice import OpposingTips, choose
 from rtee.loop.closing import checked_share, closing_time
 from rtee.loop.forces import DeviceForces, effort_limits, force_efforts
 from rtee.loop.plan import Leg, Plan, targets_of
@@ -94,7 +94,10 @@ def make_plan(
 
 
 def _legs(
-    to: Intensity | Opening | Around | FirstContact, action: Action, tips: Tips | None, hand: Hand
+    to: Intensity | Opening | Around | FirstContact,
+    action: Action,
+    tips: OpposingTips | None,
+    hand: Hand,
 ) -> tuple[Leg, ...]:
     shares: Sequence[float] = (1.0,)
     if isinstance(to, Intensity):
@@ -131,7 +134,7 @@ def _share(to: Intensity, action: Action) -> float:
 
 
 def _efforts(
-    goal: Goal, hand: Hand, tips: Tips | None, devices: DeviceForces
+    goal: Goal, hand: Hand, tips: OpposingTips | None, devices: DeviceForces
 ) -> Mapping[int, float]:
     """Return the effort limits by actuator index [N·m | N]."""
     if not isinstance(goal.effort, Force):
@@ -147,7 +150,7 @@ def _efforts(
     return efforts
 
 
-def _speed(goal: Goal, action: Action, tips: Tips | None, hand: Hand) -> float:
+def _speed(goal: Goal, action: Action, tips: OpposingTips | None, hand: Hand) -> float:
     """Return the speed as a share of the velocity limits."""
     speed, to = goal.speed, goal.to
     if isinstance(to, FirstContact) and speed == 1.0:

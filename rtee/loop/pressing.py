@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
@@ -279,7 +279,7 @@ class Pressing:
         grasp: GraspSettings,
         profile: Profile,
         limiter: Limiter,
-        contact: Evidence,
+        contact: ContactMonitor,
         report: Callable[[Event], None],
         grip: Grip,
         estimate: ForceEstimate,

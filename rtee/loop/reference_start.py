@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 from rtee.drivers.plausibility import Plausibility
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
 from rtee.loop.profiles import Profile
@@ -33,7 +33,7 @@ class ReferenceStart:
         self,
         profile: Profile,
         limiter: Limiter,
-        contact: Evidence,
+        contact: ContactMonitor,
         plausible: Plausibility,
         active: Sequence[bool],
         effort: Sequence[float],

@@ -13,7 +13,7 @@ from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.closing import meeting_speed
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
@@ -44,7 +44,7 @@ enough for the object to centre itself between the fingers."""
 
 
 @dataclass(slots=True)
-class _Watched:
+class _ApproachingActuator:
     """An actuator that approaches a contact."""
 
     mode: OnContact
@@ -60,7 +60,7 @@ class _Watched:
 
 
 @dataclass(slots=True)
-class _Approach:
+class _LegReactions:
     """The reactions of a leg of a goal to contacts.
 
     Attributes:
@@ -79,7 +79,7 @@ class _Approach:
         meeting: Speed of the opening at which the fingers meet an object [m/s].
     """
 
-    watched: dict[int, _Watched]
+    watched: dict[int, _ApproachingActuator]
     sides: tuple[frozenset[str], ...] = ()
     most: Mapping[int, float] = field(default_factory=dict)
     first: bool = False
@@ -96,7 +96,7 @@ class _Approach:
 class Reflexes:
     """Stops fingers that touch something, squeezes once enough do, and answers slips.
 
-    What counts as a contact is found by `Evidence`. Motions towards rest have no reflexes.
+    What counts as a contact is found by `ContactMonitor`. Motions towards rest have no reflexes.
 
     Args:
         hand: The hand.
@@ -111,7 +111,7 @@ class Reflexes:
 
     Attributes:
         active: Whether any actuator has a reflex; else a tick does nothing here.
-        busy: Actuators stopped or squeezing, which `Evidence` must not evaluate.
+        busy: Actuators stopped or squeezing, which `ContactMonitor` must not evaluate.
         effort: Effort limits by actuator that replace those of the goal [N·m | N].
         changed: Whether ``effort`` has changed; the caller resets it.
         touched: Fingers that touched something since the goal began.
@@ -125,7 +125,7 @@ class Reflexes:
         grasp: GraspSettings,
         profile: Profile,
         limiter: Limiter,
-        contact: Evidence,
+        contact: ContactMonitor,
         limit: Callable[[int], float],
         start: Callable[[int, float, bool], float | None],
         report: Callable[[Event], None],
@@ -133,7 +133,7 @@ class Reflexes:
         self._hand, self._grasp, self._limit, self._start = hand, grasp, limit, start
         self._profile, self._limiter, self._contact = profile, limiter, contact
         self._report = report
-        self._approach: _Approach | None = None
+        self._approach: _LegReactions | None = None
         self._squeeze: Squeeze | Pressing | None = None
         self._tare = Tare()
         self._before = -math.inf
@@ -223,7 +223,7 @@ class Reflexes:
             self.active = True
         if not (plan.on_contact or touch or usual) or opens:
             return
-        watched: dict[int, _Watched] = {}
+        watched: dict[int, _ApproachingActuator] = {}
         for i, target in targets.items():
             spec, here = self._hand.actuators[i], measured.position[i]
             mode = OnContact.STOP if touch else self._mode(plan.on_contact, i, usual)
@@ -231,7 +231,7 @@ class Reflexes:
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
                 ahead = 1.0 if target > here else -1.0
-                watched[i] = _Watched(mode, target, ahead, tolerance[i])
+                watched[i] = _ApproachingActuator(mode, target, ahead, tolerance[i])
         if not watched:
             return
         sides: tuple[frozenset[str], ...] = ()
@@ -253,7 +253,7 @@ class Reflexes:
         slips = bool(plan.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
         wanted = None if force is None else force.value
-        self._approach = approach = _Approach(
+        self._approach = approach = _LegReactions(
             watched, sides, most, touch, wanted, plan.grip, pressing, slips, plan.speed
         )
         if any(each.mode is not OnContact.SQUEEZE for each in watched.values()):
@@ -307,7 +307,7 @@ class Reflexes:
         self.effort.update(efforts)
         self.changed = True
 
-    def _go_on(self, approach: _Approach, efforts: Mapping[int, float], stamp: float) -> None:
+    def _go_on(self, approach: _LegReactions, efforts: Mapping[int, float], stamp: float) -> None:
         """Have actuators that hold an object go on from their effort limits [N·m | N]."""
         fingers: dict[str, None] = {}
         for i, each in approach.watched.items():
@@ -318,7 +318,7 @@ class Reflexes:
             self._begin_squeeze(approach, stamp, efforts)
             self.changed = True
 
-    def _begin_lightly(self, i: int, each: _Watched, here: float) -> None:
+    def _begin_lightly(self, i: int, each: _ApproachingActuator, here: float) -> None:
         """Have an actuator approach with little effort, unless it presses on an object already."""
         full = self._limit(i)
         if not math.isfinite(full):
@@ -377,7 +377,9 @@ class Reflexes:
         if self._squeeze is None and self._enough(approach):
             self._begin_squeeze(approach, stamp)
 
-    def _weigh(self, i: int, watched: _Watched, passed: float, measured: Measured) -> None:
+    def _weigh(
+        self, i: int, watched: _ApproachingActuator, passed: float, measured: Measured
+    ) -> None:
         """Learn what an approaching actuator takes while it keeps up with its reference."""
         here, reference = measured.position[i], self._limiter.position[i]
         moved, wanted = here - watched.was, reference - watched.reference
@@ -386,7 +388,9 @@ class Reflexes:
             self._tare.learn(i, measured.effort[i], passed)
         watched.was, watched.reference = here, reference
 
-    def _stop_finger(self, i: int, approach: _Approach, stamp: float, measured: Measured) -> None:
+    def _stop_finger(
+        self, i: int, approach: _LegReactions, stamp: float, measured: Measured
+    ) -> None:
         """Stop all actuators of the fingers of one: else the finger would fold."""
         fingers = set(self._hand.actuators[i].fingers)
         for j, other in approach.watched.items():
@@ -398,7 +402,9 @@ class Reflexes:
                 if other.touched and j not in self._squeeze.held:
                     self._squeeze.join(j)
 
-    def _strengthen(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
+    def _strengthen(
+        self, i: int, watched: _ApproachingActuator, stamp: float, measured: Measured
+    ) -> None:
         """Raise the effort of an approaching actuator that falls behind, up to the goal's limit."""
         here, reference = measured.position[i], self._limiter.position[i]
         full = self._limit(i)
@@ -426,7 +432,9 @@ class Reflexes:
                 self.effort[i] = watched.limit
         watched.looked, watched.was, watched.reference = stamp, here, reference
 
-    def _note(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
+    def _note(
+        self, i: int, watched: _ApproachingActuator, stamp: float, measured: Measured
+    ) -> None:
         """Record that an actuator's fingers touch something, and report it."""
         actuator = self._hand.actuators[i]
         forces = self._contact.forces(i, measured)
@@ -442,7 +450,9 @@ class Reflexes:
             text = f"{who} touched something (actuator {actuator.name})"
             self._report(Event("contact", who, text, stamp))
 
-    def _stop(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
+    def _stop(
+        self, i: int, watched: _ApproachingActuator, stamp: float, measured: Measured
+    ) -> None:
         """Stop an actuator where it is."""
         if watched.touched:
             return
@@ -469,7 +479,7 @@ class Reflexes:
             self.effort[i] = self._light(i, watched)
             self.changed = True
 
-    def _light(self, i: int, watched: _Watched) -> float:
+    def _light(self, i: int, watched: _ApproachingActuator) -> float:
         """Return the effort limit that overcomes friction and presses lightly [N·m | N]."""
         full = self._limit(i)
         if watched.limit < full:
@@ -478,7 +488,7 @@ class Reflexes:
 
     # --- the force ---------------------------------------------------------------------------
 
-    def _enough(self, approach: _Approach) -> bool:
+    def _enough(self, approach: _LegReactions) -> bool:
         """Return whether enough fingers touch to squeeze without pushing the object away."""
         squeezing = [
             (i, each) for i, each in approach.watched.items() if each.mode is OnContact.SQUEEZE
@@ -491,7 +501,7 @@ class Reflexes:
         return rules.enough_touch(touching, approach.sides, fingers, self._grasp.contact_fingers)
 
     def _begin_squeeze(
-        self, approach: _Approach, stamp: float, efforts: Mapping[int, float] | None = None
+        self, approach: _LegReactions, stamp: float, efforts: Mapping[int, float] | None = None
     ) -> None:
         """Begin to build up the force with all actuators that squeeze, together.
 
@@ -537,7 +547,7 @@ class Reflexes:
         squeeze.begin(stamp)
 
     def _press(
-        self, approach: _Approach, grip: Grip, estimate: ForceEstimate, stamp: float
+        self, approach: _LegReactions, grip: Grip, estimate: ForceEstimate, stamp: float
     ) -> None:
         """Begin to press with the fingers that touch; the others join when they do."""
         predicted = dict(approach.predicted)

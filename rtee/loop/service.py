@@ -69,7 +69,7 @@ class Service:
         """
         self._hands[name] = "connecting"
         self._waits_for.add(name)
-        return _Watched(name, self._ticked, self._describe)
+        return _WatchedHand(name, self._ticked, self._describe)
 
     def stopping(self) -> None:
         """Report that the hands are being brought to rest; the watchdog is no longer fed."""
@@ -114,7 +114,7 @@ class Service:
 
 
 @dataclass(eq=False)  # observers are compared by identity
-class _Watched(Observer):
+class _WatchedHand(Observer):
     name: str
     ticked: Callable[[str, float], None]
     describe: Callable[[str, Sequence[DeviceStatus]], None]

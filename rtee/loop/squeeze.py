@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import Grip
 from rtee.loop.measured import Measured
 from rtee.loop.profiles import Profile
@@ -119,7 +119,7 @@ class Squeeze:
         hand: Hand,
         grasp: GraspSettings,
         profile: Profile,
-        contact: Evidence,
+        contact: ContactMonitor,
         report: Callable[[Event], None],
         held: dict[int, Held],
         floor: float,

@@ -16,7 +16,7 @@ from rtee import monotonic
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.errors import BusTimeout, DriverError, NotConnected, RteeError, foreign
-from rtee.loop.connection import ACTIVATE_WITHIN, Connection
+from rtee.loop.connection import ACTIVATE_WITHIN, DeviceConnection
 from rtee.loop.guarded_driver import GuardedDriver
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
@@ -104,7 +104,7 @@ class Supervisor:
         self._runner = Runner(now)
         self.guarded = GuardedDriver(driver, self.name, len(self.actuators))
         self._runner.abandon = self._abandon
-        self.connection = Connection(settings, self.guarded, self._runner, self._report, now)
+        self.connection = DeviceConnection(settings, self.guarded, self._runner, self._report, now)
         self._limits: dict[str, _EventLimit] = {}
         self._requests: deque[_Request] = deque()
         self._closed: Exception | None = None

@@ -31,7 +31,7 @@ _LEAST = 0.1
 object may not fall."""
 
 
-class Level(IntEnum):
+class ThermalLevel(IntEnum):
     """How hot an actuator is."""
 
     OK = 0
@@ -43,19 +43,19 @@ class Level(IntEnum):
 
 # In words: an actuator's name and the factor on its effort limit.
 _STATUS = {
-    Level.WARN: "{} is warm",
-    Level.DERATE: "{} is hot, its effort limited to {:.0%}",
-    Level.DISABLE: "{} is too hot",
-    Level.INVALID: "the temperature sensor of {} is invalid",
+    ThermalLevel.WARN: "{} is warm",
+    ThermalLevel.DERATE: "{} is hot, its effort limited to {:.0%}",
+    ThermalLevel.DISABLE: "{} is too hot",
+    ThermalLevel.INVALID: "the temperature sensor of {} is invalid",
 }
 _EVENTS = {
-    Level.OK: ("is cool again:", "info"),
-    Level.WARN: ("is warm:", "warning"),
-    Level.DERATE: ("is hot and gets less effort:", "warning"),
-    Level.DISABLE: ("is too hot, its device is disabled:", "error"),
-    Level.INVALID: ("has an invalid temperature sensor:", "warning"),
+    ThermalLevel.OK: ("is cool again:", "info"),
+    ThermalLevel.WARN: ("is warm:", "warning"),
+    ThermalLevel.DERATE: ("is hot and gets less effort:", "warning"),
+    ThermalLevel.DISABLE: ("is too hot, its device is disabled:", "error"),
+    ThermalLevel.INVALID: ("has an invalid temperature sensor:", "warning"),
 }
-_RISING = (Level.WARN, Level.DERATE, Level.DISABLE)
+_RISING = (ThermalLevel.WARN, ThermalLevel.DERATE, ThermalLevel.DISABLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class ThermalChange:
     """
 
     index: int
-    level: Level
+    level: ThermalLevel
     temperature: float
 
     def event(self, name: str, stamp: float, *, estimated: bool = False) -> Event:
@@ -96,9 +96,9 @@ class Thermal:
 
     def __init__(self, settings: ThermalSettings, size: int) -> None:
         self._settings = settings
-        self.level = [Level.OK] * size
+        self.level = [ThermalLevel.OK] * size
         self.factor = [1.0] * size
-        self._pending = [Level.OK] * size
+        self._pending = [ThermalLevel.OK] * size
         self._since = [math.nan] * size
         self._again = [math.inf] * size
 
@@ -107,7 +107,7 @@ class Thermal:
         return "; ".join(
             _STATUS[self.level[i]].format(name, self.factor[i])
             for i, name in names.items()
-            if self.level[i] is not Level.OK
+            if self.level[i] is not ThermalLevel.OK
         )
 
     def step(
@@ -115,8 +115,8 @@ class Thermal:
     ) -> list[ThermalChange]:
         """Evaluate temperatures; return the actuators whose level changed.
 
-        The caller must disable those at the level `Level.DISABLE`, which are returned repeatedly
-        until they are disabled.
+        The caller must disable those at the level `ThermalLevel.DISABLE`, which are returned
+        repeatedly until they are disabled.
 
         Args:
             stamp: Now [s].
@@ -137,7 +137,7 @@ class Thermal:
                 self.level[i] = level
                 self._since[i] = math.nan
                 changes.append(ThermalChange(i, level, celsius))
-            if not (driven and driven[i] and self.level[i] is Level.DISABLE):
+            if not (driven and driven[i] and self.level[i] is ThermalLevel.DISABLE):
                 self._again[i] = stamp + _AGAIN
             elif stamp >= self._again[i]:
                 self._again[i] = stamp + _AGAIN
@@ -145,23 +145,23 @@ class Thermal:
             self.factor[i] = self._factor(self.level[i], celsius, self.factor[i])
         return changes
 
-    def _judge(self, present: Level, celsius: float) -> Level:
+    def _judge(self, present: ThermalLevel, celsius: float) -> ThermalLevel:
         low, high = PLAUSIBLE
         if not low <= celsius <= high:
-            return Level.INVALID
-        reached = Level.OK
+            return ThermalLevel.INVALID
+        reached = ThermalLevel.OK
         thresholds = (self._settings.warn, self._settings.derate, self._settings.disable)
         for level, threshold in zip(_RISING, thresholds, strict=True):
             # INVALID is the highest number, but not the hottest level.
-            keep = _HYSTERESIS if present is not Level.INVALID and present >= level else 0.0
+            keep = _HYSTERESIS if present is not ThermalLevel.INVALID and present >= level else 0.0
             if celsius >= threshold - keep:
                 reached = level
         return reached
 
-    def _factor(self, level: Level, celsius: float, before: float) -> float:
-        if level in (Level.OK, Level.WARN):
+    def _factor(self, level: ThermalLevel, celsius: float, before: float) -> float:
+        if level in (ThermalLevel.OK, ThermalLevel.WARN):
             return 1.0
-        if level is Level.INVALID or not PLAUSIBLE[0] <= celsius <= PLAUSIBLE[1]:
+        if level is ThermalLevel.INVALID or not PLAUSIBLE[0] <= celsius <= PLAUSIBLE[1]:
             # Without a temperature, neither more effort nor less is justified.
             return before
         span = self._settings.disable - self._settings.derate

@@ -15,7 +15,7 @@ from rtee.messages.state import State
 from rtee.touch import TouchState
 
 
-class Quantity(StrEnum):
+class ObservedQuantity(StrEnum):
     """A quantity that is observed, in the order of the vector of all of them.
 
     Positions of the actuators [rad | m], of the joints that follow them, efforts of the actuators
@@ -32,37 +32,37 @@ class Quantity(StrEnum):
     TAXEL = "taxel"
 
 
-USUAL = tuple(each for each in Quantity if each is not Quantity.TAXEL)
+USUAL = tuple(each for each in ObservedQuantity if each is not ObservedQuantity.TAXEL)
 """What is observed where known, unless chosen; taxels may be hundreds."""
 
 _SUFFIXES = {
-    Quantity.POSITION: "pos",
-    Quantity.JOINT: "pos",
-    Quantity.EFFORT: "effort",
-    Quantity.FORCE: "force",
-    Quantity.TOUCH: "touch",
-    Quantity.TAXEL: "taxel",
+    ObservedQuantity.POSITION: "pos",
+    ObservedQuantity.JOINT: "pos",
+    ObservedQuantity.EFFORT: "effort",
+    ObservedQuantity.FORCE: "force",
+    ObservedQuantity.TOUCH: "touch",
+    ObservedQuantity.TAXEL: "taxel",
 }
 
 
-def quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
+def quantities(names: Iterable[str]) -> tuple[ObservedQuantity, ...]:
     """Return the quantities of these names, in their order; `ConfigError` for an unknown one."""
     given = set(names)
-    if unknown := sorted(given - set(Quantity)):
+    if unknown := sorted(given - set(ObservedQuantity)):
         raise ConfigError(
-            f"nothing is observed as '{unknown[0]}'; there are: {', '.join(Quantity)}"
+            f"nothing is observed as '{unknown[0]}'; there are: {', '.join(ObservedQuantity)}"
         )
-    return tuple(each for each in Quantity if each in given)
+    return tuple(each for each in ObservedQuantity if each in given)
 
 
-def feature(quantity: Quantity, name: str = "") -> str:
+def feature(quantity: ObservedQuantity, name: str = "") -> str:
     """Return the name of one number: ``thumb.pos``; LeRobot has no ``/`` in names."""
     return ".".join(filter(None, (name.replace("/", "."), _SUFFIXES.get(quantity, quantity))))
 
 
 def taxels(sensor: str, count: int) -> list[str]:
     """Return the names of the taxels of a sensor."""
-    return [f"{feature(Quantity.TAXEL, sensor)}.{number}" for number in range(count)]
+    return [f"{feature(ObservedQuantity.TAXEL, sensor)}.{number}" for number in range(count)]
 
 
 def observed(
@@ -70,21 +70,21 @@ def observed(
     touch: Iterable[TouchState],
     forces: Sequence[float],
     fingers: Sequence[str],
-    wanted: Collection[Quantity],
+    wanted: Collection[ObservedQuantity],
 ) -> dict[str, float]:
     """Return the wanted numbers of a hand by name, those that are not known as ``NaN``.
 
     ``forces`` are those on the fingertips of the fingers [N], or none.
     """
-    wants_touch = {Quantity.TOUCH, Quantity.TAXEL} & set(wanted)
+    wants_touch = {ObservedQuantity.TOUCH, ObservedQuantity.TAXEL} & set(wanted)
     felt = [each for each in touch if not each.stale] if wants_touch else []
-    found: dict[Quantity, Mapping[str, float]] = {
-        Quantity.POSITION: state.positions,
-        Quantity.JOINT: {n: p for n, p in state.joints.items() if n not in state.names},
-        Quantity.EFFORT: dict(zip(state.names, state.effort.tolist(), strict=True)),
-        Quantity.OPENING: {"": math.nan if state.opening is None else state.opening},
-        Quantity.FORCE: dict(zip(fingers, forces, strict=False)),
-        Quantity.TOUCH: {
+    found: dict[ObservedQuantity, Mapping[str, float]] = {
+        ObservedQuantity.POSITION: state.positions,
+        ObservedQuantity.JOINT: {n: p for n, p in state.joints.items() if n not in state.names},
+        ObservedQuantity.EFFORT: dict(zip(state.names, state.effort.tolist(), strict=True)),
+        ObservedQuantity.OPENING: {"": math.nan if state.opening is None else state.opening},
+        ObservedQuantity.FORCE: dict(zip(fingers, forces, strict=False)),
+        ObservedQuantity.TOUCH: {
             sensor.name: total
             for each in felt
             for sensor, total in zip(each.sensors, each.totals.tolist(), strict=True)
@@ -95,7 +95,7 @@ def observed(
         for quantity in wanted
         for name, value in found.get(quantity, {}).items()
     }
-    if Quantity.TAXEL in wanted:
+    if ObservedQuantity.TAXEL in wanted:
         for each in felt:
             for sensor in each.sensors:
                 values = each.of(sensor.name).tolist()

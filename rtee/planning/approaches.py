@@ -25,7 +25,7 @@ _DEEPEST: Final = 0.08
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class PoseCandidate:
     """A pose of the object that an action may grasp.
 
     Attributes:
@@ -58,7 +58,7 @@ class Approach:
     depth: float | None = None
 
 
-Found: TypeAlias = Candidate | Approach
+Found: TypeAlias = PoseCandidate | Approach
 """A candidate; or an approach, whose depth decides which candidates come next."""
 
 
@@ -107,7 +107,7 @@ def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:
         item = next(found, None)
         if item is None:
             return
-        most -= isinstance(item, Candidate)
+        most -= isinstance(item, PoseCandidate)
         yield item
 
 

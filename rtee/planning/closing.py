@@ -128,7 +128,7 @@ class Closure:
     blocked: BoolArray
 
 
-class Closing:
+class HandClosing:
     """Closes a hand by an action; the table of its path serves all poses of the object.
 
     Attributes:
@@ -160,7 +160,7 @@ class Closing:
         return close_all([(self, pose)])[0]
 
 
-def close_all(asked: Sequence[tuple[Closing, FloatArray]]) -> list[Closure | None]:
+def close_all(asked: Sequence[tuple[HandClosing, FloatArray]]) -> list[Closure | None]:
     """Close hands on an object, each by an action; together, it takes a fraction of the time.
 
     Args:
@@ -175,7 +175,7 @@ def close_all(asked: Sequence[tuple[Closing, FloatArray]]) -> list[Closure | Non
 class _HandBatch:
     """Hands that close on an object at the same time, one in each row."""
 
-    def __init__(self, asked: Sequence[tuple[Closing, FloatArray]]) -> None:
+    def __init__(self, asked: Sequence[tuple[HandClosing, FloatArray]]) -> None:
         self._closings = [closing for closing, _ in asked]
         first = self._closings[0]
         self._scene, self._friction = first.scene, first.friction

@@ -27,7 +27,7 @@ _PRESSED: Final = 3e-3
 be missed, and as a soft pad gives."""
 
 
-class Collisions:
+class CollisionChecker:
     """Looks for collisions of a hand, at one posture after another.
 
     Links count as their convex parts first; a pair that overlaps deeper than at rest is compared on

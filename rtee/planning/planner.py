@@ -16,14 +16,14 @@ from rtee.errors import ConfigError
 from rtee.hand.flange import base_in_flange, flange_with
 from rtee.hand.model import Hand
 from rtee.objects.table import Table
-from rtee.planning.approaches import GAP, Candidate
-from rtee.planning.closing import ActionPath, Closing, Closure
+from rtee.planning.approaches import GAP, PoseCandidate
+from rtee.planning.closing import ActionPath, Closure, HandClosing
 from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.objects import GraspObject
 from rtee.planning.poses import Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
 from rtee.planning.scene import GraspScene
-from rtee.planning.search import Grasp, Search, search_together
+from rtee.planning.search import FoundGrasp, Search, search_together
 from rtee.planning.table import Ground
 from rtee.planning.wrench import EDGES, GRAVITY, balanced, load, quality, wrenches
 from rtee.sample import BoolArray, FloatArray
@@ -87,7 +87,7 @@ _MOST_CONTACTS: Final = 32
 
 
 @dataclass(frozen=True)
-class Task:
+class GraspTask:
     """What is asked of a grasp.
 
     Attributes:
@@ -132,7 +132,7 @@ class Planner:
         axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
             raise ConfigError("a weight axis is three finite numbers, not all of them 0")
-        self.task = Task(friction, axis / np.linalg.norm(axis))
+        self.task = GraspTask(friction, axis / np.linalg.norm(axis))
         self.ground: Ground | None = None
         if table is not None:
             if table.up is not None and weight_axis is not None:
@@ -207,9 +207,9 @@ class Planner:
                 best = number, plan
         return best
 
-    def _grasps(self, actions: Sequence[Action], most: int) -> list[list[Grasp] | str]:
+    def _grasps(self, actions: Sequence[Action], most: int) -> list[list[FoundGrasp] | str]:
         """Return the most promising grasps by each action, or why there is none."""
-        found: list[list[Grasp] | str] = []
+        found: list[list[FoundGrasp] | str] = []
         for begin in range(0, len(actions), _TOGETHER):
             some = [self._search(action, most) for action in actions[begin : begin + _TOGETHER]]
             search_together(self.scene, self._open, some, self.promise)
@@ -218,7 +218,7 @@ class Planner:
 
     def _search(self, action: Action, most: int) -> Search:
         """Return the search for poses at which an action holds the object."""
-        closing = Closing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
+        closing = HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
         poses = None
         if closing.path.moving.any():
             poses = Poses(self.scene, closing, action, self.out, self.ground)
@@ -227,7 +227,7 @@ class Planner:
             action, closing, poses, candidates, max(_ENOUGH, most // 2), ground=self.ground
         )
 
-    def _found(self, search: Search) -> list[Grasp] | str:
+    def _found(self, search: Search) -> list[FoundGrasp] | str:
         """Return the most promising grasps that a search has found, or why there is none."""
         if search.poses is None:
             return "it moves nothing"
@@ -245,7 +245,9 @@ class Planner:
         search.grasps.sort(key=lambda grasp: -grasp.promise)
         return search.grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
 
-    def _best_of(self, grasps: Sequence[Grasp], beat: GraspPlan | None = None) -> GraspPlan | str:
+    def _best_of(
+        self, grasps: Sequence[FoundGrasp], beat: GraspPlan | None = None
+    ) -> GraspPlan | str:
         """Return the best of the grasps of an action, or why there is none."""
         best: GraspPlan | None = None
         least = 0.0 if beat is None else beat.score
@@ -259,7 +261,7 @@ class Planner:
 
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
         """Return the hand as it has closed by an action where a plan says."""
-        closing = Closing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
+        closing = HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
         return closing.close(np.array(plan.pose))
 
     def promise(self, closure: Closure) -> float:
@@ -293,7 +295,7 @@ class Planner:
         efforts: FloatArray = np.einsum("kaj,kj->ka", maps, found[:, :3])
         return efforts
 
-    def _judged(self, grasp: Grasp, least: float) -> GraspPlan | None:
+    def _judged(self, grasp: FoundGrasp, least: float) -> GraspPlan | None:
         """Return what a grasp comes to, or ``None`` where its score is certainly below the least.
 
         What it carries takes longest to work out, and can only lower the score.
@@ -369,7 +371,7 @@ class Planner:
             tcp=(float(x), float(y), float(z)),
         )
 
-    def _intensity(self, closing: Closing, closure: Closure) -> float:
+    def _intensity(self, closing: HandClosing, closure: Closure) -> float:
         """Return how far the action goes so that all blocked actuators press."""
         moved = np.abs(closing.path.knots[-1] - closing.path.knots[0])
         # At least to where the contacts oppose each other, even if no actuator is blocked.
@@ -380,7 +382,7 @@ class Planner:
         # Rounded up: rounded down, the set-points might no longer press.
         return min(1.0, math.ceil(100.0 * max(wanted)) / 100.0)
 
-    def _before(self, grasp: Grasp) -> tuple[float, float, float]:
+    def _before(self, grasp: FoundGrasp) -> tuple[float, float, float]:
         """Return pre-shape, opening and clearance before the hand closes.
 
         The hand closes as far as it can without coming near the object at the end of its approach
@@ -417,7 +419,7 @@ class Planner:
 
     def _reasons(
         self,
-        candidate: Candidate,
+        candidate: PoseCandidate,
         opening: float,
         contacts: Sequence[Contact],
         times: float,

@@ -16,14 +16,14 @@ from rtee.planning.approaches import (
     APPROACH_LENGTH,
     GAP,
     Approach,
-    Candidate,
     Found,
+    PoseCandidate,
     at_most,
     bring_in,
     interleaved,
     near_side,
 )
-from rtee.planning.closing import Closing
+from rtee.planning.closing import HandClosing
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
@@ -128,7 +128,7 @@ class Poses:
     def __init__(
         self,
         scene: GraspScene,
-        closing: Closing,
+        closing: HandClosing,
         action: Action,
         out: FloatArray,
         ground: Ground | None = None,
@@ -317,7 +317,7 @@ class Poses:
         found = [self._gap(int(step)) for step in steps]
         return np.interp(np.arange(len(self._closing.table)), steps, found)
 
-    def candidates(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
+    def candidates(self, turns: list[FloatArray], most: int) -> Iterator[PoseCandidate]:
         """Yield poses of the object, at most so many; see `search`."""
         for found in self.search(turns, most):
             if isinstance(found, Approach):
@@ -441,7 +441,7 @@ class Poses:
                 taken.append(depth)
                 there = begin.copy()
                 there[:3, 3] += depth * direction
-                yield Candidate(there, APPROACH_LENGTH * direction, width, opening)
+                yield PoseCandidate(there, APPROACH_LENGTH * direction, width, opening)
 
     def _stands(self, begin: FloatArray, direction: FloatArray, width: float) -> float | None:
         """Return the least depth at which the hand stays clear of the table [m].

@@ -20,7 +20,7 @@ from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionPath
-from rtee.planning.collisions import Collisions
+from rtee.planning.collisions import CollisionChecker
 from rtee.planning.frames import (
     checked_direction,
     checked_pose,
@@ -141,8 +141,8 @@ def reach_contacts(
     if not (math.isfinite(retreat) and retreat >= 0.0):
         raise ConfigError(f"a retreat is 0 m or more, not {retreat:g}")
     there = np.linalg.inv(base) @ checked_pose(object_pose, "the object's pose")
-    collisions = Collisions(hand, tips.geometry, obj, there)
-    search = _Search(hand, tips, _starts(hand, actions), collisions)
+    collisions = CollisionChecker(hand, tips.geometry, obj, there)
+    search = _PostureSearch(hand, tips, _starts(hand, actions), collisions)
     u, fingers = search.best(wanted)
     residuals = [search.residual(u, c, f) for c, f in zip(wanted, fingers, strict=True)]
     _refuse(residuals, wanted, tolerance)
@@ -221,7 +221,7 @@ def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:
     return list({u.round(6).tobytes(): u for u in found}.values())
 
 
-class _Search:
+class _PostureSearch:
     """Looks for postures of one hand."""
 
     def __init__(
@@ -229,7 +229,7 @@ class _Search:
         hand: Hand,
         tips: Fingertips,
         starts: Sequence[FloatArray],
-        collisions: Collisions,
+        collisions: CollisionChecker,
     ) -> None:
         self._hand, self._tips, self._starts = hand, tips, starts
         self._collisions = collisions

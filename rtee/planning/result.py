@@ -33,7 +33,7 @@ class Contact(Value):
 
 
 @dataclass(frozen=True, slots=True)
-class Check(Value):
+class GraspCheck(Value):
     """How a grasp ended in dynamics.
 
     Attributes:
@@ -108,7 +108,7 @@ class GraspPlan(Value):
     approach_from: Point
     contacts: tuple[Contact, ...]
     reasons: tuple[str, ...]
-    check: Check | None = None
+    check: GraspCheck | None = None
     flange_pose: Matrix | None = None
     pre_flange_pose: Matrix | None = None
     tcp: Point | None = None

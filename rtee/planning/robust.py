@@ -11,8 +11,8 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
-from rtee.planning.approaches import GAP, Candidate
-from rtee.planning.closing import ActionPath, Closing, Closure, close_all
+from rtee.planning.approaches import GAP, PoseCandidate
+from rtee.planning.closing import ActionPath, Closure, HandClosing, close_all
 from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Poses
@@ -56,7 +56,7 @@ class RobustPose:
         promise: Mean of what these grasps promise; larger is better.
     """
 
-    candidate: Candidate
+    candidate: PoseCandidate
     first: float
     held: float
     promise: float
@@ -66,7 +66,7 @@ def robust_poses(
     planner: Planner,
     action: Action,
     groups: Sequence[Action] = (),
-    others: Iterable[Candidate] = (),
+    others: Iterable[PoseCandidate] = (),
 ) -> list[RobustPose]:
     """Return poses at which an action holds an object, the most robust ones first.
 
@@ -76,7 +76,7 @@ def robust_poses(
         groups: Actions whose fingers it moves, too: the object may be between those alone.
         others: Poses that are compared, too.
     """
-    closing = Closing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
+    closing = HandClosing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
     if not closing.path.moving.any():
         return []
     candidates = [*others]
@@ -108,7 +108,7 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
         action: The action.
         groups: Actions whose fingers it moves, too.
     """
-    closing = Closing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
+    closing = HandClosing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
     if not closing.path.moving.any():
         return ""
     widest, wide = 0.0, math.inf
@@ -124,7 +124,7 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
     return f"{wide * 1e3:.0f} mm wide, the hand opens to {widest * 1e3:.0f} mm"
 
 
-def _two_tips(hand: Hand, action: Action, closing: Closing) -> frozenset[str]:
+def _two_tips(hand: Hand, action: Action, closing: HandClosing) -> frozenset[str]:
     """Return the fingers between whose tips an action grasps, if they are two; else nothing."""
     moved = {
         name for name, moves in zip(hand.actuator_names, closing.path.moving, strict=True) if moves
@@ -144,7 +144,7 @@ def _largest(groups: Sequence[Action]) -> list[Action]:
 
 
 def _judged(
-    planner: Planner, closing: Closing, candidate: Candidate, middle: Closure
+    planner: Planner, closing: HandClosing, candidate: PoseCandidate, middle: Closure
 ) -> RobustPose:
     """Return how well an object is held at a pose and nearby."""
     promises = [planner.promise(middle)]
@@ -157,7 +157,7 @@ def _judged(
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
 
 
-def _pushed(closing: Closing, pose: FloatArray, approach_from: FloatArray) -> FloatArray | None:
+def _pushed(closing: HandClosing, pose: FloatArray, approach_from: FloatArray) -> FloatArray | None:
     """Return the pose to which the open hand pushes an object; ``None`` if out of reach."""
     pose, length = pose.copy(), float(np.linalg.norm(approach_from))
     at = closing.table[0]

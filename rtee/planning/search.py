@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtee.actions.types import Action
-from rtee.planning.approaches import Approach, Candidate, Found, bring_in
-from rtee.planning.closing import Closing, Closure, close_all
+from rtee.planning.approaches import Approach, Found, PoseCandidate, bring_in
+from rtee.planning.closing import Closure, HandClosing, close_all
 from rtee.planning.poses import Poses
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
@@ -39,17 +39,17 @@ class Search:
     """
 
     action: Action
-    closing: Closing
+    closing: HandClosing
     poses: Poses | None
     candidates: Iterator[Found]
     enough: int
-    grasps: list[Grasp] = field(default_factory=list)
-    ready: list[Candidate] = field(default_factory=list)
+    grasps: list[FoundGrasp] = field(default_factory=list)
+    ready: list[PoseCandidate] = field(default_factory=list)
     tried: int = 0
     ground: Ground | None = None
     blocked: bool = False
 
-    def next(self) -> Approach | list[Candidate]:
+    def next(self) -> Approach | list[PoseCandidate]:
         """Return the poses to try next, or the approach on which these depend.
 
         They are no more than are needed if the action holds the object at all of them.
@@ -73,7 +73,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Grasp:
+class FoundGrasp:
     """A hand closed on the object by an action, and how it came there.
 
     Attributes:
@@ -84,7 +84,7 @@ class Grasp:
     """
 
     search: Search
-    candidate: Candidate
+    candidate: PoseCandidate
     closure: Closure
     promise: float
 
@@ -113,14 +113,14 @@ def search_together(
                 search.blocked = True
                 search.ready += ground.raised(search.closing, candidate, closure)
             else:
-                search.grasps.append(Grasp(search, candidate, closure, promise(closure)))
+                search.grasps.append(FoundGrasp(search, candidate, closure, promise(closure)))
 
 
 def _next(
     scene: GraspScene, open_hand: HandPose, searches: Sequence[Search]
-) -> list[tuple[Search, Candidate]]:
+) -> list[tuple[Search, PoseCandidate]]:
     """Return the poses to try next; the approaches on which they depend are found together."""
-    found: list[tuple[Search, Candidate]] = []
+    found: list[tuple[Search, PoseCandidate]] = []
     while searches:
         asking: list[Search] = []
         approaches: list[Approach] = []

@@ -16,8 +16,8 @@ import coal
 import numpy as np
 
 from rtee.objects.table import Table
-from rtee.planning.approaches import Candidate
-from rtee.planning.closing import Closing, Closure
+from rtee.planning.approaches import PoseCandidate
+from rtee.planning.closing import Closure, HandClosing
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
@@ -176,7 +176,7 @@ class Ground:
         )
 
     def missing(
-        self, closing: Closing, steps: int, begin: FloatArray, direction: FloatArray
+        self, closing: HandClosing, steps: int, begin: FloatArray, direction: FloatArray
     ) -> float:
         """Return how much farther an object has to be for the closing hand to clear the table [m].
 
@@ -189,7 +189,7 @@ class Ground:
         top = self.top(begin, direction)
         return CLEAR - min(self.gap(at, top) for at in closing.table[: steps + 1])
 
-    def clears(self, closing: Closing, candidate: Candidate, closure: Closure) -> bool:
+    def clears(self, closing: HandClosing, candidate: PoseCandidate, closure: Closure) -> bool:
         """Return whether a hand keeps clear of the table, from its approach until it has closed."""
         top = self.top(candidate.pose, candidate.approach_from)
         # What the fingers push deeper would be pressed on the table.
@@ -201,8 +201,8 @@ class Ground:
         )
 
     def raised(
-        self, closing: Closing, candidate: Candidate, closure: Closure
-    ) -> Iterator[Candidate]:
+        self, closing: HandClosing, candidate: PoseCandidate, closure: Closure
+    ) -> Iterator[PoseCandidate]:
         """Yield a candidate at which a hand that did not keep clear of the table may do so."""
         more = CLEAR - self._least(closing, candidate, closure)
         if self.edge or candidate.raised or not 0.0 < more < _RAISED:
@@ -213,7 +213,7 @@ class Ground:
         pose[:3, 3] += more * (unit / steep if steep > STEEP else -up)
         yield replace(candidate, pose=pose, raised=True)
 
-    def _least(self, closing: Closing, candidate: Candidate, closure: Closure) -> float:
+    def _least(self, closing: HandClosing, candidate: PoseCandidate, closure: Closure) -> float:
         """Return the least gap between a hand that closes and the table [m]."""
         top = self.top(candidate.pose, candidate.approach_from)
         steps = np.count_nonzero(closing.grid < closure.first)

@@ -26,7 +26,7 @@ _WIDER: Final = tuple(Gate)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class AgentLimits:
     """What an agent may do with one hand.
 
     Attributes:

@@ -24,7 +24,7 @@ from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.messages.requests import Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.find import VARIABLE as CONNECT
-from rtee.remote.find import Found, chosen_here, open_hand
+from rtee.remote.find import FoundHand, chosen_here, open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import ANSWER_WITHIN, Link, introduced
@@ -369,7 +369,7 @@ async def stop_hand(
     return name, done
 
 
-class Connection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
+class HandConnection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
     """A connection to be opened by ``async with``; made by `connect`."""
 
     def __init__(self, opened: contextlib.AbstractAsyncContextManager[RemoteHand]) -> None:
@@ -422,7 +422,7 @@ def connect(
     client: str = "python",
     wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
-) -> Connection:
+) -> HandConnection:
     """Connect to a running hand for as long as the context lasts.
 
     The hand it yields belongs to the event loop of asyncio in which it was opened; other threads
@@ -448,7 +448,7 @@ def connect(
     for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
         if not isinstance(value, str) and (value is not None or what == "client"):
             raise ConfigError(f"the {what} to connect with should be a text, not {value!r:.100}")
-    return Connection(_connected(hand, endpoint, client, wait, on_wait))
+    return HandConnection(_connected(hand, endpoint, client, wait, on_wait))
 
 
 @contextlib.asynccontextmanager
@@ -468,7 +468,7 @@ async def _connected(
 
 @contextlib.asynccontextmanager
 async def _linked(
-    opening: Awaitable[Found], client: str
+    opening: Awaitable[FoundHand], client: str
 ) -> AsyncIterator[tuple[Link, Path | None]]:
     """Open a link to a hand, which does not know this client yet, and find its stop socket."""
     found = await opening

@@ -136,7 +136,7 @@ def _services() -> int | None:
     return descriptor
 
 
-class Place:
+class HandLock:
     """A hand's locked file in the runtime folder, and its Unix socket; made by `claimed`."""
 
     def __init__(self, path: Path, hand: str, name: socket.socket | None) -> None:
@@ -199,7 +199,7 @@ class Place:
 
 
 @contextlib.contextmanager
-def claimed(hand: str) -> Iterator[Place]:
+def claimed(hand: str) -> Iterator[HandLock]:
     """Lock the file of a hand for as long as the context lasts, so that the hand runs only once.
 
     Raises `ConfigError` if the hand runs already, or the folder cannot be used.
@@ -213,7 +213,7 @@ def claimed(hand: str) -> Iterator[Place]:
         # systemd-tmpfiles spares the files of a locked folder.
         _lock(folder, fcntl.LOCK_SH)
         name = stack.enter_context(_named(hand, folder, path.parent))
-        place = Place(path, hand, name)
+        place = HandLock(path, hand, name)
         stack.callback(place.close)
         place.withdraw()
         yield place

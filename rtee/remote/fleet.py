@@ -20,7 +20,7 @@ from anyio.abc import TaskGroup
 from rtee.errors import NoHand, RteeError
 from rtee.messages.state import State
 from rtee.remote.directory import Running
-from rtee.remote.find import Found, alive, hands_running, open_here
+from rtee.remote.find import FoundHand, alive, hands_running, open_here
 from rtee.remote.link import introduced
 from rtee.remote.monitoring import HandStatus, Monitoring
 from rtee.remote.session import close_session, open_client, way_to
@@ -35,12 +35,12 @@ _ANSWER_WITHIN = 2.0
 _POLL = 0.02
 """Time between two looks whether all have answered for the first time [s]."""
 
-Opened = AbstractAsyncContextManager[Found]
+Opened = AbstractAsyncContextManager[FoundHand]
 """A hand in a session, which is closed with the context unless others share it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class HandAddress:
     """A hand and the endpoint through which it is reached; empty: on this computer."""
 
     hand: str
@@ -58,7 +58,7 @@ class Look:
         trouble: Why there is no answer, in a sentence, or an empty string.
     """
 
-    place: Place
+    place: HandAddress
     status: HandStatus | None = None
     state: State | None = None
     trouble: str = ""
@@ -100,9 +100,9 @@ class Fleet:
 
     def __init__(self, names: Collection[str]) -> None:
         self._names = names
-        self._monitors: dict[Place, Monitoring] = {}
-        self._troubles: dict[Place, str] = {}
-        self._followed: set[Place] = set()
+        self._monitors: dict[HandAddress, Monitoring] = {}
+        self._troubles: dict[HandAddress, str] = {}
+        self._followed: set[HandAddress] = set()
         self._awaited = 0  # searches and hands that have not answered for the first time
 
     async def known(self) -> None:
@@ -114,7 +114,7 @@ class Fleet:
         """Return what all hands that are known answer now, by name."""
         looks = {place: Look(place, trouble=why) for place, why in self._troubles.items()}
 
-        async def ask(place: Place, monitor: Monitoring) -> None:
+        async def ask(place: HandAddress, monitor: Monitoring) -> None:
             looks[place] = Look(place, trouble="it does not answer")
             with anyio.move_on_after(_ANSWER_WITHIN):
                 try:
@@ -140,12 +140,12 @@ class Fleet:
         first = 1
         while True:
             for running in hands_running().values():
-                self._begin(group, Place(running.hand), _opened_here(running))
+                self._begin(group, HandAddress(running.hand), _opened_here(running))
             self._awaited, first = self._awaited - first, 0
             await anyio.sleep(_SEARCH_EVERY)
 
     async def _at(self, group: TaskGroup, endpoint: str) -> None:
-        nowhere, first = Place("", endpoint), 1
+        nowhere, first = HandAddress("", endpoint), 1
         session: zenoh.Session | None = None
         try:
             while True:
@@ -155,8 +155,8 @@ class Fleet:
                     self._troubles[nowhere] = "no hand runs there"
                     for name in await anyio.to_thread.run_sync(alive, session):
                         self._troubles.pop(nowhere, None)
-                        found = Found(session, name, way_to(endpoint))
-                        self._begin(group, Place(name, endpoint), nullcontext(found))
+                        found = FoundHand(session, name, way_to(endpoint))
+                        self._begin(group, HandAddress(name, endpoint), nullcontext(found))
                 except NoHand as error:
                     self._troubles[nowhere] = str(error)
                 self._awaited, first = self._awaited - first, 0
@@ -164,14 +164,14 @@ class Fleet:
         finally:
             await _close(session)
 
-    def _begin(self, group: TaskGroup, place: Place, opened: Opened) -> None:
+    def _begin(self, group: TaskGroup, place: HandAddress, opened: Opened) -> None:
         """Begin to follow a hand that was found, unless it is followed already."""
         if place not in self._followed and (not self._names or place.hand in self._names):
             self._followed.add(place)
             self._awaited += 1
             group.start_soon(self._stay, place, opened)
 
-    async def _stay(self, place: Place, opened: Opened) -> None:
+    async def _stay(self, place: HandAddress, opened: Opened) -> None:
         """Stay connected to a hand until it goes."""
         gone, first = anyio.Event(), 1
         try:
@@ -195,7 +195,7 @@ class Fleet:
 
 
 @contextlib.asynccontextmanager
-async def _opened_here(running: Running) -> AsyncIterator[Found]:
+async def _opened_here(running: Running) -> AsyncIterator[FoundHand]:
     found = await open_here(running)
     try:
         yield found

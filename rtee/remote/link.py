@@ -319,7 +319,7 @@ async def introduced(
     Args:
         session: The session.
         hand: The hand.
-        access_path: The access path, see `rtee.remote.find.Found`.
+        access_path: The access path, see `rtee.remote.find.FoundHand`.
         client: A name for this client, shown to people.
     """
     # The process id and a random part distinguish clients of the same name. The client's own name

@@ -154,7 +154,7 @@ def _labels(look: Look) -> list[str]:
     return [look.place.hand, look.place.endpoint]
 
 
-class _Collector:
+class _FleetCollector:
     """Asks a fleet at each scrape, in the thread of the HTTP server."""
 
     def __init__(self, fleet: Fleet) -> None:
@@ -178,7 +178,7 @@ async def serve(fleet: Fleet, listen: str) -> None:
     """
     host, port = address_of(listen, "metrics")
     registry = CollectorRegistry()
-    registry.register(_Collector(fleet))
+    registry.register(_FleetCollector(fleet))
     try:
         server, thread = start_http_server(port, host, registry)
     except OSError as error:

@@ -26,7 +26,7 @@ Changed = Callable[[Collection[str], Collection[str]], object]
 longer are."""
 
 
-class Endpoints(Protocol):
+class ProtectedEndpoints(Protocol):
     """The network settings of a hand that protection needs."""
 
     @property
@@ -42,7 +42,7 @@ class Endpoints(Protocol):
         """Security settings of the network."""
 
 
-def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
+def credentials_of(hand: str, endpoints: ProtectedEndpoints) -> Credentials | None:
     """Return the certificates of a hand, not yet read; ``None`` if its endpoints need none."""
     everywhere = [*endpoints.listen, *endpoints.connect]
     if not any(endpoint.startswith(TLS) for endpoint in everywhere):
@@ -50,7 +50,7 @@ def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
     return Credentials(endpoints.security.folder or secure_folder(hand))
 
 
-def exposed(endpoints: Endpoints) -> list[str]:
+def exposed(endpoints: ProtectedEndpoints) -> list[str]:
     """Return the endpoints through which anybody can move the hand.
 
     Raises `ConfigError` if there are any and hand.yaml does not allow it.
@@ -79,7 +79,7 @@ class Protection:
     are no certificates.
     """
 
-    def __init__(self, hand: str, endpoints: Endpoints) -> None:
+    def __init__(self, hand: str, endpoints: ProtectedEndpoints) -> None:
         unsafe = exposed(endpoints)
         if unsafe:
             log.warning(

@@ -96,7 +96,7 @@ class StateMessages:
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class PublishedStream:
     """A message, encoded and published at an outlet every n ticks while it has subscribers."""
 
     outlet: Outlet
@@ -115,8 +115,8 @@ class Streams:
             self._stream(JOINT_STATES, every, self.messages.joint_state),
             self._stream(REFERENCE, every, self.messages.reference),
         )
-        self._asked: dict[int, Stream] = {}
-        self._all: tuple[Stream, ...] = self._fixed
+        self._asked: dict[int, PublishedStream] = {}
+        self._all: tuple[PublishedStream, ...] = self._fixed
         self._ticks = crc32(hand.name.encode())  # so that hands on one clock publish in turns
         self._worker = CallQueue(f"states {hand.name}", _MOST_WAITING)
         self._touch = self._outlet(TOUCH)
@@ -128,8 +128,10 @@ class Streams:
         drop = zenoh.CongestionControl.DROP
         return self._outlets.open(topic, watched=True, congestion_control=drop, express=True)
 
-    def _stream(self, topic: str, every: int, encode: Callable[[TickRecord], bytes]) -> Stream:
-        return Stream(self._outlet(topic), every, encode)
+    def _stream(
+        self, topic: str, every: int, encode: Callable[[TickRecord], bytes]
+    ) -> PublishedStream:
+        return PublishedStream(self._outlet(topic), every, encode)
 
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
@@ -164,7 +166,7 @@ class Streams:
         self._outlets.close(stream.outlet)
         return True
 
-    def _replace(self, streams: dict[int, Stream]) -> None:
+    def _replace(self, streams: dict[int, PublishedStream]) -> None:
         self._asked, self._all = streams, (*self._fixed, *streams.values())
 
     def publish(self, record: TickRecord) -> None:
@@ -184,7 +186,7 @@ class Streams:
         for state in states:
             self._touch.put(self._touch_encoder.encode(state, measured_at(record, state)))
 
-    def _put(self, record: TickRecord, due: Sequence[Stream]) -> None:
+    def _put(self, record: TickRecord, due: Sequence[PublishedStream]) -> None:
         state = b""
         for stream in due:
             if not stream.outlet.wanted:  # its subscribers have left meanwhile

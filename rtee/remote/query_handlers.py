@@ -78,7 +78,7 @@ class RecordingStatus(Protocol):
         """Losses of the recording and their reason, in words; empty if there are none."""
 
 
-class Recording(Protocol):
+class RecorderControl(Protocol):
     """The interface of a recorder; any thread may call its methods, which return at once."""
 
     def start(self) -> None:
@@ -108,7 +108,7 @@ class QueryHandlers:
         goals: GoalRecords,
         thread: LoopThread,
         streams: Streams,
-        recording: Recording | None,
+        recording: RecorderControl | None,
         profile: str,
         counts: Callable[[], Fields],
     ) -> None:

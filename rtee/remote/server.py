@@ -59,9 +59,9 @@ from rtee.remote.incoming_request import (
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.outlets import Outlets
-from rtee.remote.protection import Endpoints, Protection
+from rtee.remote.protection import ProtectedEndpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
-from rtee.remote.query_handlers import QueryHandlers, Recording
+from rtee.remote.query_handlers import QueryHandlers, RecorderControl
 from rtee.remote.session import DELIVER, TLS, close_session, direct, fits, open_server
 from rtee.remote.stopping import CERTIFICATE, SUFFIX, Stopped, StopSocket
 
@@ -81,7 +81,7 @@ _LARGEST_REFUSED = 4096
 """Longest question of a refused query that waits [bytes]: frequent ones have some hundred."""
 
 
-class RemoteSettings(Endpoints, Protocol):
+class ServerSettings(ProtectedEndpoints, Protocol):
     """Network settings of a hand."""
 
     @property
@@ -129,8 +129,8 @@ class Server:
     async def open(
         cls,
         loop: HandLoop,
-        settings: RemoteSettings,
-        recording: Recording | None = None,
+        settings: ServerSettings,
+        recording: RecorderControl | None = None,
         profile: str = "",
     ) -> AsyncIterator[Self]:
         """Make a hand available on the network for as long as the context lasts.

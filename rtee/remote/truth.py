@@ -58,7 +58,7 @@ class Turn(NamedTuple):
     goal: str = ""
 
 
-class Grip(StrEnum):
+class HeldObject(StrEnum):
     """What is known of an object in the hand."""
 
     HOLDING = "holding"
@@ -98,7 +98,7 @@ class Truth:
         self.state: State | None = None
         self.status: HandStatus | None = None
         self.trouble = "looking for a hand …"
-        self.grip = Grip.UNKNOWN
+        self.grip = HeldObject.UNKNOWN
         self.stopped = Words("")
         self.turn = Turn()
         self._hot: dict[str, str] = {}  # events of actuators that are too warm
@@ -120,13 +120,13 @@ class Truth:
         sensed = state.force_source in ("tip forces", "device")
         measured = state.force if sensed and state.force is not None else math.nan
         if word:
-            self._conclude(Grip.HOLDING)
-        elif self.grip is Grip.HOLDING:
+            self._conclude(HeldObject.HOLDING)
+        elif self.grip is HeldObject.HOLDING:
             if before or measured < _NOTHING:
-                self._conclude(Grip.UNKNOWN if self.moving else Grip.LOST)
+                self._conclude(HeldObject.UNKNOWN if self.moving else HeldObject.LOST)
         # Without a result: a grasp from before this page, or by other means than a goal.
-        elif self.grip is Grip.UNKNOWN and measured > _FELT and not self.moving:
-            self._conclude(Grip.HOLDING)
+        elif self.grip is HeldObject.UNKNOWN and measured > _FELT and not self.moving:
+            self._conclude(HeldObject.HOLDING)
 
     def on_status(self, status: HandStatus) -> None:
         """Take the status of loop and devices."""
@@ -138,9 +138,9 @@ class Truth:
             self._turn(status.action, status.goal_id)
             self.stopped = Words("")
             if not begun and not self._word:  # what was held may be let go now
-                self._conclude(Grip.UNKNOWN)
+                self._conclude(HeldObject.UNKNOWN)
         if self.ill:
-            self._conclude(Grip.UNKNOWN)
+            self._conclude(HeldObject.UNKNOWN)
 
     def on_result(self, result: Result) -> None:
         """Take the result of any client's goal."""
@@ -149,21 +149,21 @@ class Truth:
         early = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
         if result.grasped:
             self._fingers = result.grasped_fingers
-            self._conclude(Grip.HOLDING)
+            self._conclude(HeldObject.HOLDING)
         elif result.outcome in (*early, Outcome.UNKNOWN, Outcome.TOUCHED):
-            self._conclude(Grip.UNKNOWN)
+            self._conclude(HeldObject.UNKNOWN)
         else:
-            self._conclude(Grip.EMPTY)
+            self._conclude(HeldObject.EMPTY)
 
     def on_event(self, event: Event) -> None:
         """Take an event of the hand."""
         match event.kind:
             case "grasp_lost":
-                self._conclude(Grip.LOST)
+                self._conclude(HeldObject.LOST)
                 self._fingers = (event.source,)
             case "device_lost" | "device_fault":
                 self._turn(event.kind.replace("_", " "))
-                self._conclude(Grip.UNKNOWN)
+                self._conclude(HeldObject.UNKNOWN)
             case "device_busy":
                 self._busy[event.source] = event.text
             case "thermal" if event.severity == "info":
@@ -182,18 +182,18 @@ class Truth:
             self._turn("not connected")
         self.trouble = why
         self._hot.clear()
-        self._conclude(Grip.UNKNOWN)
+        self._conclude(HeldObject.UNKNOWN)
 
     def _turn(self, what: str, goal: str = "") -> None:
         if not goal or goal != self.turn.goal:
             self.turn = Turn(f"{clock()} {what}", goal)
 
-    def _conclude(self, grip: Grip) -> None:
+    def _conclude(self, grip: HeldObject) -> None:
         if grip is not self.grip:
             self.grip, self._since = grip, clock()
-            if grip is Grip.LOST:
+            if grip is HeldObject.LOST:
                 self._turn("part lost")
-            self._fingers = self._fingers if grip is Grip.HOLDING else ()
+            self._fingers = self._fingers if grip is HeldObject.HOLDING else ()
 
     # --- what it says
 
@@ -243,12 +243,12 @@ class Truth:
         if self.ill:
             return Words(f"no data from {', '.join(name for name, _ in self.ill)}", Tone.BAD)
         match self.grip:
-            case Grip.HOLDING:
+            case HeldObject.HOLDING:
                 return Words(f"holding{self._measures()}", Tone.GOOD)
-            case Grip.LOST:
+            case HeldObject.LOST:
                 who = f" by {', '.join(self._fingers)}" if self._fingers else ""
                 return Words(f"part lost{who} {self._since}", Tone.BAD)
-            case Grip.EMPTY:
+            case HeldObject.EMPTY:
                 return Words("empty")
         return Words("moving" if self.moving else "not known whether something is held")
 

@@ -41,7 +41,7 @@ _LARGEST: Final = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class TrackerFrame:
     """What a tracker saw at one time.
 
     Attributes:
@@ -67,7 +67,7 @@ class FrameReader:
         self._side, self._path, self._number = side, path, 0
         self._last = -math.inf
 
-    def read(self, line: str) -> Frame | None:
+    def read(self, line: str) -> TrackerFrame | None:
         """Return the frame in a line; ``None`` if it has none.
 
         Raises:
@@ -98,7 +98,7 @@ class FrameReader:
     def _error(self, why: str) -> LogError:
         return LogError(f"makes no sense: {why}", path=self._path, line=self._number)
 
-    def _frame(self, entry: Mapping[str, Any]) -> Frame:
+    def _frame(self, entry: Mapping[str, Any]) -> TrackerFrame:
         stamp = _time(entry)
         if not stamp > self._last:
             raise ValueError(f"its time, {stamp:g} s, is not later than the last one")
@@ -110,7 +110,7 @@ class FrameReader:
             raise ValueError("it has neither 'points' nor 'hand_world_landmarks'")
         found = None if points is None else self._layout.points(points)
         self._last = stamp
-        return Frame(stamp, found)
+        return TrackerFrame(stamp, found)
 
     def _of_mediapipe(self, entry: Mapping[str, Any]) -> Any:
         """Return the points of the wanted hand in a result of MediaPipe's hand landmarker."""
@@ -150,7 +150,7 @@ def _layout(given: Any) -> Layout:
         ) from None
 
 
-def read_frames(path: Path, layout: Layout, side: Side) -> list[Frame]:
+def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
     """Return the frames in a file.
 
     A file of NumPy (``.npz``) has ``points`` or ``joints`` ``(k, count, 3)`` and perhaps the times
@@ -177,7 +177,7 @@ def read_frames(path: Path, layout: Layout, side: Side) -> list[Frame]:
     return frames
 
 
-def _of_arrays(path: Path, reader: FrameReader) -> Iterator[Frame]:
+def _of_arrays(path: Path, reader: FrameReader) -> Iterator[TrackerFrame]:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             name = next((name for name in ("points", "joints") if name in arrays), None)
@@ -197,16 +197,16 @@ def _of_arrays(path: Path, reader: FrameReader) -> Iterator[Frame]:
             yield frame
 
 
-async def due(frames: Sequence[Frame]) -> AsyncIterator[Frame]:
+async def due(frames: Sequence[TrackerFrame]) -> AsyncIterator[TrackerFrame]:
     """Yield recorded frames when they are due, stamped by the clock."""
     begin = monotonic.now() - frames[0].stamp
     for frame in frames:
         stamp = begin + frame.stamp
         await anyio.sleep(max(0.0, stamp - monotonic.now()))
-        yield Frame(stamp, frame.points)
+        yield TrackerFrame(stamp, frame.points)
 
 
-async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[Frame]:
+async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[TrackerFrame]:
     """Yield the frames in lines as they come; raises `LogError` for a line without sense."""
     async for line in lines:
         frame = reader.read(line)
@@ -214,7 +214,7 @@ async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[
             yield frame
 
 
-async def follow(frames: AsyncIterable[Frame], retargeter: Retargeter, send: Send) -> int:
+async def follow(frames: AsyncIterable[TrackerFrame], retargeter: Retargeter, send: Send) -> int:
     """Send the answer to each frame and return how many were sent.
 
     Nothing is sent before a hand was found. While it is lost, the last answer is sent again.

@@ -33,7 +33,7 @@ _BONES: Final = np.array([(i, i + 1) for i in range(1, 20) if i % 4])
 
 
 @dataclass(frozen=True, slots=True)
-class Posture:
+class HumanPosture:
     """A human hand, seen in its palm's frame: palmar, towards the thumb's side, towards the tips.
 
     Left and right hands look the same in it. Lengths are those of a palm of `PALM`.
@@ -76,7 +76,7 @@ def bones(points: FloatArray) -> FloatArray:
     return lengths
 
 
-def posture_of(seen: FloatArray, lengths: FloatArray, palm: float) -> Posture:
+def posture_of(seen: FloatArray, lengths: FloatArray, palm: float) -> HumanPosture:
     """Return the posture of a hand.
 
     Args:
@@ -97,7 +97,7 @@ def posture_of(seen: FloatArray, lengths: FloatArray, palm: float) -> Posture:
     across = size * math.dist(seen[4], seen[17])
     curls[0] = (_THUMB[0] - across) / (_THUMB[0] - _THUMB[1])
     gaps = size * np.linalg.norm(last - last[0], axis=1)
-    return Posture(tips, np.clip(curls, 0.0, 1.0), gaps)
+    return HumanPosture(tips, np.clip(curls, 0.0, 1.0), gaps)
 
 
 def mirrored(seen: FloatArray) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtee.hand.model import Hand
 from rtee.retarget.correspondence import Correspondence, Human
-from rtee.retarget.human import FINGERS, Posture
+from rtee.retarget.human import FINGERS, HumanPosture
 from rtee.retarget.tips import Row, Tips, limits_of
 from rtee.sample import FloatArray
 
@@ -167,7 +167,7 @@ class Solver:
                 _Pinch(pinch.fingers, fingers, human, scale, rows, contact, widths, way)
             )
 
-    def solve(self, human: Posture, last: FloatArray) -> FloatArray:
+    def solve(self, human: HumanPosture, last: FloatArray) -> FloatArray:
         """Return the positions ``(n,)`` [rad | m] for a human posture, from the last ones."""
         nearest = 1 + int(np.argmin(human.gaps[1:]))
         of = [nearest if h is Human.NEAREST else FINGERS.index(h) for h in self._humans]

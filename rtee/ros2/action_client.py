@@ -12,7 +12,15 @@ from typing import Any
 import anyio
 
 from rtee.errors import GoalRejected, MessageError, NoHand
-from rtee.ros2.actions import NO_GOAL, GoalState, Outcome, Refusal, names, time_fields, versions
+from rtee.ros2.actions import (
+    NO_GOAL,
+    ActionOutcome,
+    GoalState,
+    Refusal,
+    names,
+    time_fields,
+    versions,
+)
 from rtee.ros2.keys import Kind
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node
@@ -39,7 +47,7 @@ class ClientGoal:
         self.id, self.stamp, self.state = goal_id, stamp, GoalState.ACCEPTED
         self._client = client
 
-    async def result(self, timeout: float = math.inf) -> Outcome:
+    async def result(self, timeout: float = math.inf) -> ActionOutcome:
         """Wait for the end of the goal and return its outcome.
 
         Raises `TimeoutError` if it has not ended within the timeout [s], and `NoHand` if the server
@@ -134,7 +142,7 @@ class ActionClient:
         client_goal.stamp = answer.stamp
         return client_goal
 
-    async def result(self, goal: ClientGoal, timeout: float) -> Outcome:
+    async def result(self, goal: ClientGoal, timeout: float) -> ActionOutcome:
         """Wait for the end of a goal; see `ClientGoal.result`."""
         gone = NoHand(f"the server of {self.name} has gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
@@ -165,7 +173,7 @@ class ActionClient:
             goal.state = GoalState(answer.status)
         if goal.state is GoalState.UNKNOWN:
             raise NoHand(f"the server of {self.name} does not know the goal: it was started anew")
-        return Outcome(goal.state, answer.result)
+        return ActionOutcome(goal.state, answer.result)
 
     async def cancel(
         self, goal_id: bytes = NO_GOAL, until: int = 0, timeout: float = _ANSWER_WITHIN

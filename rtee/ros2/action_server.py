@@ -15,8 +15,8 @@ from rtee import monotonic
 from rtee.errors import MessageError, RteeError
 from rtee.ros2.actions import (
     NO_GOAL,
+    ActionOutcome,
     GoalState,
-    Outcome,
     Refusal,
     names,
     nanoseconds,
@@ -58,7 +58,7 @@ _LOGGED_PER_SECOND = 5
 class Job(Protocol):
     """The work of an accepted goal."""
 
-    async def run(self, goal: ServerGoal) -> Outcome:
+    async def run(self, goal: ServerGoal) -> ActionOutcome:
         """Do the work to its end; an `RteeError`, or cancellation, aborts the goal."""
 
     async def cancel(self) -> None:
@@ -86,7 +86,7 @@ class ServerGoal:
         self.id, self.goal, self.stamp = goal_id, goal, stamp
         self.state = GoalState.ACCEPTED
         self.job, self.offered = job, offered
-        self.ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
+        self.ended: asyncio.Future[ActionOutcome] = asyncio.get_running_loop().create_future()
         self.task: asyncio.Task[None] | None = None
         self.forget_at = 0.0
         self.waiting = 0
@@ -252,18 +252,20 @@ class ActionServer:
         if goal.state is GoalState.ACCEPTED:
             self._change(goal, GoalState.EXECUTING)
         # The outcome if this task is cancelled.
-        outcome = Outcome(GoalState.ABORTED, goal.offered.type.result(), "the server has ended")
+        outcome = ActionOutcome(
+            GoalState.ABORTED, goal.offered.type.result(), "the server has ended"
+        )
         try:
             outcome = await goal.job.run(goal)
         except RteeError as error:
-            outcome = Outcome(GoalState.ABORTED, goal.offered.type.result(), str(error))
+            outcome = ActionOutcome(GoalState.ABORTED, goal.offered.type.result(), str(error))
         except Exception:
             self._context.log.exception("a goal of %s failed", self.name)
-            outcome = Outcome(GoalState.ABORTED, goal.offered.type.result())
+            outcome = ActionOutcome(GoalState.ABORTED, goal.offered.type.result())
         finally:
             self._end(goal, outcome)
 
-    def _end(self, goal: ServerGoal, outcome: Outcome) -> None:
+    def _end(self, goal: ServerGoal, outcome: ActionOutcome) -> None:
         state = outcome.state
         if state is GoalState.CANCELED and goal.state is not GoalState.CANCELING:
             state = GoalState.ABORTED  # cancelled by another client of the hand, not through ROS 2

@@ -47,7 +47,7 @@ class Refusal(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ActionOutcome:
     """Outcome of a goal; the reason is that of an abortion, for the log."""
 
     state: GoalState

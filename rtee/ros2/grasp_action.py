@@ -17,7 +17,7 @@ GRASP = "~/grasp"
 """Name of the action."""
 
 
-class Grasp(ActionPart):
+class GraspAction(ActionPart):
     """Offers the action ``~/grasp``."""
 
     def __init__(self, served: ServedHand) -> None:

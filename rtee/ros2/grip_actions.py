@@ -50,7 +50,7 @@ _STILL = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class GripCommand:
     """Command of a gripper.
 
     Attributes:
@@ -127,7 +127,7 @@ class Gripper(ActionPart):
 
     async def _accept_simple(self, message: Any) -> HandJob:
         request = message.command
-        command = Command(self._configured_joint, request.position, request.max_effort)
+        command = GripCommand(self._configured_joint, request.position, request.max_effort)
         return await self._begin(command, lambda fields: self._simple.result(**fields), dict)
 
     async def _accept_parallel(self, message: Any) -> HandJob:
@@ -143,7 +143,7 @@ class Gripper(ActionPart):
         else:
             # An actuator of that name takes precedence over the gap.
             joint = "" if names[0] == GAP and GAP not in self._served.actuators else names[0]
-        command = Command(
+        command = GripCommand(
             joint,
             float(request.position[0]),
             _single(request.effort, "effort"),
@@ -183,7 +183,7 @@ class Gripper(ActionPart):
 
     async def _begin(
         self,
-        command: Command,
+        command: GripCommand,
         result: Callable[[dict[str, Any]], Message],
         feedback: Callable[[dict[str, Any]], dict[str, Any]],
     ) -> HandJob:
@@ -217,7 +217,7 @@ class Gripper(ActionPart):
                     " 'ros2: {gripper: moveit}' in hand.yaml"
                 )
 
-    def _gap_goal(self, command: Command) -> Goal:
+    def _gap_goal(self, command: GripCommand) -> Goal:
         """Return the goal for a gap between the fingertips."""
         gap = command.position
         action, *elements = str(self._served.parameters.values[ACTION]).split() or [""]
@@ -327,7 +327,7 @@ def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
     return min(effort, strongest) if strongest else effort
 
 
-def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
+def joint_goal(command: GripCommand, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
     """Return the goal that moves an actuator to the position of a command.
 
     Its action is the one that moves the fewest other actuators, at the intensity of the position.

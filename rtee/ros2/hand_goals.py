@@ -8,7 +8,7 @@ from typing import Any
 from rtee.remote.running_goal import RunningGoal
 from rtee.remote.words import ending
 from rtee.ros2.action_server import ActionServer, ServerGoal
-from rtee.ros2.actions import GoalState, Outcome
+from rtee.ros2.actions import ActionOutcome, GoalState
 from rtee.ros2.message import Message
 from rtee.ros2.served_hand import Part
 from rtee.types import Feedback, Result
@@ -65,7 +65,7 @@ class HandJob:
         self._running, self._result, self._feedback = running, result, feedback
         self._failed = failed
 
-    async def run(self, goal: ServerGoal) -> Outcome:
+    async def run(self, goal: ServerGoal) -> ActionOutcome:
         """Wait for the end of the goal; raise `NoHand` if the hand ends first."""
 
         def publish(feedback: Feedback) -> None:
@@ -74,8 +74,8 @@ class HandJob:
 
         result = await self._running.result(publish)
         if result.succeeded and (why := self._failed(result)):
-            return Outcome(GoalState.ABORTED, self._result(result), why)
-        return Outcome(state_of(result), self._result(result), reason_of(result))
+            return ActionOutcome(GoalState.ABORTED, self._result(result), why)
+        return ActionOutcome(state_of(result), self._result(result), reason_of(result))
 
     async def cancel(self) -> None:
         """Have the hand brake and hold its posture; raise a `RemoteError` if it refuses."""

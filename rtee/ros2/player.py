@@ -12,7 +12,7 @@ from rtee.errors import GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.remote.stream import Stream
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.served_hand import ServedHand
-from rtee.ros2.trajectory import Motion, Posture, movable_joints
+from rtee.ros2.trajectory import Motion, TimedPosture, movable_joints
 
 STREAM_RATE = "stream_rate"
 """Name of the parameter for the rate of the stream."""
@@ -70,10 +70,10 @@ class Player:
         now = monotonic.now()
         self.play(Play(self.here(names), source, now + SETTLED, failed))
 
-    def here(self, names: Iterable[str]) -> Posture:
+    def here(self, names: Iterable[str]) -> TimedPosture:
         """Return the measured positions of joints, clamped to their limits, as a set-point."""
         position = {name: self.joints[name].clamped(self.where(name)) for name in names}
-        return Posture(position, monotonic.now())
+        return TimedPosture(position, monotonic.now())
 
     def where(self, name: str) -> float:
         """Return the measured position of a joint [rad | m]."""

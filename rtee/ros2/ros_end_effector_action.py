@@ -10,7 +10,7 @@ from typing import Any
 from rtee.actions.types import ActionKind
 from rtee.errors import ActionError, GoalRejected, LeaseHeld, RequestRejected
 from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
-from rtee.ros2.actions import GoalState, Outcome
+from rtee.ros2.actions import ActionOutcome, GoalState
 from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.ros_end_effector import name_here
@@ -59,9 +59,9 @@ class _Aborted:
     """Job of a goal that is aborted at once."""
 
     def __init__(self, result: Message, reason: str) -> None:
-        self._outcome = Outcome(GoalState.ABORTED, result, reason)
+        self._outcome = ActionOutcome(GoalState.ABORTED, result, reason)
 
-    async def run(self, goal: ServerGoal) -> Outcome:
+    async def run(self, goal: ServerGoal) -> ActionOutcome:
         return self._outcome
 
     async def cancel(self) -> None:

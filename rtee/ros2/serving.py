@@ -18,7 +18,7 @@ from rtee.remote.client import RemoteHand, connect
 from rtee.remote.model import model_of
 from rtee.remote.session import LOCAL, TLS, is_safe
 from rtee.ros2.diagnostics import Diagnostics
-from rtee.ros2.grasp_action import Grasp
+from rtee.ros2.grasp_action import GraspAction
 from rtee.ros2.grip_actions import Gripper
 from rtee.ros2.hand_services import Services
 from rtee.ros2.keys import node_name
@@ -43,7 +43,7 @@ PARTS: tuple[Callable[[ServedHand], Part], ...] = (
     Diagnostics,
     Setpoints,
     Gripper,
-    Grasp,
+    GraspAction,
     ActionCommand,
 )
 """The parts of a node except its services, whose constructor needs the hand's actions."""

@@ -14,7 +14,14 @@ from rtee.errors import MessageError
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.player import LINGER, SETTLED, Play, Player
 from rtee.ros2.served_hand import Part, ServedHand
-from rtee.ros2.trajectory import Jog, Motion, Posture, checked_position, jog_of, trajectory_of
+from rtee.ros2.trajectory import (
+    Motion,
+    TimedPosture,
+    VelocityCommand,
+    checked_position,
+    jog_of,
+    trajectory_of,
+)
 from rtee.ros2.trajectory_action import TrajectoryAction
 
 log = logging.getLogger(__name__)
@@ -71,7 +78,7 @@ class Setpoints(Part):
             self._refuse(topic, str(error))
             return
         # A posture is sent once, so that the stream's deadline applies when its sender stops.
-        until = motion.end if isinstance(motion, Posture) else motion.end + SETTLED
+        until = motion.end if isinstance(motion, TimedPosture) else motion.end + SETTLED
         self._player.play(
             Play(motion, f"a message on {topic}", until, partial(self._refuse, topic))
         )
@@ -97,7 +104,7 @@ class Setpoints(Part):
                 f" {len(values)}"
             )
         pairs = zip(actuators, values, strict=True)
-        return Posture(
+        return TimedPosture(
             {
                 name: checked_position(name, value, self._player.joints[name])
                 for name, value in pairs
@@ -116,7 +123,11 @@ class Setpoints(Part):
             # A jog continues from the set-point of the last one; from the measured position, the
             # lag of the measurement would slow it down with every message.
             last = self._player.last
-            if last is not None and isinstance(last.motion, Jog) and now < last.motion.end + LINGER:
+            if (
+                last is not None
+                and isinstance(last.motion, VelocityCommand)
+                and now < last.motion.end + LINGER
+            ):
                 at = last.motion.at(now).position.get(name)
                 if at is not None:
                     return at

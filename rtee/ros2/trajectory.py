@@ -124,7 +124,7 @@ def began(stamp: Any, now: float, ros_now: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Posture:
+class TimedPosture:
     """Positions by joint [rad | m], to be reached at a time [s], as fast as the limits allow."""
 
     position: Mapping[str, float]
@@ -264,7 +264,7 @@ def trajectory_of(
     )
 
 
-class Jog:
+class VelocityCommand:
     """Joints that move at constant velocities for a time, inside their limits.
 
     They start at positions [rad | m] and move at velocities [rad/s | m/s] from ``begin`` to ``end``
@@ -302,7 +302,7 @@ def jog_of(
     where: Where,
     now: float,
     unsaid: float,
-) -> Jog:
+) -> VelocityCommand:
     """Return the motion in a ``control_msgs/msg/JointJog``.
 
     The message has velocities for its duration, or displacements, in the shortest time unless it
@@ -334,4 +334,4 @@ def jog_of(
     duration = duration or unsaid
     scale = duration if moves else 1.0
     velocity = {name: value / scale for name, value in zip(names, values, strict=True)}
-    return Jog(now, now + duration, start, velocity, joints)
+    return VelocityCommand(now, now + duration, start, velocity, joints)

@@ -23,7 +23,7 @@ from rtee import monotonic
 from rtee.errors import MessageError, RteeError
 from rtee.messages.state import State
 from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
-from rtee.ros2.actions import GoalState, Outcome, time_fields
+from rtee.ros2.actions import ActionOutcome, GoalState, time_fields
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.player import SETTLED, Play, Player
@@ -285,13 +285,13 @@ class _Following:
         self._times = times
         # Times in feedback count from the begin of the points, which a stamp may set.
         self._begin = motion.end - (times[-1] if times else 0.0)
-        self._outcome: Outcome | None = None
+        self._outcome: ActionOutcome | None = None
         self._changed = anyio.Event()
         self._play = Play(
             motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
         )
 
-    async def run(self, goal: ServerGoal) -> Outcome:
+    async def run(self, goal: ServerGoal) -> ActionOutcome:
         """Follow the trajectory to the end of the goal."""
         try:
             # The hand may have ended, or the goal been cancelled, before this task began.
@@ -339,7 +339,7 @@ class _Following:
             result = self._action.type.result(error_code=code, error_string=text)
             reason = f"{code.name}: {text}" if state is GoalState.ABORTED else ""
             # The first outcome stays, whatever else ends the goal meanwhile.
-            self._outcome = Outcome(state, result, reason)
+            self._outcome = ActionOutcome(state, result, reason)
             self._changed.set()
         return first
 

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _Stored:
     """The content of a file: what is known of each actuator by name, by device."""
 
     devices: Mapping[str, Mapping[str, LearnedMotion]] = field(default_factory=dict)
@@ -41,18 +41,18 @@ def _key(device: DeviceSettings) -> str:
     return f"{spec.name}: {spec.driver}{' (emulated)' if spec.emulated else ''}"
 
 
-def _kept(hand: str) -> _Kept:
+def _kept(hand: str) -> _Stored:
     file = _file_of(hand)
     if file is None:
-        return _Kept()
+        return _Stored()
     try:
-        return from_json(file.read_bytes(), _Kept)
+        return from_json(file.read_bytes(), _Stored)
     except FileNotFoundError:
-        return _Kept()
+        return _Stored()
     except (OSError, RteeError) as error:
         # Nothing is lost but a slow closing, which learns it again.
         log.warning("%s: what free motion takes is learned anew: %s", file, error)
-        return _Kept()
+        return _Stored()
 
 
 def recall(hand: str, devices: Sequence[DeviceSettings]) -> dict[str, LearnedMotion]:
@@ -78,6 +78,6 @@ def keep(hand: str, devices: Sequence[DeviceSettings], known: Mapping[str, Learn
     }
     try:
         make_folder(file.parent)
-        write_atomically(file, to_json(_Kept({**_kept(hand).devices, **now})) + "\n")
+        write_atomically(file, to_json(_Stored({**_kept(hand).devices, **now})) + "\n")
     except RteeError as error:
         log.warning("what free motion takes is not kept: %s", error)

@@ -43,7 +43,7 @@ from rtee.loop.shutdown_signals import (
     wait_for_end,
 )
 from rtee.loop.tick_driver import drive
-from rtee.remote.server import RemoteSettings, Server
+from rtee.remote.server import Server, ServerSettings
 from rtee.remote.session import address_of
 from rtee.running import free_motion
 from rtee.running.event_lines import EventLines, Fields, event_lines
@@ -59,7 +59,7 @@ CONNECT_WITHIN = 3.0
 most devices connect faster."""
 
 
-Serve = Callable[[HandLoop, RemoteSettings, Recorder, str], AbstractAsyncContextManager[Server]]
+Serve = Callable[[HandLoop, ServerSettings, Recorder, str], AbstractAsyncContextManager[Server]]
 """Makes a hand available on the network for as long as the context lasts: see `Server.open`."""
 
 

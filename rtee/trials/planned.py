@@ -19,7 +19,7 @@ from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
 from rtee.planning.objects import GraspObject
-from rtee.planning.result import Check, GraspPlan, Ranking
+from rtee.planning.result import GraspCheck, GraspPlan, Ranking
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
@@ -42,7 +42,7 @@ def check_plan(
     ranking: Ranking,
     plan: GraspPlan,
     variation: Variation | None = None,
-) -> Check:
+) -> GraspCheck:
     """Try a planned grasp: approach, grasp, lift, hold and shake, as `rtee try` does.
 
     What stands on a table lies there, and has its weight from the start. A variation moves and
@@ -86,7 +86,7 @@ def check_plan(
     reason = result.reason
     if not reason and pressed > PRESSED:
         reason = f"it pressed the table with {pressed:.0f} N"
-    return Check(not reason, reason, result.slip, result.peak, round(pressed, 3))
+    return GraspCheck(not reason, reason, result.slip, result.peak, round(pressed, 3))
 
 
 def checked(

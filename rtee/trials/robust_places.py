@@ -10,7 +10,7 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action, Primitive
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.planning.approaches import Candidate
+from rtee.planning.approaches import PoseCandidate
 from rtee.planning.objects import GraspObject
 from rtee.planning.planner import Planner
 from rtee.planning.robust import robust_poses, too_wide
@@ -47,7 +47,7 @@ def robust_places(
     """
     hand = library.hand
     tips = Places(simulation, hand, action).find(_FROM_TIPS)
-    others = [Candidate(place.pose, place.way, 0.0, 0.0) for place in tips]
+    others = [PoseCandidate(place.pose, place.way, 0.0, 0.0) for place in tips]
     found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
     places = [
         Place(pose.candidate.pose, pose.first, pose.candidate.approach_from) for pose in found

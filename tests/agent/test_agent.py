@@ -29,7 +29,7 @@ from rtee.agent.server import serving as offered
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.config_schema import AgentSettings, Gate
 from rtee.hand.model import Hand
-from rtee.remote.agent_limits import Limits
+from rtee.remote.agent_limits import AgentLimits
 from rtee.remote.agents import AGENT, is_agent
 from rtee.remote.approval import answer_all, listening
 from rtee.testing.running import StartHand
@@ -69,7 +69,7 @@ class Model:
 
 @asynccontextmanager
 async def model(gate: Gate, name: str = "small", **limits: Any) -> AsyncIterator[Model]:
-    agent = Agent(name, Limits(gate, **limits))
+    agent = Agent(name, AgentLimits(gate, **limits))
     async with offered([agent]) as server, Client(server) as client:
         yield Model(client)
 
@@ -83,7 +83,7 @@ async def both(
 
 
 async def test_by_default_an_agent_reads_only(hand: Hand, library: ActionLibrary) -> None:
-    async with both(hand, library, Limits().gate) as (served, agent):
+    async with both(hand, library, AgentLimits().gate) as (served, agent):
         described = await agent.done("describe")
         tools = (await agent.client.list_tools()).tools
         moving = {t.name for t in tools if not (t.annotations and t.annotations.read_only_hint)}
@@ -136,7 +136,7 @@ async def test_hostile_calls_move_nothing(hand: Hand, library: ActionLibrary) ->
         assert (await agent.done("do", **TRIG, effort=0.25))["outcome"] == "reached"
         (goal,) = served.watcher.goals
         assert goal.effort == {"near": 0.5, "thumb": 0.75, "push": 10.0}
-        assert goal.speed == Limits().speed
+        assert goal.speed == AgentLimits().speed
 
 
 async def test_only_allowed_actions_are_done(hand: Hand, library: ActionLibrary) -> None:
@@ -232,16 +232,16 @@ def test_an_agent_is_known_by_its_name() -> None:
 
 def test_the_command_line_only_narrows_hand_yaml() -> None:
     file = AgentSettings(Gate.SIMULATE, force=20.0, actions=("grasp", "open"))
-    limits = Limits.of(file, AgentSettings(Gate.APPROVE, effort=0.9, actions=("open",)))
-    assert limits == Limits(Gate.APPROVE, 20.0, 0.9, actions=frozenset({"open"}))
-    assert Limits.of(AgentSettings(), AgentSettings()) == Limits(Gate.WATCH)
+    limits = AgentLimits.of(file, AgentSettings(Gate.APPROVE, effort=0.9, actions=("open",)))
+    assert limits == AgentLimits(Gate.APPROVE, 20.0, 0.9, actions=frozenset({"open"}))
+    assert AgentLimits.of(AgentSettings(), AgentSettings()) == AgentLimits(Gate.WATCH)
     for wider, sentence in (
         (AgentSettings(Gate.ACT), "--gate act is more than hand.yaml allows an agent: simulate"),
         (AgentSettings(force=20.1), "--force 20.1 is more"),
         (AgentSettings(actions=("Fist",)), "hand.yaml does not let an agent do fist"),
     ):
         with pytest.raises(ConfigError, match=sentence):
-            Limits.of(file, wider)
+            AgentLimits.of(file, wider)
 
 
 async def test_it_finds_the_hand_again(hand: Hand, library: ActionLibrary) -> None:

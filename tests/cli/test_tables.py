@@ -7,22 +7,22 @@ import pytest
 from rtee_process import RTEE
 
 from rtee.cli import _table
-from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop
 
 LONG = "a remark of many words that no narrow terminal shows on a line of its own"
 
 
-def table(heading: str = "") -> Table:
+def table(heading: str = "") -> TextTable:
     columns = (Column("name"), Column("count", right=True), Column("what", whole=True))
     rows = (
         Row(("first", "1", "one\ntwo"), heading and "A", faint=True),
         Row(("the second", "22", ""), heading and "A"),
         Row((LONG, "333", "three"), heading and "B"),
     )
-    return Table(columns, rows, "Things", heading)
+    return TextTable(columns, rows, "Things", heading)
 
 
-def drawn(one: Table, width: int) -> list[str]:
+def drawn(one: TextTable, width: int) -> list[str]:
     from rich.console import Console
 
     console = Console(width=width, color_system=None)
@@ -67,7 +67,7 @@ def test_names_too_long_for_the_terminal_are_folded(width: int) -> None:
     names = "\n".join(f"left_hand_{finger}_finger_metacarpal_link" for finger in ("a", "b")) * 2
     columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
     row = Row(("thumb", names, f"not clear: {names}"), "PinchTight")
-    lines = drawn(Table(columns, (row,), "", "action"), width)
+    lines = drawn(TextTable(columns, (row,), "", "action"), width)
     assert max(map(len, lines)) <= width
     shown = "".join("".join(line.split()) for line in lines)
     assert "thumb" in shown

@@ -16,7 +16,7 @@ import pytest
 
 from rtee.deploy.check import check_service
 from rtee.deploy.files import check_visible, drop_in, hand_files, system_files
-from rtee.deploy.install import MANIFEST, Installation, State
+from rtee.deploy.install import MANIFEST, FileState, Installation
 from rtee.deploy.needs import Needs
 from rtee.drivers.diagnosis.checks import Verdict
 from rtee.errors import ConfigError
@@ -58,7 +58,9 @@ def needs_of(hand: Path, **serials: str) -> Needs:
     return Needs.of(prepare(str(hand), RunOptions(driver="devices")), serials)
 
 
-def install(root: Path, hand: Path, *, realtime: bool = False, **serials: str) -> dict[str, State]:
+def install(
+    root: Path, hand: Path, *, realtime: bool = False, **serials: str
+) -> dict[str, FileState]:
     needs = needs_of(hand, **serials)
     installation = Installation(root)
     files = system_files(needs, PROGRAM, realtime=realtime)
@@ -98,7 +100,7 @@ def hand(tmp_path: Path) -> Path:
 def test_uninstall_takes_away_exactly_what_install_wrote(root: Path, hand: Path) -> None:
     before = tree(root)
     states = install(root, hand, realtime=True)
-    assert set(states.values()) == {State.NEW}
+    assert set(states.values()) == {FileState.NEW}
     written = tree(root)
     assert f"ExecStart={PROGRAM} run" in (root / UNIT[1:]).read_text()
     link = root / "etc/systemd/system/multi-user.target.wants/rtee@jaw.service"
@@ -107,7 +109,7 @@ def test_uninstall_takes_away_exactly_what_install_wrote(root: Path, hand: Path)
     modes = {mode & 0o777 for name, (mode, _) in written.items() if name not in before}
     assert modes <= {0o644, 0o755, 0o777}, "others may read and not write"
     removed = Installation(root).uninstall("jaw")
-    assert set(removed.values()) == {State.REMOVED}
+    assert set(removed.values()) == {FileState.REMOVED}
     assert tree(root) == before
 
 
@@ -115,7 +117,7 @@ def test_installing_again_changes_nothing(root: Path, hand: Path) -> None:
     install(root, hand)
     before = {path: path.lstat().st_mtime_ns for path in root.rglob("*") if path.is_file()}
     del before[root / MANIFEST[1:]]
-    assert set(install(root, hand).values()) == {State.SAME}
+    assert set(install(root, hand).values()) == {FileState.SAME}
     assert {path: path.lstat().st_mtime_ns for path in before} == before
 
 
@@ -127,8 +129,8 @@ def test_a_hand_that_was_changed_is_brought_up_to_date(root: Path, tmp_path: Pat
     assert "ip link set can1 up type can bitrate 500000" in (root / rule[1:]).read_text()
     write_hand(tmp_path)
     states = install(root, hand)
-    assert states["/etc/rtee/hands/jaw/hand.yaml"] is State.CHANGED
-    assert states[rule] is State.REMOVED
+    assert states["/etc/rtee/hands/jaw/hand.yaml"] is FileState.CHANGED
+    assert states[rule] is FileState.REMOVED
     assert not (root / rule[1:]).exists()
 
 
@@ -149,8 +151,8 @@ def test_what_was_changed_by_hand_stays(root: Path, hand: Path) -> None:
     copy = root / "etc/rtee/hands/jaw/hand.yaml"
     copy.write_text("# mine\n")
     (hand / "hand.yaml").write_text((hand / "hand.yaml").read_text() + "title: Jaw\n")
-    assert install(root, hand)["/etc/rtee/hands/jaw/hand.yaml"] is State.KEPT
-    assert Installation(root).uninstall("jaw")["/etc/rtee/hands/jaw/hand.yaml"] is State.KEPT
+    assert install(root, hand)["/etc/rtee/hands/jaw/hand.yaml"] is FileState.KEPT
+    assert Installation(root).uninstall("jaw")["/etc/rtee/hands/jaw/hand.yaml"] is FileState.KEPT
     assert copy.read_text() == "# mine\n"
     assert not (root / UNIT[1:]).exists()
 

@@ -17,7 +17,7 @@ from rtee_process import RTEE  # noqa: E402
 
 from rtee.drivers.mujoco.couplings import fit, followers, span  # noqa: E402
 from rtee.errors import ConfigError  # noqa: E402
-from rtee.exchange.export import Kind, export_hand  # noqa: E402
+from rtee.exchange.export import ExportFormat, export_hand  # noqa: E402
 from rtee.hand.kinematics import Kinematics  # noqa: E402
 from rtee.hand.load import load_hand, load_model  # noqa: E402
 from rtee.hand.model import Hand  # noqa: E402
@@ -209,14 +209,14 @@ def test_fingertips_feel_what_they_press_on(out: Path) -> None:
 
 
 def test_what_a_polynomial_cannot_follow_is_told(tmp_path: Path) -> None:
-    notes = export_hand(CONFIG / "heri_ii", tmp_path, [Kind.MJCF]).notes
+    notes = export_hand(CONFIG / "heri_ii", tmp_path, [ExportFormat.MJCF]).notes
     assert any("'LFB1__LFP1_1' follows 'motor_finger1' by a curve" in note for note in notes)
     # This one is a polynomial of degree four.
     assert not any("'LFP1_1__LFP1_2'" in note for note in notes)
 
 
 def test_only_what_is_asked_for_is_written(tmp_path: Path) -> None:
-    done = export_hand(CONFIG / "dagana", tmp_path / "new", [Kind.SRDF])
+    done = export_hand(CONFIG / "dagana", tmp_path / "new", [ExportFormat.SRDF])
     assert [file.name for file in done.files] == ["dagana.srdf"]
     assert [file.name for file in (tmp_path / "new").iterdir()] == ["dagana.srdf"]
 
@@ -288,7 +288,7 @@ def test_prefixes_and_comments_stay_in_the_urdf(tmp_path: Path) -> None:
     plugin = '<gazebo><!-- old --><controller:plugin name="é" interval="1"/></gazebo>'
     (tmp_path / "g.urdf").write_text(GRIPPER.replace("</robot>", f"{plugin}</robot>"))
     folder = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config").folder
-    export_hand(folder, tmp_path / "out", [Kind.URDF])
+    export_hand(folder, tmp_path / "out", [ExportFormat.URDF])
     text = (tmp_path / "out" / "g.urdf").read_text()
     assert "<!-- old -->" in text
     assert '<controller:plugin name="é" interval="1" />' in text

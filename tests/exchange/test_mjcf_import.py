@@ -17,7 +17,7 @@ from rtee_process import RTEE  # noqa: E402
 
 from rtee.errors import ConfigError, ModelError  # noqa: E402
 from rtee.exchange import mjcf_files  # noqa: E402
-from rtee.exchange.export import Kind, export_hand  # noqa: E402
+from rtee.exchange.export import ExportFormat, export_hand  # noqa: E402
 from rtee.exchange.mjcf_import import import_mjcf  # noqa: E402
 from rtee.exchange.reading import as_urdf, mjcf_as_urdf  # noqa: E402
 from rtee.extract.extraction import extract  # noqa: E402
@@ -730,7 +730,7 @@ SAME = (
 def test_a_hand_read_back_from_its_own_mjcf_has_the_same_primitives(
     tmp_path: Path, name: str
 ) -> None:
-    export_hand(CONFIG / name, tmp_path, [Kind.MJCF, Kind.SRDF])
+    export_hand(CONFIG / name, tmp_path, [ExportFormat.MJCF, ExportFormat.SRDF])
     hand = load_hand(CONFIG / name)
     with mjcf_as_urdf(tmp_path / f"{name}.xml") as model:
         again = make_hand(
@@ -756,7 +756,7 @@ def test_a_hand_read_back_from_its_own_mjcf_has_the_same_primitives(
     "name", sorted(folder.parent.name for folder in CONFIG.glob("*/hand.yaml"))
 )
 def test_every_hand_read_back_moves_as_it_did(tmp_path: Path, name: str) -> None:
-    export_hand(CONFIG / name, tmp_path, [Kind.MJCF])
+    export_hand(CONFIG / name, tmp_path, [ExportFormat.MJCF])
     hand, again = load_hand(CONFIG / name), imported(tmp_path / f"{name}.xml")
     assert again.actuator_names == hand.actuator_names
     assert (again.lower, again.upper) == (pytest.approx(hand.lower), pytest.approx(hand.upper))

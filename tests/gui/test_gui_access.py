@@ -23,14 +23,14 @@ from websockets.http11 import Request, Response
 from websockets.typing import Origin, Subprotocol
 
 from rtee.errors import ConfigError, LoopError
-from rtee.gui.access import Access, Role, tls_context
+from rtee.gui.access import Access, PageRole, tls_context
 from rtee.gui.app import serve
 from rtee.gui.visitors import Visitors
 
 PORT = 8080
 
 
-def asked(access: Access, host: str, path: str = "/", **headers: str) -> Role | int:
+def asked(access: Access, host: str, path: str = "/", **headers: str) -> PageRole | int:
     """Return the role that a request has, or the status of the answer."""
     fields = Headers({"Host": host, **{k.replace("_", "-"): v for k, v in headers.items()}})
     found = access.judge(Request(path, fields), PORT)
@@ -41,11 +41,13 @@ def asked(access: Access, host: str, path: str = "/", **headers: str) -> Role | 
     return found
 
 
-def token(access: Access, role: Role = Role.OPERATOR) -> str:
+def token(access: Access, role: PageRole = PageRole.OPERATOR) -> str:
     return access.links(PORT)[role].partition("token=")[2]
 
 
-def visited(access: Access, role: Role = Role.OPERATOR, path: str = "", **more: str) -> Response:
+def visited(
+    access: Access, role: PageRole = PageRole.OPERATOR, path: str = "", **more: str
+) -> Response:
     """Open the address of a role by one of its names."""
     headers = Headers({"Host": "localhost:8080", **more})
     found = access.judge(Request(f"/?token={token(access, role)}{path}", headers), PORT)
@@ -58,7 +60,9 @@ def cookie_of(answer: Response) -> str:
     return answer.headers["Set-Cookie"].partition(";")[0]
 
 
-def socket(access: Access, host: str, origin: str, role: Role = Role.OPERATOR) -> Role | int:
+def socket(
+    access: Access, host: str, origin: str, role: PageRole = PageRole.OPERATOR
+) -> PageRole | int:
     cookie = f"other=1; {cookie_of(visited(access, role))}"
     return asked(access, host, Upgrade="websocket", Origin=origin, Cookie=cookie)
 
@@ -66,7 +70,7 @@ def socket(access: Access, host: str, origin: str, role: Role = Role.OPERATOR) -
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "LOCALHOST:9"])
 def test_loopback_has_these_names(host: str) -> None:
     access = Access()
-    assert socket(access, host, f"http://{host.lower()}") is Role.OPERATOR
+    assert socket(access, host, f"http://{host.lower()}") is PageRole.OPERATOR
     assert socket(access, host, f"https://{host.lower()}") == 403
     assert socket(access, host, "http://localhost:1") == 403
     assert socket(access, host, "null") == 403
@@ -97,7 +101,7 @@ def test_the_token_becomes_a_cookie() -> None:
     access = Access(observers=True)
     assert asked(access, "localhost:8080") == 403
     assert asked(access, "localhost:8080", "/?token=wrong") == 403
-    for role in Role:
+    for role in PageRole:
         found = visited(access, role, "&darkMode=1")
         assert (found.status_code, found.headers["Location"]) == (303, "/?darkMode=1")
         cookie, *attributes = found.headers["Set-Cookie"].split("; ")
@@ -110,10 +114,10 @@ def test_the_token_becomes_a_cookie() -> None:
 
 def test_a_token_opens_one_browser() -> None:
     access = Access(observers=True)
-    announced: list[tuple[Role, str]] = []
+    announced: list[tuple[PageRole, str]] = []
     access.announce = lambda role, link: announced.append((role, link))
     used = dict(access.links(PORT))
-    cookies = {role: cookie_of(visited(access, role)) for role in Role}
+    cookies = {role: cookie_of(visited(access, role)) for role in PageRole}
     assert announced == list(access.links(PORT).items())
     for role, link in used.items():
         path = f"/?{urlsplit(link).query}"
@@ -130,7 +134,7 @@ def test_the_oldest_of_too_many_browsers_has_to_open_a_new_address() -> None:
     access = Access()
     first, *_, last = (cookie_of(visited(access)) for _ in range(257))
     assert asked(access, "localhost:8080", Cookie=first) == 403
-    assert asked(access, "localhost:8080", Cookie=last) is Role.OPERATOR
+    assert asked(access, "localhost:8080", Cookie=last) is PageRole.OPERATOR
 
 
 @pytest.mark.parametrize(
@@ -170,15 +174,15 @@ def test_a_connection_that_asks_for_nothing_does_not_delay_the_end(
 
 
 def test_without_observers_there_is_no_token_for_them() -> None:
-    assert list(Access().links(PORT)) == [Role.OPERATOR]
+    assert list(Access().links(PORT)) == [PageRole.OPERATOR]
 
 
 def test_behind_a_proxy_pages_come_from_there() -> None:
     access = Access(behind="https://Hand.example.org/")
-    assert access.links(PORT)[Role.OPERATOR].startswith("https://hand.example.org/?token=")
+    assert access.links(PORT)[PageRole.OPERATOR].startswith("https://hand.example.org/?token=")
     own = "https://hand.example.org"
     for host in ("hand.example.org", "127.0.0.1:8080"):  # as Caddy and as nginx pass it on
-        assert socket(access, host, own) is Role.OPERATOR
+        assert socket(access, host, own) is PageRole.OPERATOR
         assert socket(access, host, f"http://{host}") == 403
     assert socket(access, "evil.test", own) == 421
     found = visited(access, Host="hand.example.org")
@@ -187,7 +191,7 @@ def test_behind_a_proxy_pages_come_from_there() -> None:
 
 @pytest.mark.parametrize("message", [b"", b"\xff", b"\x81\xa4type", b"\x01", "text", b"\x90"])
 def test_junk_is_dropped(message: str | bytes) -> None:
-    assert not Visitors(Access()).admits(Role.OPERATOR, message)
+    assert not Visitors(Access()).admits(PageRole.OPERATOR, message)
 
 
 CAMERA: dict[str, object] = {
@@ -228,8 +232,8 @@ def test_what_a_page_may_send(message: dict[str, object], operator: bool, observ
         if message.get("uuid") == "open":
             message = {**message, "uuid": button._impl.uuid}
         data = msgspec.msgpack.encode(message)
-        assert visitors.admits(Role.OPERATOR, data) is operator
-        assert visitors.admits(Role.OBSERVER, data) is observer
+        assert visitors.admits(PageRole.OPERATOR, data) is operator
+        assert visitors.admits(PageRole.OBSERVER, data) is observer
         assert not visitors.admits(None, data)
     finally:
         server.stop()
@@ -299,7 +303,7 @@ async def test_with_a_certificate_it_may_be_on_a_network(
     encrypted: tuple[Access, int], pem: tuple[Path, Path]
 ) -> None:
     access, port = encrypted
-    link = urlsplit(access.links(port)[Role.OPERATOR])
+    link = urlsplit(access.links(port)[PageRole.OPERATOR])
     assert link.scheme == "https"
     trusting = ssl.create_default_context(cafile=str(pem[0]))
     place = f"localhost:{port}"

@@ -30,16 +30,16 @@ from rtee.actions.types import ActionKind, PrimitiveKind
 from rtee.errors import LeaseHeld
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.access import Access
-from rtee.gui.access import Role as AccessRole
+from rtee.gui.access import PageRole as AccessRole
 from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
-from rtee.gui.history import History
+from rtee.gui.history import StateHistory
 from rtee.gui.panels.action_editor import JogPanel
 from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
-from rtee.gui.session import Session
+from rtee.gui.session import HandSession
 from rtee.gui.visitors import Visitors
 from rtee.gui.wording import NOTHING, Angles, number, units
 from rtee.hand.load import load_hand
@@ -88,7 +88,7 @@ async def says(app: App, part: str, text: str, window: int = 0) -> None:
         await anyio.sleep(0.02)
 
 
-def session_of(app: App) -> Session:
+def session_of(app: App) -> HandSession:
     """Return the panels of that page."""
     session = app.pages[0].session
     assert session is not None
@@ -506,8 +506,8 @@ async def test_an_action_may_be_renamed_while_it_runs(
     assert "a click failed" not in caplog.text
 
 
-def _past(hand: Hand) -> tuple[Hand, History]:
-    return hand, History(len(hand.actuators), len(hand.joints))
+def _past(hand: Hand) -> tuple[Hand, StateHistory]:
+    return hand, StateHistory(len(hand.actuators), len(hand.joints))
 
 
 def _measured(hand: Hand, position: float, velocity: float) -> State:

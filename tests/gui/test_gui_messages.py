@@ -20,7 +20,7 @@ from remote.serving import Served, make_hand, make_library, serving, until
 from websockets.sync.connection import Connection
 
 from benchmarks.gui_onlooker import admitted, controls, stop, window
-from rtee.gui.access import Access, Role
+from rtee.gui.access import Access, PageRole
 from rtee.gui.app import App
 from rtee.gui.visitors import Visitors
 
@@ -62,13 +62,13 @@ def properties(handle: Any) -> set[str]:
     return {*vars(handle._impl), *vars(handle._impl.props), "value", "removed", "update_cb"}
 
 
-def junk(handles: dict[str, Any], role: Role) -> Iterator[dict[str, Any]]:
+def junk(handles: dict[str, Any], role: PageRole) -> Iterator[dict[str, Any]]:
     for uuid, handle in handles.items():
         for name in sorted(properties(handle)):
             for value in VALUES:
                 # What an operator may do is no attack: to click a button, or to write a text.
                 like = isinstance(value, type(handle._impl.value)) or value == 0
-                if role is Role.OPERATOR and name == "value" and like:
+                if role is PageRole.OPERATOR and name == "value" and like:
                     continue
                 yield {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {name: value}}
         update = {"type": "GuiUpdateMessage", "uuid": uuid}
@@ -101,8 +101,8 @@ async def stops(served: Served, count: int) -> None:
     await anyio.sleep(0.15)  # a stop so soon after another one is answered by that
 
 
-@pytest.mark.parametrize("role", [Role.OBSERVER, Role.OPERATOR])
-async def test_no_message_takes_stop_away(tmp_path: Path, role: Role) -> None:
+@pytest.mark.parametrize("role", [PageRole.OBSERVER, PageRole.OPERATOR])
+async def test_no_message_takes_stop_away(tmp_path: Path, role: PageRole) -> None:
     access = Access(observers=True)
     visitors = Visitors(access)
     hand = make_hand(tmp_path)
@@ -151,7 +151,7 @@ def test_a_value_is_admitted_by_the_type_of_its_control() -> None:
                 updates = {"value": value}
                 message = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid}
                 data = msgspec.msgpack.encode({**message, "updates": updates})
-                assert visitors.admits(Role.OPERATOR, data) is admitted, (control.label, value)
+                assert visitors.admits(PageRole.OPERATOR, data) is admitted, (control.label, value)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()

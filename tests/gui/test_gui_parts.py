@@ -17,7 +17,7 @@ from rtee.actions.types import (
 )
 from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
-from rtee.gui.history import LONGEST, POINTS, History, nice_range
+from rtee.gui.history import LONGEST, POINTS, StateHistory, nice_range
 from rtee.gui.panels.actions import grouped
 from rtee.gui.panels.header import device_line
 from rtee.gui.panels.recordings import files_in
@@ -141,7 +141,7 @@ def test_a_table_escapes_names() -> None:
 
 
 def test_history_keeps_the_newest_and_thins() -> None:
-    history = History(2, 3, rate=100.0)
+    history = StateHistory(2, 3, rate=100.0)
     assert [len(line) for line in history.window("position", (0, 1), 10.0)] == [0, 0, 0]
     size = history._values["position"].nbytes
     for i in range(7000):
@@ -160,7 +160,7 @@ def test_history_keeps_the_newest_and_thins() -> None:
 
 
 def test_actions_are_spans_of_the_time_in_the_plots() -> None:
-    history = History(1, 1)
+    history = StateHistory(1, 1)
     history.add(_state(10.0, 0.0, 1, 1), np.zeros(1))
     history.on_goal("a", "Grasp")
     history.add(_state(12.0, 0.0, 1, 1), np.zeros(1))
@@ -174,7 +174,7 @@ def test_actions_are_spans_of_the_time_in_the_plots() -> None:
 
 
 def test_thinning_keeps_the_same_points_as_time_goes_on() -> None:
-    history = History(1, 1, rate=100.0)
+    history = StateHistory(1, 1, rate=100.0)
     for i in range(1000):
         history.add(_state(0.01 * i, float(i), 1, 1), np.zeros(1))
     before = set(history.window("position", (0,), 9.0)[1].tolist())

@@ -11,13 +11,13 @@ from rtee.cli.retarget import answered
 from rtee.gui.access import Access
 from rtee.gui.person import Answer, show_person
 from rtee.retarget import Retargeter
-from rtee.retarget.frames import Frame
+from rtee.retarget.frames import TrackerFrame
 from rtee.testing.human_hand import shown
 
 
 def test_a_persons_hand_is_shown_beside_the_robots(capsys: pytest.CaptureFixture[str]) -> None:
     retargeter = Retargeter.of("wsg50")
-    frames = [Frame(k / 1000.0, points) for k, points in enumerate(shown()[::40])]
+    frames = [TrackerFrame(k / 1000.0, points) for k, points in enumerate(shown()[::40])]
     seen: list[Answer] = []
 
     async def first() -> AsyncIterator[Answer]:

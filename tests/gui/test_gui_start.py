@@ -13,7 +13,7 @@ import viser
 from remote.serving import make_hand, make_library, serving
 
 from rtee.gui.start import Cards
-from rtee.remote.fleet import Place, following
+from rtee.remote.fleet import HandAddress, following
 
 pytestmark = pytest.mark.anyio
 
@@ -39,7 +39,7 @@ async def test_each_hand_has_a_card_a_click_away(
         await fleet.known()
         cards = Cards(server)
         cards.draw(await fleet.look())
-        assert list(cards.cards) == [Place("left"), Place("right")]
+        assert list(cards.cards) == [HandAddress("left"), HandAddress("right")]
         assert all("ready" in words.content for words in cards.cards.values())
         cards.press("stop", "")
         while "right: stopped" not in str(cards.words("")["doing"]):  # noqa: ASYNC110
@@ -47,7 +47,7 @@ async def test_each_hand_has_a_card_a_click_away(
         assert "left: stopped" in str(cards.words("")["doing"])
         async with anyio.create_task_group() as group:
             group.start_soon(cards.run, fleet)
-            cards.choose(Place("right"))
-        assert cards.chosen == Place("right")
+            cards.choose(HandAddress("right"))
+        assert cards.chosen == HandAddress("right")
         cards.draw([])
         assert not cards.cards

@@ -26,7 +26,7 @@ from rtee.hand.model import Hand
 from rtee.log.dataset.cameras import cameras_in
 from rtee.log.dataset.convert import Choice, write_dataset
 from rtee.log.dataset.episodes import By
-from rtee.messages.features import Quantity
+from rtee.messages.features import ObservedQuantity
 from rtee.messages.schema import parse
 from rtee.types import Event, Goal, Intensity, Named
 
@@ -187,7 +187,7 @@ def test_goals_are_episodes_and_intensities_actions(demonstrations: Path, tmp_pa
     assert made.frames == len(ticks_of(range(310, 360), 25))
     # The way of a goal is the loop's own.
     assert np.array_equal(frames["action"], frames["sent_action"])
-    choice = Choice(25, actions=("trig one",), observe=(Quantity.POSITION,))
+    choice = Choice(25, actions=("trig one",), observe=(ObservedQuantity.POSITION,))
     write_dataset([demonstrations], tmp_path / "actions", choice)
     expected = ticks_of(range(50, 150), 25)
     asked = [asked_at(max(each for each in SAMPLED if each <= n)) for n in expected]
@@ -204,8 +204,11 @@ def test_goals_are_episodes_and_intensities_actions(demonstrations: Path, tmp_pa
         (Choice(fps=0), "1 to 100 frames, not 0"),
         (Choice(fps=101), "1 to 100 frames, not 101"),
         (Choice(actions=("Trig two",)), "asks for no Trig two"),
-        (Choice(observe=(Quantity.EFFORT,)), r"effort is not known throughout: second\.effort"),
-        (Choice(observe=(Quantity.TOUCH,)), "touch is not known throughout: not recorded"),
+        (
+            Choice(observe=(ObservedQuantity.EFFORT,)),
+            r"effort is not known throughout: second\.effort",
+        ),
+        (Choice(observe=(ObservedQuantity.TOUCH,)), "touch is not known throughout: not recorded"),
         (Choice(cameras=("top=/top",)), "no camera on '/top'"),
     ],
 )

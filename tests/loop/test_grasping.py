@@ -15,7 +15,7 @@ from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.config_schema import GraspSettings, ThermalSettings
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
-from rtee.loop.thermal import Level, Thermal
+from rtee.loop.thermal import Thermal, ThermalLevel
 from rtee.sample import ActuatorState
 from rtee.types import Goal, Lifecycle, Named, Reference
 
@@ -445,7 +445,7 @@ async def test_what_is_recovered_too_hot_is_disabled_again(hand: Hand) -> None:
 def test_what_does_not_follow_when_it_is_too_hot_is_disabled_again_and_again() -> None:
     thermal = Thermal(ThermalSettings(60, 70, 80), 1)
     changes = [c for k in range(41) for c in thermal.step(k * 0.1, [90.0], [True])]
-    assert [change.level for change in changes] == [Level.DISABLE] * 4
+    assert [change.level for change in changes] == [ThermalLevel.DISABLE] * 4
 
 
 def test_a_broken_sensor_is_invalid_and_trips_nothing() -> None:
@@ -454,10 +454,10 @@ def test_a_broken_sensor_is_invalid_and_trips_nothing() -> None:
     for k in range(100):
         changes = thermal.step(k * 0.1, [-886.0 if k > 10 else 30.0, math.nan])
         levels += [change.level for change in changes]
-    assert levels == [Level.INVALID]
+    assert levels == [ThermalLevel.INVALID]
     assert thermal.factor == [1.0, 1.0]
     levels += [c.level for k in range(100, 120) for c in thermal.step(k * 0.1, [40.0, math.nan])]
-    assert levels == [Level.INVALID, Level.OK]
+    assert levels == [ThermalLevel.INVALID, ThermalLevel.OK]
 
 
 class StuckSensor(KinematicDriver):
@@ -493,11 +493,11 @@ def test_levels_are_left_with_hysteresis() -> None:
     thermal = Thermal(ThermalSettings(60, 70, 80), 1)
     for k in range(10):
         thermal.step(k * 0.1, [61.0])
-    assert thermal.level == [Level.WARN]
+    assert thermal.level == [ThermalLevel.WARN]
     for k in range(10, 30):
         assert not thermal.step(k * 0.1, [59.0])
     changes = [c for k in range(30, 50) for c in thermal.step(k * 0.1, [57.0])]
-    assert [c.level for c in changes] == [Level.OK]
+    assert [c.level for c in changes] == [ThermalLevel.OK]
     assert changes[0].event("index", 3.0).text == "index is cool again: 57 °C"
 
 

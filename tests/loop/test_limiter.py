@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtee.loop.limiter import Limiter
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 
-LIMITS = Limits((0.0, -1.0), (1.0, 1.0), (2.0, 0.5), (20.0, 5.0), (400.0, 100.0))
+LIMITS = MotionLimits((0.0, -1.0), (1.0, 1.0), (2.0, 0.5), (20.0, 5.0), (400.0, 100.0))
 DT = 0.01
 ANYTHING = st.one_of(
     st.floats(-3, 3), st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1.0, -1.0, 1e300])

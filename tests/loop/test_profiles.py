@@ -14,14 +14,14 @@ from rtee.errors import ConfigError
 from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
 from rtee.loop.limiter import Limiter
-from rtee.loop.motion import Limits, bounded, stopping_velocity
+from rtee.loop.motion import MotionLimits, bounded, stopping_velocity
 from rtee.loop.profiles import Profile, make_profile
-from rtee.loop.profiles.phases import Approach, Bounds, cube_root
+from rtee.loop.profiles.phases import Bounds, TargetMotions, cube_root
 from rtee.loop.profiles.s_curve import SCurve
 from rtee.loop.profiles.stepwise import Filter
 
 INF = math.inf
-LIMITS = Limits(
+LIMITS = MotionLimits(
     lower=(0.0, -0.5, 0.0, -INF),
     upper=(1.5, 1.0, 0.04, INF),
     velocity=(3.0, 2.0, 0.1, 4.0),
@@ -193,7 +193,7 @@ def test_s_curve_takes_hardly_longer_than_ruckig(
     # An acceleration that can be taken away before the velocity limit.
     most = min(bounds.acceleration, math.sqrt(2.0 * bounds.jerk * (1.0 - abs(speed))))
     begin = (0.0, speed, state[1] * most)
-    own = Approach(begin, target, bounds, 1e-5)
+    own = TargetMotions(begin, target, bounds, 1e-5)
     problem = ruckig.InputParameter(1)
     problem.current_position, problem.current_velocity, problem.current_acceleration = (
         [value] for value in begin
@@ -225,7 +225,7 @@ def test_a_drawn_out_motion_ends_there_in_time_or_is_the_fastest(
 ) -> None:
     bounds = Bounds(1.0, 10.0, 200.0)
     most = min(bounds.acceleration, math.sqrt(2.0 * bounds.jerk * (1.0 - abs(state[0]))))
-    own = Approach((0.0, state[0], state[1] * most), target, bounds, 1e-5)
+    own = TargetMotions((0.0, state[0], state[1] * most), target, bounds, 1e-5)
     motion = own.motion(share * own.duration)
     assert motion.end == pytest.approx(target, abs=1e-9)
     fastest = own.motion().duration
@@ -490,10 +490,10 @@ def test_outside_of_the_limits_one_may_only_come_back(position: float, wanted: f
 def test_limits_without_sense_are_refused(hand: Hand, what: str, value: float) -> None:
     wrong = replace(hand.actuators[0], **{what: value})
     with pytest.raises(ConfigError, match=f"'{wrong.name}' has the {what} limit"):
-        Limits.of((wrong,))
+        MotionLimits.of((wrong,))
 
 
 def test_limits_the_wrong_way_round_are_refused(hand: Hand) -> None:
     wrong = replace(hand.actuators[0], lower=2.0, upper=1.0)
     with pytest.raises(ConfigError, match="must come first"):
-        Limits.of((wrong,))
+        MotionLimits.of((wrong,))

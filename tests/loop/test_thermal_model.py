@@ -16,7 +16,7 @@ from rtee.log.dataclass_json import from_json, to_json
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
 from rtee.loop.settings import LoopSettings
-from rtee.loop.thermal import PLAUSIBLE, Level, Thermal
+from rtee.loop.thermal import PLAUSIBLE, Thermal, ThermalLevel
 from rtee.loop.thermal_model import CurrentHeat
 from rtee.types import Event
 
@@ -76,7 +76,7 @@ def test_a_huge_current_is_too_hot_not_a_broken_sensor() -> None:
     assert temperature == PLAUSIBLE[1]
     thermal = Thermal(ThermalSettings(), 1)
     changes = [c for k in range(20) for c in thermal.step(k * 0.1, [temperature])]
-    assert [change.level for change in changes] == [Level.DISABLE]
+    assert [change.level for change in changes] == [ThermalLevel.DISABLE]
     assert "estimated from its current" in changes[0].event("index", 0.0, estimated=True).text
     assert heat.rise[0] > 0
 
@@ -124,4 +124,4 @@ def test_a_sensor_that_breaks_changes_no_effort_before_it_counts_as_broken(broke
     for k in range(20, 40):
         thermal.step(0.1 * k, [broken])
         assert thermal.factor == [pytest.approx(0.25)]
-    assert thermal.level == [Level.INVALID]
+    assert thermal.level == [ThermalLevel.INVALID]

@@ -17,7 +17,7 @@ from ruamel.yaml import YAML
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.hand.model import Hand
-from rtee.remote.fleet import Look, Place, following
+from rtee.remote.fleet import HandAddress, Look, following
 
 from .serving import serving
 
@@ -76,7 +76,7 @@ async def test_alerts_and_dashboard_name_metrics_that_there_are(
     from rtee.remote.metrics import families
 
     async with serving(hand, library), rtee.connect() as remote:
-        look = Look(Place("small"), await remote.status(), await remote.state())
+        look = Look(HandAddress("small"), await remote.status(), await remote.state())
     known = {family.name for family in families([look])}
     rules = YAML(typ="safe").load(DEPLOY / "rtee-alerts.yaml")["groups"][0]["rules"]
     panels = json.loads((DEPLOY / "grafana-dashboard.json").read_text())["panels"]

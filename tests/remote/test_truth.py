@@ -11,7 +11,7 @@ import pytest
 from rtee import monotonic
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
-from rtee.remote.truth import Grip, Tone, Truth
+from rtee.remote.truth import HeldObject, Tone, Truth
 from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, Result
 
 NOTHING = np.full(1, np.nan)
@@ -62,16 +62,16 @@ def test_what_is_held_is_said_with_its_evidence(truth: Truth) -> None:
 
 def test_what_sensors_feel_counts_without_a_result_and_against_one(truth: Truth) -> None:
     truth.on_state(PRESSED)  # a page that was opened while the hand held
-    assert truth.grip is Grip.HOLDING
+    assert truth.grip is HeldObject.HOLDING
     truth.on_state(replace(PRESSED, force=0.0, force_error=0.0))
-    assert truth.grip is Grip.LOST
+    assert truth.grip is HeldObject.LOST
     truth.on_state(replace(STATE, grasped=np.ones(1, np.int8)))  # the device's own word
-    assert truth.grip is Grip.HOLDING
+    assert truth.grip is HeldObject.HOLDING
     truth.on_state(STATE)
-    assert truth.grip is Grip.LOST
+    assert truth.grip is HeldObject.LOST
     truth.on_result(Result("2", "Open", reached=True))
     truth.on_state(replace(PRESSED, force_source="effort"))  # an estimate is no evidence
-    assert truth.grip is Grip.EMPTY
+    assert truth.grip is HeldObject.EMPTY
 
 
 def test_what_was_held_is_not_known_while_something_moves(truth: Truth) -> None:

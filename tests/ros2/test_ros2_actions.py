@@ -18,7 +18,7 @@ from rtee.hand.config_schema import Ros2Settings
 from rtee.ros2 import Context, Node
 from rtee.ros2.action_client import ActionClient, ClientGoal
 from rtee.ros2.action_server import ActionServer, Offer, ServerGoal
-from rtee.ros2.actions import GoalState, Outcome, Refusal
+from rtee.ros2.actions import ActionOutcome, GoalState, Refusal
 
 pytestmark = pytest.mark.anyio
 
@@ -37,13 +37,13 @@ class Job:
         self.state = GoalState.SUCCEEDED
         self.error: RteeError | None = None
 
-    async def run(self, goal: ServerGoal) -> Outcome:
+    async def run(self, goal: ServerGoal) -> ActionOutcome:
         goal.feedback(position=self.position, reached_goal=False)
         await self.end.wait()
         if self.error is not None:
             raise self.error
         result = goal.offered.type.result
-        return Outcome(self.state, result(reached_goal=self.state is GoalState.SUCCEEDED))
+        return ActionOutcome(self.state, result(reached_goal=self.state is GoalState.SUCCEEDED))
 
     async def cancel(self) -> None:
         if self.position == STUBBORN:
@@ -249,7 +249,7 @@ async def test_a_client_that_goes_leaves_its_goal(settings: Ros2Settings) -> Non
 async def test_a_server_that_ends_tells_its_clients(settings: Ros2Settings) -> None:
     async with working(settings) as works:
         goal = await works.send()
-        ends: list[Outcome] = []
+        ends: list[ActionOutcome] = []
 
         async def follow() -> None:
             ends.append(await goal.result(20))

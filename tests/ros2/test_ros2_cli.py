@@ -22,7 +22,7 @@ from rtee.errors import ConfigError, GoalRejected, NoRouter, RemoteError
 from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.ros2 import LATCHED, ActionType, Context
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.actions import GoalState, Outcome
+from rtee.ros2.actions import ActionOutcome, GoalState
 from rtee.ros2.diagnosis import check_graph
 from rtee.ros2.keys import Entity, Kind, NodeName
 from rtee.ros2.listing import Sort, listed, unheard
@@ -73,17 +73,17 @@ class Closing:
     def __init__(self, kind: ActionType) -> None:
         self._kind, self._cancelled = kind, anyio.Event()
 
-    async def run(self, goal: Any) -> Outcome:
+    async def run(self, goal: Any) -> ActionOutcome:
         for position in (0.05, 0.03):
             goal.feedback(position=position)
             await anyio.sleep(0.05)
         if goal.goal.command.position > 1:  # farther than it opens: it tries for ever
             await self._cancelled.wait()
             CANCELLED.append(goal.id)
-            return Outcome(GoalState.CANCELED, self._kind.result())
+            return ActionOutcome(GoalState.CANCELED, self._kind.result())
         failed = goal.goal.command.max_effort > 100
         state = GoalState.ABORTED if failed else GoalState.SUCCEEDED
-        return Outcome(state, self._kind.result(position=0.02, reached_goal=not failed))
+        return ActionOutcome(state, self._kind.result(position=0.02, reached_goal=not failed))
 
     async def cancel(self) -> None:
         self._cancelled.set()

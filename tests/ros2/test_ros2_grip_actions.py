@@ -24,10 +24,10 @@ from rtee.hand.model import Hand
 from rtee.remote.client import connect
 from rtee.ros2 import interfaces
 from rtee.ros2.action_client import ActionClient
-from rtee.ros2.actions import GoalState, Outcome, Refusal
+from rtee.ros2.actions import ActionOutcome, GoalState, Refusal
 from rtee.ros2.diagnosis import check_graph
 from rtee.ros2.grasp_action import goal_in
-from rtee.ros2.grip_actions import Command, is_stalled, joint_goal, joint_of
+from rtee.ros2.grip_actions import GripCommand, is_stalled, joint_goal, joint_of
 from rtee.ros2.hand_goals import reason_of, state_of
 from rtee.ros2.serving import Shown
 from rtee.types import Aim, Force, Intensity, Named, Opening, Result
@@ -273,7 +273,7 @@ async def test_a_hand_that_goes_aborts_its_goal(
         group.start_soon(run)
         client = await client_of(robot, "/small/grasp", GRASP)
         goal = await client.send_goal(client.type.goal(action="fist", speed=0.01))
-        ends: list[Outcome] = []
+        ends: list[ActionOutcome] = []
 
         async def follow() -> None:
             ends.append(await goal.result(30))
@@ -440,15 +440,15 @@ def test_what_is_stalled(grasped: list[bool], velocity: list[float], stalled: bo
 
 def test_the_action_that_moves_a_joint(library: ActionLibrary, hand: Hand) -> None:
     near = hand.actuators[0]
-    goal = joint_goal(Command("near", 0.75, speed=1.5), near, library.all())
+    goal = joint_goal(GripCommand("near", 0.75, speed=1.5), near, library.all())
     assert (goal.what, goal.to) == (Named("Trig", ("index",), "primitive"), Intensity(0.5))
     assert (goal.speed, goal.effort) == (0.5, {})
     with pytest.raises(GoalRejected, match="the effort must be 0"):
-        Command("near", 0.5, math.nan)
+        GripCommand("near", 0.5, math.nan)
     with pytest.raises(GoalRejected, match="the velocity must be 0"):
-        Command("near", 0.5, speed=-1.0)
+        GripCommand("near", 0.5, speed=-1.0)
     with pytest.raises(GoalRejected, match=r"bring 'near' from 0 to 1.5, not to -0.3"):
-        joint_goal(Command("near", -0.3), near, library.all())
+        joint_goal(GripCommand("near", -0.3), near, library.all())
 
 
 @pytest.mark.parametrize(

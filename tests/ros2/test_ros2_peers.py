@@ -28,7 +28,7 @@ from rtee.hand.model import Hand
 from rtee.ros2 import ActionType, Context, Node
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.action_server import ActionServer, Offer, ServerGoal
-from rtee.ros2.actions import GoalState, Outcome, Refusal
+from rtee.ros2.actions import ActionOutcome, GoalState, Refusal
 from rtee.ros2.types import definitions, interfaces
 
 from .facing import a_hand_in_ros
@@ -279,13 +279,15 @@ class Closing:
     def __init__(self, kind: ActionType) -> None:
         self._kind, self._cancelled = kind, anyio.Event()
 
-    async def run(self, goal: ServerGoal) -> Outcome:
+    async def run(self, goal: ServerGoal) -> ActionOutcome:
         for step in range(20):
             goal.feedback(position=0.1 - 0.004 * step)
             with anyio.move_on_after(0.1):
                 await self._cancelled.wait()
-                return Outcome(GoalState.CANCELED, self._kind.result(position=0.06))
-        return Outcome(GoalState.SUCCEEDED, self._kind.result(position=0.02, reached_goal=True))
+                return ActionOutcome(GoalState.CANCELED, self._kind.result(position=0.06))
+        return ActionOutcome(
+            GoalState.SUCCEEDED, self._kind.result(position=0.02, reached_goal=True)
+        )
 
     async def cancel(self) -> None:
         self._cancelled.set()

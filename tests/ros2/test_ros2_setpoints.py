@@ -19,7 +19,7 @@ from rtee.hand.config_schema import Ros2Settings
 from rtee.hand.model import Hand
 from rtee.remote.client import connect
 from rtee.ros2.endpoints import Publisher
-from rtee.ros2.trajectory import Jog, jog_of, movable_joints, trajectory_of
+from rtee.ros2.trajectory import VelocityCommand, jog_of, movable_joints, trajectory_of
 from rtee.ros2.types import interfaces
 
 from .facing import Robot, a_hand_in_ros
@@ -219,7 +219,7 @@ def test_the_way_of_a_jog(hand: Hand) -> None:
     joints = movable_joints(hand)
     message = KNOWN.message(JOG)
     jog = jog_of(message(joint_names=["near"], velocities=[2.0]), joints, lambda _: 1.0, 10.0, 0.5)
-    assert isinstance(jog, Jog)
+    assert isinstance(jog, VelocityCommand)
     assert jog.at(10.1) == ({"near": pytest.approx(1.2)}, {"near": 2.0})
     assert jog.at(10.4) == ({"near": 1.5}, {"near": 0.0})  # its limit
     # A displacement without a duration takes as long as the joint needs: 3 rad/s.

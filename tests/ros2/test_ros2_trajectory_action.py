@@ -21,7 +21,7 @@ from rtee.hand.config_schema import Ros2Settings
 from rtee.hand.model import Hand
 from rtee.remote.client import connect
 from rtee.ros2.action_client import ActionClient
-from rtee.ros2.actions import GoalState, Outcome
+from rtee.ros2.actions import ActionOutcome, GoalState
 from rtee.ros2.serving import Shown
 from rtee.ros2.trajectory_action import Code
 
@@ -60,11 +60,11 @@ async def acting(
         yield served, robot, client
 
 
-async def done(client: ActionClient, message: Any) -> Outcome:
+async def done(client: ActionClient, message: Any) -> ActionOutcome:
     return await (await client.send_goal(message)).result(300.0)
 
 
-def told(outcome: Outcome) -> tuple[GoalState, Code, str]:
+def told(outcome: ActionOutcome) -> tuple[GoalState, Code, str]:
     result: Any = outcome.result
     return outcome.state, Code(result.error_code), result.error_string
 

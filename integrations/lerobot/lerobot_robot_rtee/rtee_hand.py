@@ -18,7 +18,7 @@ import rtee
 from lerobot_robot_rtee.uncalibrated import Uncalibrated
 from rtee.errors import ConfigError
 from rtee.loop.measured import TIP_FORCE, tip_forces
-from rtee.messages.features import USUAL, Quantity, feature, observed, quantities
+from rtee.messages.features import USUAL, ObservedQuantity, feature, observed, quantities
 from rtee.remote.blocking import BlockingHand, BlockingStream
 from rtee.remote.hand_info import HandInfo
 
@@ -81,7 +81,7 @@ class RteeHand(Uncalibrated, Robot):
             return hand.info()
 
     @cached_property
-    def _known(self) -> dict[Quantity, tuple[str, ...]]:
+    def _known(self) -> dict[ObservedQuantity, tuple[str, ...]]:
         """Names of the numbers that the hand knows, by quantity."""
         with self._link() as hand:
             seen = {each: self._observe(hand, (each,)) for each in self._wanted}
@@ -99,7 +99,7 @@ class RteeHand(Uncalibrated, Robot):
         if self.config.actions:
             return dict.fromkeys(self.config.actions, (0.0, 1.0))
         return {
-            feature(Quantity.POSITION, each.name): (each.lower, each.upper)
+            feature(ObservedQuantity.POSITION, each.name): (each.lower, each.upper)
             for each in self._info.actuators
         }
 
@@ -109,11 +109,13 @@ class RteeHand(Uncalibrated, Robot):
         names = self.config.actions or [each.name for each in self._info.actuators]
         return dict(zip(self._limits, names, strict=True))
 
-    def _observe(self, hand: BlockingHand, wanted: Collection[Quantity]) -> dict[str, float]:
+    def _observe(
+        self, hand: BlockingHand, wanted: Collection[ObservedQuantity]
+    ) -> dict[str, float]:
         state = hand.state()
         forces = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
         # Another request: only where there is something to feel.
-        feels = not {Quantity.TOUCH, Quantity.TAXEL}.isdisjoint(wanted)
+        feels = not {ObservedQuantity.TOUCH, ObservedQuantity.TAXEL}.isdisjoint(wanted)
         touch = hand.touch_state().values() if feels else ()
         fingers = [finger.name for finger in self._info.fingers]
         return observed(state, touch, tip_forces(forces), fingers, wanted)

@@ -17,7 +17,7 @@ import rtee
 from lerobot_robot_rtee.uncalibrated import Uncalibrated
 from rtee import monotonic
 from rtee.errors import ConfigError, RteeError, needing_extra
-from rtee.messages.features import Quantity, feature
+from rtee.messages.features import ObservedQuantity, feature
 
 
 @TeleoperatorConfig.register_subclass("rtee_landmarks")
@@ -66,7 +66,7 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
     @property
     def action_features(self) -> dict[str, Any]:
         """Targets of the actuators [rad | m]."""
-        return {feature(Quantity.POSITION, name): float for name in self._running[1]}
+        return {feature(ObservedQuantity.POSITION, name): float for name in self._running[1]}
 
     @property
     def feedback_features(self) -> dict[str, Any]:
@@ -86,7 +86,7 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
         """
         with needing_extra("retargeting", "retarget"):
             from rtee.retarget import Retargeter
-            from rtee.retarget.frames import Frame, FrameReader, read_frames
+            from rtee.retarget.frames import FrameReader, TrackerFrame, read_frames
             from rtee.retarget.layouts import layout_named, side_named
         config = self.config
         layout, side = layout_named(config.layout), side_named(config.side)
@@ -101,7 +101,7 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
         live = config.source == "-" or (path.exists() and stat.S_ISFIFO(path.stat().st_mode))
         frames = [] if live else read_frames(path, layout, side)
 
-        def coming() -> Iterator[Frame | None]:
+        def coming() -> Iterator[TrackerFrame | None]:
             if live:
                 reader = FrameReader(layout, side, config.source)
                 with sys.stdin if config.source == "-" else path.open() as file:
@@ -132,7 +132,9 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
             raise DeviceNotConnectedError(f"{self} is not connected")
         if self._failed is not None:
             raise self._failed
-        return {feature(Quantity.POSITION, name): value for name, value in self._newest.items()}
+        return {
+            feature(ObservedQuantity.POSITION, name): value for name, value in self._newest.items()
+        }
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Do nothing."""

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from rtee import monotonic
-from rtee.buses.ethercat import EthercatBus, Ring, State
+from rtee.buses.ethercat import EthercatBus, Ring, SlaveState
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
@@ -158,7 +158,9 @@ class HeriEthercatDriver(Driver):
             await self.connection.link.run(self._to_safe, 5.0)
             await self._exchange()
             self._seed()
-            await self.connection.link.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
+            await self.connection.link.run(
+                lambda ring: ring.request(SlaveState.OPERATIONAL, 2.0), 5.0
+            )
             # The first outputs in operation are the positions just measured.
             await self._exchange()
 
@@ -167,7 +169,7 @@ class HeriEthercatDriver(Driver):
     def _to_safe(self, ring: Ring) -> None:
         for position in range(self._boards):
             ring.watchdog(position, self.options.watchdog)
-        ring.request(State.SAFE_OPERATIONAL, 2.0)
+        ring.request(SlaveState.SAFE_OPERATIONAL, 2.0)
 
     async def _exchange(self) -> None:
         # 16 bits of microseconds wrap after 65 ms, which is many exchanges.

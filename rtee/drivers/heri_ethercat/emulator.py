@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.buses.ethercat import Slave, State
+from rtee.buses.ethercat import Slave, SlaveState
 from rtee.drivers.axis import Axis
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
@@ -128,7 +128,7 @@ class HeriEmulator(Emulator, Grasps):
         super().__init__()
         self.properties = properties or BoardProperties()
         self.boards = [_Board(self.properties) for _ in range(self.properties.boards)]
-        self.state = State.INIT
+        self.state = SlaveState.INIT
         self.timeout = 0.0
         self._heard: float | None = None
         self._dropped = False
@@ -140,7 +140,7 @@ class HeriEmulator(Emulator, Grasps):
 
     def power_cycle(self, now: float) -> None:
         """Restart; the motors stay where they are."""
-        self.state = State.INIT
+        self.state = SlaveState.INIT
         for board in self.boards:
             board.power = False
             board.mode = board.fault = 0
@@ -172,13 +172,13 @@ class HeriEmulator(Emulator, Grasps):
         product = 0x0042 if "wrong_device" in self.faults else made.product
         return [Slave("heri", made.vendor, product, 1) for _ in self.boards]
 
-    def become(self, state: State, now: float) -> bool:
+    def become(self, state: SlaveState, now: float) -> bool:
         """Bring the boards into a state."""
         self.state = state
         self._dropped = False
         self._heard = now
         # Below operational the outputs have no effect, so the motors stay.
-        if state < State.OPERATIONAL:
+        if state < SlaveState.OPERATIONAL:
             for board in self.boards:
                 for motor in board.motors:
                     motor.target = motor.position
@@ -191,12 +191,12 @@ class HeriEmulator(Emulator, Grasps):
     def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
         """Receive outputs and return inputs; ``None`` if the boards have left their state."""
         late = self._heard is not None and self.timeout and now - self._heard > self.timeout
-        if self.state is State.OPERATIONAL and late:
-            self.become(State.SAFE_OPERATIONAL, now)
+        if self.state is SlaveState.OPERATIONAL and late:
+            self.become(SlaveState.SAFE_OPERATIONAL, now)
             # Until the master requests a state again: late frames alone do not revive the boards.
             self._dropped = True
         self._heard = now
-        if self._dropped or self.state < State.SAFE_OPERATIONAL:
+        if self._dropped or self.state < SlaveState.SAFE_OPERATIONAL:
             return None
         inputs = []
         for board, data in zip(self.boards, outputs, strict=True):
@@ -211,7 +211,7 @@ class HeriEmulator(Emulator, Grasps):
             command = Command.from_bytes(data)
         except HeriFrameError:
             return
-        if self.state is State.OPERATIONAL:
+        if self.state is SlaveState.OPERATIONAL:
             board.stamp = command.stamp
             if command.acknowledge:
                 # A fault comes back at once as long as its cause persists, as on the device.

@@ -15,7 +15,7 @@ from rtee.gui.history import (
     JOINT_QUANTITIES,
     LONGEST,
     QUANTITIES,
-    Source,
+    PlotSource,
     nice_range,
 )
 from rtee.gui.playback import span_colour
@@ -102,7 +102,7 @@ def _differs(new: Sequence[FloatArray], old: Sequence[FloatArray]) -> bool:
 class PlotsPanel:
     """Plots of the chosen actuators and joints."""
 
-    def __init__(self, gui: viser.GuiApi, hand: Hand, history: Source, angles: Angles) -> None:
+    def __init__(self, gui: viser.GuiApi, hand: Hand, history: PlotSource, angles: Angles) -> None:
         """Add the panel to the current container; the history is that of the live hand."""
         self._gui = gui
         self._angles = angles
@@ -155,7 +155,7 @@ class PlotsPanel:
         every.on_click(choose)
         return boxes
 
-    def follow(self, source: Source | None) -> None:
+    def follow(self, source: PlotSource | None) -> None:
         """Plot another source; ``None`` stands for the live hand."""
         self._source = self._live if source is None else source
 

@@ -47,7 +47,7 @@ _VIDEO: Final = ("h264", "hevc")
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraTopic:
     """A topic with images.
 
     Attributes:
@@ -92,7 +92,7 @@ class Camera:
 class _Decoder:
     """Decodes the images of a camera, still ones only when they are asked for."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: CameraTopic) -> None:
         self._camera = camera
         self._codec = ""
         self._context: Any = None
@@ -140,7 +140,7 @@ class _Decoder:
         return LogError(f"the camera '{self._camera.topic}': {why}", path=self._camera.paths[0])
 
 
-def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[Camera]:
+def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[CameraTopic]:
     """Return the cameras in files, or those chosen by ``[NAME=]TOPIC``.
 
     A camera is named after its topic unless given.
@@ -165,7 +165,7 @@ def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[Camera
             raise LogError(f"there is no camera on '{topic}'; topics with images: {there}")
         name = name or topic.strip("/").removesuffix("/compressed").replace("/", "_")
         files = topics[topic]
-        cameras.append(Camera(name, topic, tuple(sorted(files, key=files.__getitem__))))
+        cameras.append(CameraTopic(name, topic, tuple(sorted(files, key=files.__getitem__))))
     return cameras
 
 

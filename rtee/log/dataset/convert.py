@@ -13,7 +13,7 @@ import numpy as np
 
 from rtee.errors import LogError, needing_extra
 from rtee.hand.files import reason
-from rtee.log.dataset.cameras import Camera, cameras_in
+from rtee.log.dataset.cameras import CameraTopic, cameras_in
 from rtee.log.dataset.episodes import By, Episode, episodes_of
 from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
 from rtee.log.file_index import FileIndex, index_file
@@ -21,7 +21,7 @@ from rtee.log.reader import read
 from rtee.log.recording import Recording
 from rtee.log.rotation import paths_of
 from rtee.messages.codec import SECOND
-from rtee.messages.features import USUAL, Quantity
+from rtee.messages.features import USUAL, ObservedQuantity
 from rtee.sample import FloatArray
 
 STATE, ACTION, SENT = "observation.state", "action", "sent_action"
@@ -48,7 +48,7 @@ class Choice:
     by: By = By.MARKS
     task: str = ""
     actions: tuple[str, ...] = ()
-    observe: tuple[Quantity, ...] = ()
+    observe: tuple[ObservedQuantity, ...] = ()
     cameras: tuple[str, ...] = ()
 
 
@@ -68,7 +68,7 @@ class _Shot:
 
     episode: Episode
     when: Times
-    state: Mapping[Quantity, Mapping[str, FloatArray]]
+    state: Mapping[ObservedQuantity, Mapping[str, FloatArray]]
     action: FloatArray
     sent: FloatArray
     path: Path
@@ -151,7 +151,7 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
     for episode in episodes_of(recording, choice.by):
         count = int((episode.end - episode.start) * choice.fps // SECOND) + 1
         when = episode.start + np.arange(count, dtype=np.int64) * SECOND // choice.fps
-        state: dict[Quantity, dict[str, FloatArray]] = {}
+        state: dict[ObservedQuantity, dict[str, FloatArray]] = {}
         for quantity, signal in signals:
             columns = dict(zip(signal.names, signal.at(when).T, strict=True))
             state.setdefault(quantity, {}).update(columns)
@@ -161,12 +161,16 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
         yield _Shot(episode, when, state, action, went, path)
 
 
-def _kept(shots: Iterable[_Shot], cameras: Sequence[Camera], notes: list[str]) -> Iterator[_Shot]:
+def _kept(
+    shots: Iterable[_Shot], cameras: Sequence[CameraTopic], notes: list[str]
+) -> Iterator[_Shot]:
     """Yield the episodes in which action, positions and images are known throughout."""
     images = [(camera, camera.seen()) for camera in cameras]
     for number, shot in enumerate(shots, start=1):
         needed = {
-            "the positions of the actuators": np.array([*shot.state[Quantity.POSITION].values()]).T,
+            "the positions of the actuators": np.array(
+                [*shot.state[ObservedQuantity.POSITION].values()]
+            ).T,
             "what was sent": shot.sent,
             "what was asked for": shot.action,
             **{f"the image of '{c.topic}'": seen.at(shot.when) for c, seen in images},
@@ -207,8 +211,8 @@ def _features(shots: Sequence[_Shot], choice: Choice, notes: list[str]) -> dict[
         if left:
             notes.append(f"{', '.join(left)}: left out, since not known throughout")
         state += known
-    actuators = list(shots[0].state[Quantity.POSITION])
-    if any(list(shot.state[Quantity.POSITION]) != actuators for shot in shots):
+    actuators = list(shots[0].state[ObservedQuantity.POSITION])
+    if any(list(shot.state[ObservedQuantity.POSITION]) != actuators for shot in shots):
         raise LogError("the recordings are of hands with other actuators", path=shots[-1].path)
     return {STATE: state, ACTION: list(choice.actions) or actuators, SENT: actuators}
 
@@ -217,7 +221,7 @@ def _write(
     folder: Path,
     shots: Sequence[_Shot],
     features: Mapping[str, Sequence[str]],
-    cameras: Sequence[Camera],
+    cameras: Sequence[CameraTopic],
     choice: Choice,
 ) -> None:
     from rtee.log.dataset.files import DatasetFiles

@@ -19,7 +19,7 @@ from rtee.log.playback import write_hand
 from rtee.log.recording import JointSeries, Recording
 from rtee.loop.measured import TIP_FORCE, tip_forces
 from rtee.messages.codec import SECOND
-from rtee.messages.features import Quantity, feature, taxels
+from rtee.messages.features import ObservedQuantity, feature, taxels
 from rtee.sample import FloatArray
 from rtee.touch import STALE_AFTER
 from rtee.types import Goal, Intensity, Named
@@ -74,32 +74,35 @@ def lasting(wall: Times) -> float:
     return max(_PERIODS * typical, _AT_LEAST)
 
 
-def observed(recording: Recording) -> Iterator[tuple[Quantity, Signal]]:
+def observed(recording: Recording) -> Iterator[tuple[ObservedQuantity, Signal]]:
     """Yield what was measured, in the order and by the names of `rtee.messages.features`."""
     states, joints = recording.actuator_states, recording.joint_states
 
-    def of_series(quantity: Quantity, series: JointSeries, names: Sequence[str]) -> Signal:
-        values = series.effort if quantity is Quantity.EFFORT else series.position
+    def of_series(quantity: ObservedQuantity, series: JointSeries, names: Sequence[str]) -> Signal:
+        values = series.effort if quantity is ObservedQuantity.EFFORT else series.position
         columns = [series.index(name) for name in names]
         labels = tuple(feature(quantity, name) for name in names)
         return Signal(labels, series.wall, values[:, columns], lasting(series.wall))
 
-    yield Quantity.POSITION, of_series(Quantity.POSITION, states, states.names)
+    yield ObservedQuantity.POSITION, of_series(ObservedQuantity.POSITION, states, states.names)
     followers = [name for name in joints.names if name not in states.names]
-    yield Quantity.JOINT, of_series(Quantity.JOINT, joints, followers)
-    yield Quantity.EFFORT, of_series(Quantity.EFFORT, states, states.names)
+    yield ObservedQuantity.JOINT, of_series(ObservedQuantity.JOINT, joints, followers)
+    yield ObservedQuantity.EFFORT, of_series(ObservedQuantity.EFFORT, states, states.names)
     wall = np.array([entry.wall for entry in recording.grip], dtype=np.int64)
     widths = np.array([[entry.value.opening] for entry in recording.grip]).reshape(-1, 1)
-    yield Quantity.OPENING, Signal((feature(Quantity.OPENING),), wall, widths, lasting(wall))
-    yield Quantity.FORCE, _forces(recording)
+    yield (
+        ObservedQuantity.OPENING,
+        Signal((feature(ObservedQuantity.OPENING),), wall, widths, lasting(wall)),
+    )
+    yield ObservedQuantity.FORCE, _forces(recording)
     for device in recording.touch.values():
-        names = tuple(feature(Quantity.TOUCH, sensor.name) for sensor in device.sensors)
+        names = tuple(feature(ObservedQuantity.TOUCH, sensor.name) for sensor in device.sensors)
         stale = device.stale[:, np.newaxis]
         totals = np.where(stale, math.nan, device.totals)
-        yield Quantity.TOUCH, Signal(names, device.wall, totals, STALE_AFTER)
+        yield ObservedQuantity.TOUCH, Signal(names, device.wall, totals, STALE_AFTER)
         cells = tuple(n for sensor in device.sensors for n in taxels(sensor.name, sensor.taxels))
         values = np.where(stale, math.nan, device.values)
-        yield Quantity.TAXEL, Signal(cells, device.wall, values, STALE_AFTER)
+        yield ObservedQuantity.TAXEL, Signal(cells, device.wall, values, STALE_AFTER)
 
 
 def _forces(recording: Recording) -> Signal:
@@ -120,7 +123,7 @@ def _forces(recording: Recording) -> Signal:
         finger or f"finger{number + 1}"
         for number, (finger, _) in enumerate(zip_longest(_fingers(recording, count), range(count)))
     ]
-    labels = tuple(feature(Quantity.FORCE, name) for name in names[:count])
+    labels = tuple(feature(ObservedQuantity.FORCE, name) for name in names[:count])
     wall = np.array([recording.start + round(t * SECOND) for t, *_ in changes], dtype=np.int64)
     # A channel is recorded when it changes, and holds until then.
     return Signal(labels, wall, np.array(rows).reshape(len(rows), count))
@@ -140,7 +143,7 @@ def _fingers(recording: Recording, count: int) -> Sequence[str]:
 def sent(recording: Recording) -> Signal:
     """Return what the devices were sent: the references of the actuators [rad | m]."""
     series = recording.reference
-    names = tuple(feature(Quantity.POSITION, name) for name in series.names)
+    names = tuple(feature(ObservedQuantity.POSITION, name) for name in series.names)
     return Signal(names, series.wall, series.position, lasting(series.wall))
 
 
@@ -159,7 +162,7 @@ def asked(recording: Recording) -> Signal:
         for entry in (*recording.stream_samples, *recording.commands)
         if isinstance(command := entry.value.command, StreamSample | Jog)
     }
-    labels = tuple(feature(Quantity.POSITION, name) for name in names)
+    labels = tuple(feature(ObservedQuantity.POSITION, name) for name in names)
     return _filled(labels, rows, _takeovers(recording))
 
 

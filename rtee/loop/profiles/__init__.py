@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import ProfileKind, ProfileSettings
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.s_curve import SCurve
 from rtee.loop.profiles.stepwise import Filter, Step
@@ -12,7 +12,7 @@ from rtee.loop.profiles.stepwise import Filter, Step
 __all__ = ["Profile", "make_profile"]
 
 
-def make_profile(settings: ProfileSettings, limits: Limits, period: float) -> Profile:
+def make_profile(settings: ProfileSettings, limits: MotionLimits, period: float) -> Profile:
     """Return a profile.
 
     Args:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 
 _SLOWEST = 1e-9
 """Least velocity limit; lower ones are raised to it [rad/s | m/s]: no device resolves its motion
@@ -27,7 +27,7 @@ class Profile(ABC):
         moving: Whether any actuator has not arrived yet.
     """
 
-    def __init__(self, limits: Limits, period: float) -> None:
+    def __init__(self, limits: MotionLimits, period: float) -> None:
         self.limits = limits
         self.period = period
         n = len(limits.lower)

@@ -16,7 +16,7 @@ from ruckig import (
     Trajectory,
 )
 
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.stepwise import Step
 
@@ -32,7 +32,7 @@ class JerkLimited(Profile):
     acceleration.
     """
 
-    def __init__(self, limits: Limits, period: float) -> None:
+    def __init__(self, limits: MotionLimits, period: float) -> None:
         super().__init__(limits, period)
         n = self.size
         self._ruckig = Ruckig(n)

@@ -48,7 +48,7 @@ def moved(state: State, time: float, jerk: float) -> State:
     )
 
 
-class Motion:
+class PhasedMotion:
     """A motion from a state through a sequence of phases.
 
     Attributes:
@@ -113,7 +113,7 @@ def stopping_time(velocity: float, bounds: Bounds) -> float:
     return 2.0 * math.sqrt(speed / jerk)
 
 
-class Approach:
+class TargetMotions:
     """All motions from a state to a target that change to one velocity, keep it, and then stop.
 
     The higher that velocity, the shorter the motion, up to the velocity that is reached but not
@@ -145,7 +145,7 @@ class Approach:
         self.velocity = self._sign * speed
         self.duration = self._duration(speed)
 
-    def motion(self, duration: float | None = None) -> Motion:
+    def motion(self, duration: float | None = None) -> PhasedMotion:
         """Return the motion that takes a given time.
 
         Args:
@@ -154,17 +154,17 @@ class Approach:
                 motion would pass the target.
         """
         if duration is None or duration <= self.duration + self._fine or self.velocity == 0.0:
-            return Motion(self._state, self._phases(self.velocity))
+            return PhasedMotion(self._state, self._phases(self.velocity))
         if self._rest:  # the same motion, stretched in time, keeps all limits
             # Stretched by s, velocity falls by s, acceleration by s² and jerk by s³.
             slower = self.duration / duration
             phases = self._phases(self.velocity)
-            return Motion(
+            return PhasedMotion(
                 self._state, ((t / slower, j * slower * slower * slower) for t, j in phases)
             )
         velocity = self._sign * self._speed_for(duration)
         passes = self._sign * self._left(velocity)[0] < 0.0
-        return Motion(self._state, self._phases(self.velocity if passes else velocity))
+        return PhasedMotion(self._state, self._phases(self.velocity if passes else velocity))
 
     def _phases(self, velocity: float) -> list[Phase]:
         _, speed, acceleration = self._state

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from collections.abc import Set as AbstractSet
 
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 from rtee.loop.profiles.base import Profile
-from rtee.loop.profiles.phases import Approach, Bounds, Motion, State, velocity_change
+from rtee.loop.profiles.phases import Bounds, PhasedMotion, State, TargetMotions, velocity_change
 
 _FINE = 0.1
 """Actuators that start together arrive within this share of a period of each other: no device
@@ -25,12 +25,12 @@ class SCurve(Profile):
     target, and no motion to another target goes further out than that stop.
     """
 
-    def __init__(self, limits: Limits, period: float) -> None:
+    def __init__(self, limits: MotionLimits, period: float) -> None:
         super().__init__(limits, period)
         n = self.size
         self._acceleration = [0.0] * n
         self._time = [0.0] * n
-        self._motion: list[Motion | None] = [None] * n
+        self._motion: list[PhasedMotion | None] = [None] * n
 
     def _seeded(self, indices: Collection[int]) -> None:
         for index in indices:
@@ -64,7 +64,9 @@ class SCurve(Profile):
     def _together(self, indices: Iterable[int]) -> None:
         """Plan motions of some actuators to their targets that end at the same time."""
         fine = _FINE * self.period
-        ways = {i: Approach(self._state(i), self.target[i], self._bounds(i), fine) for i in indices}
+        ways = {
+            i: TargetMotions(self._state(i), self.target[i], self._bounds(i), fine) for i in indices
+        }
         longest = max((way.duration for way in ways.values()), default=0.0)
         for i, way in ways.items():
             self._begin(i, way.motion(longest))
@@ -74,11 +76,11 @@ class SCurve(Profile):
 
     def _stop(self, i: int) -> None:
         _, velocity, acceleration = state = self._state(i)
-        motion = Motion(state, velocity_change(velocity, acceleration, 0.0, self._bounds(i)))
+        motion = PhasedMotion(state, velocity_change(velocity, acceleration, 0.0, self._bounds(i)))
         self.target[i] = motion.end
         self._begin(i, motion)
 
-    def _begin(self, i: int, motion: Motion) -> None:
+    def _begin(self, i: int, motion: PhasedMotion) -> None:
         self._time[i] = 0.0
         self._motion[i] = motion
 

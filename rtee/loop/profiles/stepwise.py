@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 
-from rtee.loop.motion import Limits, approach, bounded
+from rtee.loop.motion import MotionLimits, approach, bounded
 from rtee.loop.profiles.base import Profile
 
 
@@ -103,7 +103,7 @@ class Filter(Stepwise):
         bandwidth: ω / 2π [Hz].
     """
 
-    def __init__(self, limits: Limits, period: float, bandwidth: float = 2.0) -> None:
+    def __init__(self, limits: MotionLimits, period: float, bandwidth: float = 2.0) -> None:
         super().__init__(limits, period)
         self._omega = 2.0 * math.pi * bandwidth
         # The exact solution over a period: stable at any rate, unlike Euler's method.

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
 from rtee.hand.model import Hand
-from rtee.loop.evidence import Evidence
+from rtee.loop.evidence import ContactMonitor
 from rtee.loop.measured import Measured
 from rtee.loop.streams.player import StreamPlayer
 
@@ -30,7 +30,7 @@ class StreamHold:
     def __init__(
         self,
         hand: Hand,
-        contact: Evidence,
+        contact: ContactMonitor,
         reference: Sequence[float],
         limits: Sequence[float],
         eased: set[int],

@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from rtee.loop.motion import Limits, approach, bounded
+from rtee.loop.motion import MotionLimits, approach, bounded
 from rtee.loop.profiles.phases import cube_root
 
 _MOST = 64
@@ -84,7 +84,7 @@ class Interpolator:
         newest: Time of the newest sample [s, the client's]; ``-inf``: none.
     """
 
-    def __init__(self, limits: Limits, tick: float) -> None:
+    def __init__(self, limits: MotionLimits, tick: float) -> None:
         self._limits, self._tick = limits, tick
         self.indices: list[int] = []
         self.newest = -math.inf

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rtee.commands import STREAM_ENDED, BeginStream, StreamSample, StreamStatus
-from rtee.loop.motion import Limits
+from rtee.loop.motion import MotionLimits
 from rtee.loop.streams.interpolator import Interpolator
 from rtee.loop.streams.playout import Playout
 from rtee.sample import FloatArray
@@ -39,7 +39,7 @@ class StreamPlayer:
         channels: Lag and jitter ``(2,)`` [s], by `CHANNEL`.
     """
 
-    def __init__(self, begin: BeginStream, limits: Limits, tick: float) -> None:
+    def __init__(self, begin: BeginStream, limits: MotionLimits, tick: float) -> None:
         self.name, self.deadline, self.effort = begin.stream, begin.deadline, begin.effort
         self.playing = False
         self.channels: Mapping[str, FloatArray] = {CHANNEL: readonly((0.0, 0.0))}

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee import monotonic
-from rtee.buses.ethercat import EthercatBus, PysoemRing, Ring, State
+from rtee.buses.ethercat import EthercatBus, PysoemRing, Ring, SlaveState
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.heri_ethercat import codec
@@ -137,7 +137,7 @@ async def test_four_motors_of_two_boards_move_by_name() -> None:
     names = (NAMES[3], *NAMES[:3])
     async with BusPool() as pool, connected(pool, device(*names)) as made:
         assert "unverified" in made.capabilities.identity["model"]
-        assert hand(pool).state is State.OPERATIONAL
+        assert hand(pool).state is SlaveState.OPERATIONAL
         assert not any(board.power for board in hand(pool).boards)
         await made.activate()
         goal = [1.5, 0.4, 0.8, 1.2]
@@ -153,12 +153,12 @@ async def test_four_motors_of_two_boards_move_by_name() -> None:
 @pytest.mark.anyio
 async def test_boards_that_left_operation_are_brought_back_before_they_get_power() -> None:
     async with BusPool() as pool, connected(pool, device(watchdog=0.2)) as made:
-        hand(pool).state = State.SAFE_OPERATIONAL
+        hand(pool).state = SlaveState.SAFE_OPERATIONAL
         hand(pool)._dropped = True
         with pytest.raises(BusTimeout):
             await made.move(Reference.at([0.3] * 4))
         await made.activate()
-        assert hand(pool).state is State.OPERATIONAL
+        assert hand(pool).state is SlaveState.OPERATIONAL
         assert (await made.sense()).position == pytest.approx([0.3] * 4, abs=1e-3)
 
 
@@ -334,9 +334,9 @@ async def test_emulated_networks_belong_to_one_hand_each() -> None:
         left = await pool.ethercat("eth1", owner="left/boards", emulator=HeriEmulator)
         right = await pool.ethercat("eth1", owner="right/boards", emulator=HeriEmulator)
         assert right is not left
-        await right.run(lambda ring: ring.request(State.OPERATIONAL, 1.0), 2.0)
+        await right.run(lambda ring: ring.request(SlaveState.OPERATIONAL, 1.0), 2.0)
         played = [cast("HeriEmulator", pool.played(f"{hand}/boards")) for hand in ("left", "right")]
-        assert [one.state for one in played] == [State.PRE_OPERATIONAL, State.OPERATIONAL]
+        assert [one.state for one in played] == [SlaveState.PRE_OPERATIONAL, SlaveState.OPERATIONAL]
 
 
 @pytest.mark.anyio

@@ -15,7 +15,7 @@ from remote.served_leap import served
 from remote.serving import Served
 
 from rtee.cli.landmarks import follow_headset
-from rtee.gui.access import Access, Role
+from rtee.gui.access import Access, PageRole
 from rtee.gui.visitors import Visitors
 from rtee.retarget import LAYOUTS
 from rtee.testing.human_hand import HumanHand
@@ -81,7 +81,7 @@ def page(
         stack.callback(page.close)
         page.add_init_script(XR.replace("POINTS", json.dumps(joints(0.0))))
         port = server[0].get_port()
-        page.goto(server[1].links(port)[Role.OPERATOR])
+        page.goto(server[1].links(port)[PageRole.OPERATOR])
         page.goto(f"http://127.0.0.1:{port}/headset")
         yield page
 
@@ -111,7 +111,7 @@ def test_who_watches_gets_no_page(
     server: tuple[viser.ViserServer, Access], context: BrowserContext
 ) -> None:
     port, page = server[0].get_port(), context.new_page()
-    page.goto(server[1].links(port)[Role.OBSERVER])
+    page.goto(server[1].links(port)[PageRole.OBSERVER])
     answer = page.goto(f"http://127.0.0.1:{port}/headset")
     assert answer is not None
     assert answer.status == 403

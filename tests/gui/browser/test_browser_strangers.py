@@ -234,7 +234,7 @@ def test_nobody_makes_a_tunnel(gui: Program, links: Links) -> None:
 
 def test_html_in_a_panel_runs_nothing(page: Page) -> None:
     """Names are escaped; and if one were not, the page's policy would stop its script."""
-    from rtee.gui.access import Access, Role
+    from rtee.gui.access import Access, PageRole
     from rtee.gui.visitors import Visitors
 
     access = Access()
@@ -243,7 +243,7 @@ def test_html_in_a_panel_runs_nothing(page: Page) -> None:
         server.gui.add_html('<p>seen</p><img src="x" onerror="window.owned = true">')
         said: list[str] = []
         page.on("console", lambda message: said.append(message.text))
-        page.goto(access.links(server.get_port())[Role.OPERATOR])
+        page.goto(access.links(server.get_port())[PageRole.OPERATOR])
         page.get_by_text("seen").wait_for()
         page.wait_for_function("document.images.length && document.images[0].complete")
         assert page.evaluate("window.owned") is None
