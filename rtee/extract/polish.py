@@ -95,6 +95,7 @@ def polish(
         return Minimum(y, value, 1)
     reach = _FIRST_STEP / scale
     weights, held = np.ones(1), np.zeros(len(y))
+    tried: bytes | None = None
     for count in range(2, evaluations + 1):
         # The function is not convex; a piece above it here counts as touching it.
         errors, slopes = pieces.errors(y, value), pieces.slopes
@@ -103,6 +104,9 @@ def polish(
         there = within(resolution.snap(y + step), (low, high))
         if predicted < _ENOUGH * abs(value) + resolution.value or (there == y).all():
             return Minimum(y, value, count)
+        # The model has this piece already, so that all further steps would lead there, too.
+        if there.tobytes() == tried:
+            break
         new, rise = function(there)
         new, new_slope = resolution.rounded_value(new), resolution.rounded_slope(rise())
         # Remove the piece with the least weight in the last step.
@@ -116,10 +120,12 @@ def polish(
             # The gain is as good as predicted, so that the next step may be longer.
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
             # A serious step moves the centre of the model; any other only refines the model.
-            y, value = there, new
+            y, value, tried = there, new, None
         # The new piece does not improve the model at y, since the step was too long.
         elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
-            reach *= 0.5
+            reach, tried = 0.5 * reach, None
+        else:
+            tried = there.tobytes()
     return Minimum(y, value, evaluations)
 
 
