@@ -201,7 +201,7 @@ def hollow_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> st
         return ""
     return (
         "the mesh counts as its convex hull: hollows, handles and holes are filled, and fingers do "
-        "not reach into them"
+        "not reach into them (with rtee[planning] it is divided)"
     )
 
 

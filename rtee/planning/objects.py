@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.coarse import welded
+from rtee.hand.convex import convex_solids
 from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
 from rtee.hand.mesh_repair import repaired
@@ -215,7 +216,7 @@ def _primitive(kind: str, size: tuple[float, ...]) -> Piece:
 
 
 def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
-    """Return the convex pieces of a mesh: the hull of every part that hangs together.
+    """Return the convex pieces of a mesh: the hulls of its solids; see `convex_solids`.
 
     Raises:
         ModelError: if it cannot be used.
@@ -238,9 +239,9 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
             path=path,
         )
     pieces, hollow = [], 0
-    for part in parts:
-        shape = hull_of(corners[np.unique(part)])
-        filled = abs(signed_volume(corners[part]))
+    for points, sides in convex_solids(corners, parts):
+        shape = hull_of(points)
+        filled = abs(signed_volume(points[sides]))
         hollow += filled < _HOLLOW * shape.computeVolume()
         pieces.append(Piece("mesh", (), shape, np.array(shape.points())))
     notes = [note] if (note := open_mesh(corners, faces)) else []

@@ -31,7 +31,17 @@ from rtee.trials.headless import HeadlessHand
 from rtee.trials.store import METHOD
 from rtee.trials.trial import Trial, TrialResult, run_trial
 
-_LIBRARIES: Final = ("mujoco", "numpy", "scipy", "pin", "coal", "libcoal", "ruckig", "trimesh")
+_LIBRARIES: Final = (
+    "mujoco",
+    "numpy",
+    "scipy",
+    "pin",
+    "coal",
+    "libcoal",
+    "coacd",
+    "ruckig",
+    "trimesh",
+)
 """Packages whose version may change a digit of a result."""
 
 _PORTRAIT: Final = (240, 200)

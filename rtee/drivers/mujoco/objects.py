@@ -8,10 +8,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from rtee.drivers.mujoco.contacts import make_object
 from rtee.hand.coarse import welded
+from rtee.hand.convex import Solid, convex_solids
 from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (
     HANDLE,
@@ -169,10 +169,10 @@ def _corners(path: str) -> FloatArray | None:
 
 
 @lru_cache(maxsize=4)
-def solid_parts(path: str) -> tuple[tuple[FloatArray, NDArray[np.int64]], ...]:
-    """Return corners ``(v, 3)`` and faces ``(f, 3)`` of each part of a mesh file.
+def solid_parts(path: str) -> tuple[Solid, ...]:
+    """Return the solids of a mesh file; see `convex_solids`.
 
-    A mesh of more than `MOST_PARTS` is one; there is none if it is no solid.
+    A mesh of more than `MOST_PARTS` parts is one; there is none if it is no solid.
     """
     probe = mujoco.MjSpec()
     _read_mesh(probe, path)
@@ -188,14 +188,9 @@ def solid_parts(path: str) -> tuple[tuple[FloatArray, NDArray[np.int64]], ...]:
     faces = model.mesh_face.astype(np.int64)
     _, place = np.unique(model.mesh_vert, axis=0, return_inverse=True)
     parts = mesh_parts(place.reshape(-1)[faces], len(corners))
-    if not 1 < len(parts) <= MOST_PARTS:
-        return ((corners, faces),)
     first = np.unique(place, return_index=True)[1]
-    found = []
-    for part in parts:
-        used, local = np.unique(part, return_inverse=True)
-        found.append((corners[first[used]], local.reshape(-1, 3)))
-    return tuple(found)
+    whole = [place.reshape(-1)[faces]]
+    return tuple(convex_solids(corners[first], parts if len(parts) <= MOST_PARTS else whole))
 
 
 def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
