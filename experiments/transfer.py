@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Literal
@@ -15,7 +15,6 @@ from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.objects import MESHES
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
-from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
 from rtee.loop.choice import OPEN
@@ -24,9 +23,9 @@ from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
-from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.scenario import Approach, Grasp, Lift, Scene, Step, Wait, Watch, mark
 from rtee.trials.variation import CHOOSING_FROM, Variation, draw
 from rtee.types import Goal, Named
 
@@ -89,9 +88,6 @@ _DROP = 0.03
 
 _FARTHER = 0.06
 """How far the hand comes on until it touches the object [m]: two variations of height and size."""
-
-Watch = Callable[[str, HeadlessHand[Simulation]], None]
-"""Told at the moments of a transfer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,11 +330,10 @@ class _Bench:
             () if quiet else self._observers,
             ticks=self._ticks,
         )
-        watch = None if quiet else self._watch
         fingers = [hand.finger(name) for name in fingers_of(hand, self._action)]
         links = frozenset(link for finger in fingers for link in finger.body)
-        run = _Run(headless, transfer, links, mount @ lands, way, stance.back, watch)
-        result = run.result()
+        scene = Scene(headless, None if quiet else self._watch)
+        result = _Run(scene, transfer, links, mount @ lands, way, stance.back).result()
         if not quiet:
             # Only what is recorded takes time of the recording.
             self._ticks = headless.ticks
@@ -350,176 +345,69 @@ class _Run:
 
     def __init__(
         self,
-        headless: HeadlessHand[Simulation],
+        scene: Scene,
         transfer: Transfer,
         links: frozenset[str],
         expected: FloatArray,
         way: FloatArray,
         back: float | None,
-        watch: Watch | None,
     ) -> None:
         """Prepare.
 
         Args:
-            headless: The hand in the scene.
+            scene: The hand in the scene.
             transfer: What is done.
             links: The links that may press on the object.
             expected: Where it is to be left, from the hand's base, in the world ``(3,)`` [m].
             way: How the hand comes, in the world ``(3,)`` [m].
             back: How far it goes back after it felt the object [m].
-            watch: Told of the moments.
         """
-        self._headless, self._transfer, self._links = headless, transfer, links
+        self._scene, self._transfer, self._links = scene, transfer, links
         self._expected, self._way, self._back = expected, way, back
-        self._watch = watch
-        self._around = headless.simulation.surroundings
-        self._script = CarrierScript(headless)
-        self._outcome = ""
+        self._around = scene.around
+        self._down: FloatArray = np.eye(4)
         self._held: FloatArray | None = None
         self._lands: FloatArray | None = None
         self._shift = math.inf
         self._slide = self._pressed = 0.0
         self._held_by: tuple[str, ...] = ()
-        self._start: FloatArray | None = None
-        self._began = headless.time - headless.period
-        headless.before_tick(self._note)
+        self._in_air = False
+        self._ends = math.inf, math.inf, math.inf
+        scene.headless.before_tick(self._note)
 
     def result(self) -> TransferResult:
+        scene, transfer = self._scene, self._transfer
+        ticks = scene.headless.ticks
+        grasp = Goal(Named(transfer.action, transfer.elements), goal_id=f"grasp-{ticks}")
+        steps: list[Step] = [
+            Approach(self._way, self._feel),
+            Grasp(grasp),
+            Wait(_SETTLE, "grasp"),
+            self._closed,
+            mark,
+            Lift(_LIFT, _HOLD),
+            self._lifted,
+            self._carry,
+            Wait(_SETTLE, "carry"),
+            self._carried,
+            self._set_down,
+            self._open,
+            Wait(_SETTLE, "open"),
+            self._retreat,
+            # What was let go needs time to fall over, if it does.
+            Wait(1.0, "retreat"),
+            self._judge,
+        ]
         try:
-            return self._done()
+            reason = scene.play(steps)
         except SimulationUnstable as error:
-            return self._ended(str(error))
-
-    def _done(self) -> TransferResult:
-        headless, around, script = self._headless, self._around, self._script
-        transfer = self._transfer
-        # The carrier is there already; the script has to start from there, too.
-        script.jump(-self._way)
-        before, base = around.object_frame, around.base_pose
-        # Measured where the way begins; targets are told from where it ends.
-        base[:3, 3] += self._way
-        self._tell("start")
-        script.go(np.zeros(3), 1.0)
-        if self._back is not None:
-            self._feel(self._back)
-        headless.wait(0.2)
-        self._tell("approach")
-        grasp = Goal(Named(transfer.action, transfer.elements), goal_id=f"grasp-{headless.ticks}")
-        self._outcome = headless.do(grasp).outcome
-        headless.wait(_SETTLE)
-        self._tell("grasp")
-        # A hand that felt for the object closes elsewhere than where the approach ended.
-        closing = np.array(base)
-        closing[:3, 3] += script.at[:3]
-        place = (np.linalg.inv(closing) @ before)[:3, 3]
-        if around.touching():
-            self._shift = float(np.linalg.norm(around.position_in_hand - place))
-        self._start = around.position_in_hand
-        script.move(2, _LIFT, 1.0)
-        headless.wait(_HOLD)
-        self._tell("lift")
-        touching = set(around.touching())
-        fingers = headless.hand.fingers
-        self._held_by = tuple(f.name for f in fingers if touching & set(f.body))
-        if self._lost():
-            return self._ended("it fell while it was lifted")
-        goal = script.at + np.array([*transfer.by, 0.0, 0.0, 0.0, transfer.turn])
-        script.to(goal, 2.0)
-        headless.wait(_SETTLE)
-        self._tell("carry")
-        if self._lost():
-            return self._ended("it fell while it was carried")
-        self._held = np.asarray(np.linalg.inv(around.base_pose) @ around.object_frame)
-        self._set_down()
-        self._start = None
-        # Before the hand retreats: `lands` is told in the frame of the hand that opens.
-        down = around.base_pose
-        self._tell("set down")
-        headless.do(Goal(Named(OPEN), goal_id=f"open-{headless.ticks}"))
-        headless.wait(_SETTLE)
-        self._tell("open")
-        way = _turned(transfer.turn) @ self._way
-        script.go(script.at[:3] - way, 1.0)
-        # What was let go needs time to fall over, if it does.
-        headless.wait(1.0)
-        self._tell("retreat")
-        expected = np.array(before)
-        expected[:3, 3] = base[:3, 3] + self._expected
-        self._lands = down[:3, :3].T @ (around.object_frame[:3, 3] - down[:3, 3])
-        return self._judge(_moved(expected, base[:3, 3], transfer))
-
-    def _feel(self, back: float) -> None:
-        """Come on slowly until the hand touches the object, then go back."""
-        script, way = self._script, self._way / np.linalg.norm(self._way)
-        come = 0.0
-        while not self._around.touching() and come < _FARTHER:
-            script.go(script.at[:3] + _SLOW * _STEP * way, _STEP)
-            come += _SLOW * _STEP
-        script.go(script.at[:3] - back * way, back / _SLOW)
-
-    def _set_down(self) -> None:
-        """Go down slowly until the object stands; over a container's floor, a little back up."""
-        script = self._script
-        height = script.at[2]
-        # As far as the contact, not to a height: the object may have slid in the hand.
-        while not self._around.on_table and height - script.at[2] < _LIFT + _DEEPER:
-            if self._transfer.container and self._around.pressing() > 0.0:
-                break
-            script.move(2, -_SLOW * _STEP, _STEP)
-        # Fingers around an object would open into the floor.
-        if self._transfer.container:
-            script.move(2, _DROP, 0.5)
-        self._headless.wait(_SETTLE)
-
-    def _note(self, _: float) -> None:
-        self._pressed = max(self._pressed, self._around.pressing(self._links))
-        if self._start is not None:  # between lift and set-down only
-            now = self._around.position_in_hand
-            self._slide = max(self._slide, float(np.linalg.norm(now - self._start)))
-
-    def _lost(self) -> bool:
-        # In the air it can touch the table only if it hangs far out of the hand.
-        return not self._around.touching() or self._slide > LOST or self._around.on_table
-
-    def _judge(self, target: FloatArray) -> TransferResult:
-        now, speed = self._around.object_frame, self._around.speed
-        off = float(np.linalg.norm(now[:2, 3] - target[:2, 3]))
-        up = target[:3, :3].T[:, 2]  # of the object, in its own frame
-        # Rounding may bring a cosine beyond 1.
-        tilt = float(np.arccos(np.clip((now[:3, :3] @ up)[2], -1.0, 1.0)))
-        reason = ""
-        inside = bool(
-            (np.abs(now[:2, 3] - target[:2, 3]) < 0.5 * np.array(CONTAINER_SIZE[:2])).all()
-        )
-        if self._around.touching():
-            # First: what is still held may stand well, but only by the hand.
-            reason = "the hand did not let go of it"
-        elif self._pressed > self._transfer.pressing:
-            reason = f"the hand pressed with {self._pressed:.0f} N what it should not"
-        elif self._transfer.container:
-            reason = "" if inside else "it is not in the container"
-        elif self._slide > SLIDE:
-            reason = f"it slid {self._slide * 1e3:.0f} mm in the hand"
-        elif tilt > TILT:
-            reason = f"it leans by {math.degrees(tilt):.0f} degrees"
-        elif off > OFF:
-            reason = f"it stands {off * 1e3:.0f} mm from its target"
-        elif speed > SPEED:
-            reason = f"it still moves at {speed * 1e3:.0f} mm/s"
-        return self._ended(reason, off, tilt, speed)
-
-    def _ended(
-        self,
-        reason: str,
-        off: float = math.inf,
-        tilt: float = math.inf,
-        speed: float = math.inf,
-    ) -> TransferResult:
+            reason = str(error)
+        off, tilt, speed = self._ends
         return TransferResult(
-            self._transfer,
+            transfer,
             not reason,
             reason,
-            self._outcome,
+            scene.outcome,
             self._shift,
             self._slide,
             round(self._pressed, 3),
@@ -527,14 +415,113 @@ class _Run:
             off,
             tilt,
             speed,
-            self._headless.time - self._began,
+            scene.duration,
             held=self._held,
             lands=self._lands,
         )
 
-    def _tell(self, moment: str) -> None:
-        if self._watch is not None:
-            self._watch(moment, self._headless)
+    def _feel(self, scene: Scene) -> None:
+        """Come on slowly until the hand touches the object, then go back."""
+        if self._back is None:
+            return
+        way = self._way / np.linalg.norm(self._way)
+        come = 0.0
+        while not self._around.touching() and come < _FARTHER:
+            scene.go(scene.at[:3] + _SLOW * _STEP * way, _STEP)
+            come += _SLOW * _STEP
+        scene.go(scene.at[:3] - self._back * way, self._back / _SLOW)
+
+    def _closed(self, scene: Scene) -> None:
+        # A hand that felt for the object closes elsewhere than where the approach ended.
+        closing = np.array(scene.base)
+        closing[:3, 3] += self._way
+        closing[:3, 3] += scene.at[:3]
+        place = (np.linalg.inv(closing) @ scene.before)[:3, 3]
+        if self._around.touching():
+            self._shift = float(np.linalg.norm(self._around.position_in_hand - place))
+        self._in_air = True
+
+    def _lifted(self, scene: Scene) -> str:
+        touching = set(self._around.touching())
+        fingers = scene.headless.hand.fingers
+        self._held_by = tuple(f.name for f in fingers if touching & set(f.body))
+        return "it fell while it was lifted" if self._lost() else ""
+
+    def _carry(self, scene: Scene) -> None:
+        goal = scene.at + np.array([*self._transfer.by, 0.0, 0.0, 0.0, self._transfer.turn])
+        scene.to(goal, 2.0)
+
+    def _carried(self, _: Scene) -> str:
+        if self._lost():
+            return "it fell while it was carried"
+        around = self._around
+        self._held = np.asarray(np.linalg.inv(around.base_pose) @ around.object_frame)
+        return ""
+
+    def _set_down(self, scene: Scene) -> None:
+        """Go down slowly until the object stands; over a container's floor, a little back up."""
+        height = scene.at[2]
+        # As far as the contact, not to a height: the object may have slid in the hand.
+        while not self._around.on_table and height - scene.at[2] < _LIFT + _DEEPER:
+            if self._transfer.container and self._around.pressing() > 0.0:
+                break
+            scene.move(2, -_SLOW * _STEP, _STEP)
+        # Fingers around an object would open into the floor.
+        if self._transfer.container:
+            scene.move(2, _DROP, 0.5)
+        scene.headless.wait(_SETTLE)
+        self._in_air = False
+        # Before the hand retreats: `lands` is told in the frame of the hand that opens.
+        self._down = self._around.base_pose
+        scene.tell("set down")
+
+    def _open(self, scene: Scene) -> None:
+        scene.headless.do(Goal(Named(OPEN), goal_id=f"open-{scene.headless.ticks}"))
+
+    def _retreat(self, scene: Scene) -> None:
+        way = _turned(self._transfer.turn) @ self._way
+        scene.go(scene.at[:3] - way, 1.0)
+
+    def _note(self, _: float) -> None:
+        self._pressed = max(self._pressed, self._around.pressing(self._links))
+        if self._in_air:  # between lift and set-down only
+            self._slide = max(self._slide, self._scene.moved)
+
+    def _lost(self) -> bool:
+        # In the air it can touch the table only if it hangs far out of the hand.
+        return not self._around.touching() or self._slide > LOST or self._around.on_table
+
+    def _judge(self, scene: Scene) -> str:
+        now, down = self._around.object_frame, self._down
+        # Targets are told from where the way to the object ends.
+        base = scene.base[:3, 3] + self._way
+        self._lands = down[:3, :3].T @ (now[:3, 3] - down[:3, 3])
+        expected = np.array(scene.before)
+        expected[:3, 3] = base + self._expected
+        target = _moved(expected, base, self._transfer)
+        speed = self._around.speed
+        off = float(np.linalg.norm(now[:2, 3] - target[:2, 3]))
+        up = target[:3, :3].T[:, 2]  # of the object, in its own frame
+        # Rounding may bring a cosine beyond 1.
+        tilt = float(np.arccos(np.clip((now[:3, :3] @ up)[2], -1.0, 1.0)))
+        self._ends = off, tilt, speed
+        inside = bool(
+            (np.abs(now[:2, 3] - target[:2, 3]) < 0.5 * np.array(CONTAINER_SIZE[:2])).all()
+        )
+        if self._around.touching():
+            # First: what is still held may stand well, but only by the hand.
+            return "the hand did not let go of it"
+        if self._pressed > self._transfer.pressing:
+            return f"the hand pressed with {self._pressed:.0f} N what it should not"
+        if self._transfer.container:
+            return "" if inside else "it is not in the container"
+        if self._slide > SLIDE:
+            return f"it slid {self._slide * 1e3:.0f} mm in the hand"
+        if tilt > TILT:
+            return f"it leans by {math.degrees(tilt):.0f} degrees"
+        if off > OFF:
+            return f"it stands {off * 1e3:.0f} mm from its target"
+        return f"it still moves at {speed * 1e3:.0f} mm/s" if speed > SPEED else ""
 
 
 def _turned(angle: float) -> FloatArray:

@@ -23,6 +23,7 @@ from rtee.remote.words import sentence
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP
+from rtee.trials.scenario import Grasp, Scene, Step, Wait, mark, release
 from rtee.trials.tasks import RATE
 from rtee.types import Goal, Result
 
@@ -111,25 +112,21 @@ def rehearse(
         around.place(around.base_pose @ places[0].pose)
     else:
         _stand(simulation, hand, position)
-    headless = HeadlessHand(hand, library, settings, simulation)
-    own = _Own(simulation, hand)
-    most = [0.0, 0.0]
+    scene = Scene(HeadlessHand(hand, library, settings, simulation))
+    own, struck = _Own(simulation, hand), 0.0
 
     def watch(_: float) -> None:
-        most[0] = max(most[0], float(headless.forces.max(initial=0.0)))
-        most[1] = max(most[1], own.force())
+        nonlocal struck
+        struck = max(struck, own.force())
 
-    headless.before_tick(watch)
-    result = headless.do(goal)
-    headless.wait(_SETTLE)
-    held = False
+    scene.watch_forces()
+    scene.headless.before_tick(watch)
+    steps: list[Step] = [Grasp(goal), Wait(_SETTLE)]
     if thing:
-        around.remove_support()
-        before = around.position_in_hand
-        headless.wait(_WATCHED)
-        moved = float(np.linalg.norm(around.position_in_hand - before))
-        held = moved <= SLIP and len(around.touching()) >= _HELD_BY
-    return Rehearsal(result, thing, held, *most)
+        steps += [release, mark, Wait(_WATCHED)]
+    scene.play(steps)
+    held = bool(thing) and scene.moved <= SLIP and len(around.touching()) >= _HELD_BY
+    return Rehearsal(scene.said, thing, held, scene.peak, struck)
 
 
 def _stand(simulation: Simulation, hand: Hand, position: Mapping[str, float]) -> None:

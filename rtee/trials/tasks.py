@@ -22,6 +22,7 @@ from rtee.planning.objects import read_object
 from rtee.trials.bench import Bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.scenario import During, Grasp, Scene, Step, Wait, mark, release
 from rtee.types import Around, Force, Goal, Named, OnContact, TipSpeed
 
 RATE: Final = 500.0
@@ -173,123 +174,94 @@ def run_task(ready: Bench, trial: TaskTrial, number: int) -> TaskResult:
         GoalRejected: if the hand cannot grasp the object like this.
         ConfigError: if the object is none, or fits nowhere.
     """
-    return _Run(ready, trial, number).result()
+    return play(trial, present(ready, trial, number))
 
 
-class _Run:
-    """One variation of a task."""
+def play(trial: TaskTrial, scene: Scene) -> TaskResult:
+    """Grasp the object that is presented, do what the task says, and return how it ended."""
+    # From the start: an egg may break at the first touch.
+    scene.watch_forces()
+    # What closing moved it is no slip.
+    grasp = Grasp(trial.goal()), Wait(_SETTLE), release, mark, Wait(_SETTLE), _missed
+    disturbance = _disturbance(trial.task, scene.headless.simulation)
+    try:
+        end = End(scene.play((*grasp, *disturbance, _kept)) or End.HELD)
+    except SimulationUnstable:
+        return TaskResult(End.UNSTABLE, round(scene.peak, 3))
+    # Whatever else it came to: an egg may be broken and still be held.
+    if trial.task is Task.EGG and scene.peak > BREAKS:
+        end = End.BROKEN
+    return TaskResult(end, round(scene.peak, 3))
 
-    def __init__(self, ready: Bench, trial: TaskTrial, number: int) -> None:
-        hand, library, settings = ready.hand, ready.library, ready.settings
-        # Neither hand nor way is in the seed, so that all meet the same variations.
-        varied = np.random.default_rng([number, trial.seed])
-        mass = trial.task.mass if trial.mass is None else trial.mass
-        options = SimOptions(
-            object=trial.object,
-            support="floating",  # let go of when the hand says that it has it
-            object_mass=mass * varied.uniform(*_MASS),
-            friction=varied.uniform(*_FRICTION),
-        )
-        simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
-        action = library.find(trial.action, trial.elements)
-        places = Places(simulation, hand, action).find(1)
-        if not places:
-            raise ConfigError(f"{trial.object} fits nowhere between the fingers")
-        pose = places[0].pose.copy()
-        pose[:3, 3] += varied.uniform(-_BESIDE, _BESIDE, 3)
-        simulation.reset()
-        around = simulation.surroundings
-        around.place(around.base_pose @ pose)
-        self._trial, self._simulation, self._around = trial, simulation, around
-        self._body = simulation.model.body(OBJECT).id
-        self._start = around.position_in_hand
-        self._peak = 0.0
-        self._headless: HeadlessHand[Simulation] = HeadlessHand(hand, library, settings, simulation)
-        # From the start: an egg may break at the first touch.
-        self._headless.before_tick(self._watch)
 
-    def result(self) -> TaskResult:
-        """Grasp the object, do what the task says, and return how it ended."""
-        try:
-            end = self._done()
-        except SimulationUnstable:
-            return TaskResult(End.UNSTABLE, round(self._peak, 3))
-        # Whatever else it came to: an egg may be broken and still be held.
-        if self._trial.task is Task.EGG and self._peak > BREAKS:
-            end = End.BROKEN
-        return TaskResult(end, round(self._peak, 3))
+def present(ready: Bench, trial: TaskTrial, number: int) -> Scene:
+    """Return the hand, with the object of a variation where it is presented; see `run_task`."""
+    hand, library, settings = ready.hand, ready.library, ready.settings
+    # Neither hand nor way is in the seed, so that all meet the same variations.
+    varied = np.random.default_rng([number, trial.seed])
+    mass = trial.task.mass if trial.mass is None else trial.mass
+    options = SimOptions(
+        object=trial.object,
+        support="floating",  # let go of when the hand says that it has it
+        object_mass=mass * varied.uniform(*_MASS),
+        friction=varied.uniform(*_FRICTION),
+    )
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    places = Places(simulation, hand, library.find(trial.action, trial.elements)).find(1)
+    if not places:
+        raise ConfigError(f"{trial.object} fits nowhere between the fingers")
+    simulation.reset()
+    pose = places[0].pose.copy()
+    pose[:3, 3] += varied.uniform(-_BESIDE, _BESIDE, 3)
+    simulation.surroundings.place(simulation.surroundings.base_pose @ pose)
+    return Scene(HeadlessHand(hand, library, settings, simulation))
 
-    def _done(self) -> End:
-        end = self._grasp()
-        if end is not End.HELD:
-            return end
-        match self._trial.task:
-            case Task.CUP:
-                self._fill()
-            case Task.TUG:
-                self._tug()
-        return End.HELD if self._held else End.LOST
 
-    def _watch(self, _: float) -> None:
-        self._peak = max(self._peak, float(self._simulation.contact_forces.max()))
+def _missed(scene: Scene) -> str | None:
+    said = scene.said
+    # Told apart from a miss, since it has another remedy: a larger force.
+    if said.stalled and not said.touched and not said.grasped:
+        return End.STALLED
+    return None if said.grasped and scene.moved < _LOST else End.MISSED
 
-    def _grasp(self) -> End:
-        """Grasp the object, let go of it, and return whether the hand has it."""
-        result = self._headless.do(self._trial.goal())
-        self._headless.wait(_SETTLE)
-        self._around.remove_support()
-        # What closing moved it is no slip.
-        self._start = self._around.position_in_hand
-        self._headless.wait(_SETTLE)
-        # Told apart from a miss, since it has another remedy: a larger force.
-        if result.stalled and not result.touched and not result.grasped:
-            return End.STALLED
-        return End.HELD if result.grasped and self._held else End.MISSED
 
-    @property
-    def _held(self) -> bool:
-        """Whether the object is where it was grasped."""
-        moved = self._around.position_in_hand - self._start
-        return float(np.linalg.norm(moved)) < _LOST
+def _kept(scene: Scene) -> str | None:
+    return None if scene.moved < _LOST else End.LOST
 
-    def _fill(self) -> None:
-        model, body = self._simulation.model, self._body
-        first = int(model.body_dofadr[body])
-        dofs = slice(first, first + int(model.body_dofnum[body]))
-        mass = float(model.body_mass[body])
-        # MuJoCo works these out once: the last two scale its contacts, and the last but two stands
-        # for the mass matrix of a free body. With those of the empty cup it would fall too fast.
-        grow = [(model.body_inertia, body), (model.dof_M0, dofs)]
-        shrink = [(model.body_invweight0, body), (model.dof_invweight0, dofs)]
-        empty = [(field, at, field[at].copy()) for field, at in (*grow, *shrink)]
 
-        def fill(share: float) -> None:
-            # The water is where the cup is: its inertia grows with the mass.
-            factor = (mass + _WATER * share) / mass
-            model.body_mass[body] = mass * factor
-            for number, (field, at, value) in enumerate(empty):
-                field[at] = value * factor if number < len(grow) else value / factor
+def _disturbance(task: Task, simulation: Simulation) -> tuple[Step, ...]:
+    """Return the steps of what is done with the grasped object."""
+    if task is Task.CUP:
+        return (During(_FILLING, filling(simulation), _SETTLE, _LOST),)
+    if task is Task.EGG:
+        return ()
+    applied, body = simulation.data.xfrc_applied, simulation.model.body(OBJECT).id
 
-        self._during(_FILLING, fill)
+    def pull(share: float) -> None:
+        # Along the world's z axis, as the weight, whichever way the hand points.
+        applied[body, 2] = -_TUG * min(share * _TUGGED / _RISING, 1.0)
 
-    def _tug(self) -> None:
-        applied = self._simulation.data.xfrc_applied
+    # MuJoCo keeps an applied force until it is taken away.
+    return During(_TUGGED, pull, _SETTLE, _LOST), lambda _: applied[body].fill(0.0)
 
-        def pull(share: float) -> None:
-            # Along the world's z axis, as the weight, whichever way the hand points.
-            applied[self._body, 2] = -_TUG * min(share * _TUGGED / _RISING, 1.0)
 
-        self._during(_TUGGED, pull)
-        # MuJoCo keeps an applied force until it is taken away.
-        applied[self._body] = 0.0
+def filling(simulation: Simulation) -> Callable[[float], None]:
+    """Return what fills the object of a simulation with a share (0 to 1) of the water."""
+    model, body = simulation.model, simulation.model.body(OBJECT).id
+    first = int(model.body_dofadr[body])
+    dofs = slice(first, first + int(model.body_dofnum[body]))
+    mass = float(model.body_mass[body])
+    # MuJoCo works these out once: the last two scale its contacts, and the last but two stands for
+    # the mass matrix of a free body. With those of the empty cup it would fall too fast.
+    grow = [(model.body_inertia, body), (model.dof_M0, dofs)]
+    shrink = [(model.body_invweight0, body), (model.dof_invweight0, dofs)]
+    empty = [(field, at, field[at].copy()) for field, at in (*grow, *shrink)]
 
-    def _during(self, seconds: float, act: Callable[[float], None]) -> None:
-        """Let time pass [s], doing something at every tick with the share that is over; settle."""
-        headless = self._headless
-        begin = headless.time
-        # What is lost stays lost: a body that falls for seconds and spins is beyond the solver.
-        while headless.time < begin + seconds and self._held:
-            act((headless.time - begin) / seconds)
-            headless.tick()
-        if self._held:
-            headless.wait(_SETTLE)
+    def fill(share: float) -> None:
+        # The water is where the cup is: its inertia grows with the mass.
+        factor = (mass + _WATER * share) / mass
+        model.body_mass[body] = mass * factor
+        for number, (field, at, value) in enumerate(empty):
+            field[at] = value * factor if number < len(grow) else value / factor
+
+    return fill

@@ -24,7 +24,8 @@ from rtee.trials.result import CHOOSING
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
 from rtee.trials.robust_places import misfit, robust_places
-from rtee.trials.trial_run import TrialRun, Watch
+from rtee.trials.scenario import Watch
+from rtee.trials.trial_run import TrialRun
 from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, decided, draw
 
 Progress = Callable[[int, int], None]

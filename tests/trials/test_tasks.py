@@ -12,9 +12,21 @@ pytest.importorskip("mujoco")
 
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
+from rtee.drivers.mujoco.objects import OBJECT
 from rtee.errors import ConfigError, GoalRejected, RteeError
 from rtee.trials.bench import bench
-from rtee.trials.tasks import BREAKS, RATE, End, Task, TaskTrial, Way, _Run, run_task
+from rtee.trials.tasks import (
+    BREAKS,
+    RATE,
+    End,
+    Task,
+    TaskTrial,
+    Way,
+    filling,
+    play,
+    present,
+    run_task,
+)
 
 GRIPPER = "robotiq_2f_85"
 BALL = "sphere:0.02"
@@ -100,17 +112,19 @@ def test_mistakes_are_told_in_one_sentence(
 
 
 def test_a_simulation_that_blows_up_is_told() -> None:
-    run = _Run(bench(GRIPPER, RATE), TaskTrial(Task.TUG, "Grasp", object=BALL), 0)
-    run._simulation.data.qvel[0] = 1e30
-    assert run.result().end is End.UNSTABLE
+    trial = TaskTrial(Task.TUG, "Grasp", object=BALL)
+    scene = present(bench(GRIPPER, RATE), trial, 0)
+    scene.headless.simulation.data.qvel[0] = 1e30
+    assert play(trial, scene).end is End.UNSTABLE
 
 
 def test_a_filled_cup_is_as_inert_as_it_is_heavy() -> None:
     """MuJoCo works some of it out once, when the model is made."""
-    run = _Run(bench(GRIPPER, RATE), TaskTrial(Task.CUP, "Grasp", object=BALL), 0)
-    model, body = run._simulation.model, run._body
+    scene = present(bench(GRIPPER, RATE), TaskTrial(Task.CUP, "Grasp", object=BALL), 0)
+    model = scene.headless.simulation.model
+    body = model.body(OBJECT).id
     dof, empty = model.body_dofadr[body], float(model.body_mass[body])
-    run._fill()
+    filling(scene.headless.simulation)(1.0)
     mass = float(model.body_mass[body])
     assert mass > 1.2 * empty
     assert model.dof_M0[dof] == pytest.approx(mass)

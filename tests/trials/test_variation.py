@@ -340,7 +340,7 @@ def test_what_is_certain_ends_a_variation(friction: float, mass: float, reason: 
     assert result.reason == reason
     assert short.held() == result.held
     # Only what has fallen is not watched to the end.
-    ticks = [run._headless.ticks for run in (whole, short)]
+    ticks = [run.scene.headless.ticks for run in (whole, short)]
     assert ticks[1] < ticks[0] if reason else ticks[1] == ticks[0]
 
 
