@@ -16,6 +16,7 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RteeError
 from rtee.hand.load import hand_folder, load_hand
+from rtee.planning.grasp_solution import GraspSolution, WantedContact
 from rtee.planning.gripper_poses import (
     from_base_poses,
     from_graspnet,
@@ -25,7 +26,6 @@ from rtee.planning.gripper_poses import (
 from rtee.planning.joint_vectors import fit_joints
 from rtee.planning.objects import read_object
 from rtee.planning.reach import reach_contacts
-from rtee.planning.reached import ReachedGrasp, WantedContact
 from rtee.planning.tips import Fingertips
 
 PLANNERS = Path(__file__).parent / "planners"
@@ -42,16 +42,16 @@ OURS = {
 """The joints of the SVH by their names in the model of `joints.npz`."""
 
 
-def show(what: str, reached: ReachedGrasp) -> None:
+def show(what: str, solution: GraspSolution) -> None:
     """Print a grasp."""
-    with_what = f"{reached.action} at {reached.intensity:.2f}" if reached.action else "a posture"
-    where = np.array(reached.palm_pose)[:3, 3]
-    print(f"{what}: {with_what} with {', '.join(reached.fingers)}; the palm at {where.round(3)} m")
-    for left in reached.residuals:
+    with_what = f"{solution.action} at {solution.intensity:.2f}" if solution.action else "a posture"
+    where = np.array(solution.palm_pose)[:3, 3]
+    print(f"{what}: {with_what} with {', '.join(solution.fingers)}; the palm at {where.round(3)} m")
+    for left in solution.residuals:
         print(
             f"  {left.finger}: {1e3 * left.distance:+.1f} mm, {np.degrees(left.angle):.0f} degrees"
         )
-    for met in reached.collisions:
+    for met in solution.collisions:
         print(f"  {met.words}")
 
 
@@ -84,8 +84,8 @@ def main(name: str = "schunk_svh") -> None:
     try:
         ball, pose = read_object("sphere:0.015"), np.eye(4)
         pose[:3, 3] = middle
-        reached = reach_contacts(hand, library, contacts, tips=tips, obj=ball, object_pose=pose)
-        show("Contact points", reached)
+        solution = reach_contacts(hand, library, contacts, tips=tips, obj=ball, object_pose=pose)
+        show("Contact points", solution)
     except ConfigError as error:  # they are the SVH's; another hand may not reach them
         print(f"Contact points: {error}")
 

@@ -47,6 +47,6 @@ class KinematicPlay:
         return np.zeros(len(self._hand.fingers))
 
     @property
-    def seen(self) -> dict[str, FloatArray]:
+    def scene_channels(self) -> dict[str, FloatArray]:
         """There is nothing else."""
         return {}

@@ -85,7 +85,7 @@ def pose_matrix(pose: FloatArray) -> FloatArray:
     return homogeneous(np.eye(3) + 2.0 * (w * cross + cross @ cross), pose[:3])
 
 
-def seen_from(base: FloatArray, pose: FloatArray) -> FloatArray:
+def relative_pose(base: FloatArray, pose: FloatArray) -> FloatArray:
     """Return ``pose`` relative to ``base``; each a position [m] and a quaternion ``(7,)``."""
     w, x, y, z = base[3:] / np.linalg.norm(base[3:])
     # The matrix of left multiplication by the conjugate of the quaternion of `base`.
@@ -105,7 +105,7 @@ def pose_in_hand(channels: Mapping[str, FloatArray]) -> FloatArray | None:
         return None
     if base is None:
         return pose
-    return seen_from(base, pose) if _is_pose(base) else None
+    return relative_pose(base, pose) if _is_pose(base) else None
 
 
 def _is_pose(values: FloatArray) -> bool:

@@ -496,8 +496,8 @@ class Executor:
         if not self._within(run, self._norms(targets, profile.position)):
             return False
         # What the reference would still move if it went on like this for a moment.
-        ways = {i: profile.velocity[i] * _REST_IN for i in targets}
-        return self._within(run, self._norms(ways, [0.0] * profile.size))
+        travels = {i: profile.velocity[i] * _REST_IN for i in targets}
+        return self._within(run, self._norms(travels, [0.0] * profile.size))
 
     def _shares(self, run: _Run) -> dict[int, float]:
         """Return each actuator's tolerance: if all are within theirs, so is the norm."""

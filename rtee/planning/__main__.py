@@ -67,7 +67,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
     from rtee.objects.shape import refuse_paths
-    from rtee.planning.reached import WantedContact, to_document
+    from rtee.planning.grasp_solution import WantedContact, to_document
 
     folder, asked = Path(question["hand"]), question["reach"]
     hand = load_hand(folder)

@@ -11,8 +11,8 @@ import numpy as np
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.planning.distance_bounds import DistanceBounds
+from rtee.planning.grasp_solution import Collision
 from rtee.planning.objects import GraspObject
-from rtee.planning.reached import Collision
 from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 

@@ -35,8 +35,8 @@ from rtee.planning.frames import (
     retreated,
     rows,
 )
+from rtee.planning.grasp_solution import GraspSolution
 from rtee.planning.objects import GraspObject
-from rtee.planning.reached import ReachedGrasp
 from rtee.planning.tips import Fingertips
 from rtee.sample import FloatArray
 from rtee.types import from_rest
@@ -185,7 +185,7 @@ def reach_gripper_pose(
     tips: Fingertips | None = None,
     obj: GraspObject | None = None,
     object_pose: FloatArray | None = None,
-) -> ReachedGrasp:
+) -> GraspSolution:
     """Return the action, the posture and the palm's pose by which a hand takes a gripper's grasp.
 
     The middle between the fingertips, at the opening of the object's width, comes to where the
@@ -227,7 +227,7 @@ def reach_gripper_pose(
     goal, rest = ActionPath.of(hand, action).end, np.array(hand.rest)
     touching = collisions.at(from_rest(rest, goal, at), opening.fingers)
     early = collisions.at(from_rest(rest, goal, before), (), "pre_grasp")
-    return ReachedGrasp(
+    return GraspSolution(
         hand=hand.name,
         fingers=opening.fingers,
         posture=_positions(hand, action, opening, at),

@@ -168,7 +168,7 @@ def ask(
     question: Question | ReachQuestion,
     started: Callable[[subprocess.Popen[str]], object],
 ) -> str:
-    """Return the answer as JSON; the ``from_document`` of `result` or `reached` reads it.
+    """Return the answer as JSON; the ``from_document`` of `result` or `grasp_solution` reads it.
 
     Args:
         folder: The hand's folder.

@@ -29,8 +29,8 @@ from rtee.planning.frames import (
     retreated,
     rows,
 )
+from rtee.planning.grasp_solution import GraspSolution, Residual, WantedContact
 from rtee.planning.objects import GraspObject
-from rtee.planning.reached import ReachedGrasp, Residual, WantedContact
 from rtee.planning.result import Point
 from rtee.planning.tips import Fingertips
 from rtee.sample import FloatArray
@@ -110,7 +110,7 @@ def reach_contacts(
     tips: Fingertips | None = None,
     obj: GraspObject | None = None,
     object_pose: FloatArray | None = None,
-) -> ReachedGrasp:
+) -> GraspSolution:
     """Return the posture in which fingertips touch where a planner wants it.
 
     Args:
@@ -152,7 +152,7 @@ def reach_contacts(
     middle = base[:3, :3] @ np.mean([c.point for c in wanted], axis=0)
     unknown = "the palm is in the middle of the contacts: give the direction of its approach"
     direction = direction_of(middle, unknown) if given is None else given
-    return ReachedGrasp(
+    return GraspSolution(
         hand=hand.name,
         fingers=fingers,
         posture=_by_name(hand, u, involved),

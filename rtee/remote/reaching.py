@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from rtee.actions.library import listed
 from rtee.actions.types import Generic, Posture
 from rtee.errors import ConfigError
+from rtee.planning.grasp_solution import GraspSolution, WantedContact, from_document
 from rtee.planning.question import ReachQuestion
-from rtee.planning.reached import ReachedGrasp, WantedContact, from_document
 from rtee.remote.action_client import ActionClient
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
@@ -49,7 +49,7 @@ class ReachClient:
         tolerance: float | str = 0.003,
         object: str = "",  # noqa: A002 - as on the command line
         object_pose: ArrayLike | None = None,
-    ) -> ReachedGrasp:
+    ) -> GraspSolution:
         """Return the postures and palm poses for a grasp of a planner; nothing moves.
 
         The hand computes them in a process beside the loop. Its computer needs the extra
@@ -86,7 +86,7 @@ class ReachClient:
 
     async def grasp_at(
         self,
-        reached: ReachedGrasp | Sequence[WantedContact] | ArrayLike | None = None,
+        solution: GraspSolution | Sequence[WantedContact] | ArrayLike | None = None,
         *,
         width: float | str | None = None,
         pose: ArrayLike | None = None,
@@ -99,11 +99,11 @@ class ReachClient:
         """Execute a grasp of a planner and wait for the result.
 
         With an arm, use two stages: ``reach``, the arm to ``pre_palm_pose``,
-        ``grasp_at(reached, stage="pre_grasp")``, the arm to ``palm_pose``, and
-        ``grasp_at(reached, stage="grasp")``.
+        ``grasp_at(solution, stage="pre_grasp")``, the arm to ``palm_pose``, and
+        ``grasp_at(solution, stage="grasp")``.
 
         Args:
-            reached: The result of `reach`; or contacts, as for `reach`.
+            solution: The result of `reach`; or contacts, as for `reach`.
             width: As for `reach`.
             pose: As for `reach`.
             fingers: As for `reach`.
@@ -119,39 +119,41 @@ class ReachClient:
             LeaseHeld: if another client holds the lease.
         """
         part = Stage(stage)
-        if not isinstance(reached, ReachedGrasp):
-            reached = await self.reach(
-                reached, width=width, pose=pose, fingers=fingers, approach=approach
+        if not isinstance(solution, GraspSolution):
+            solution = await self.reach(
+                solution, width=width, pose=pose, fingers=fingers, approach=approach
             )
         # Another hand may have actuators of the same names, with other postures for a grasp.
-        elif reached.hand != self._link.hand:
-            raise ConfigError(f"the grasp was reached for '{reached.hand}'")
-        if reached.collisions and not despite_collisions:
-            named = "; ".join(collision.words for collision in reached.collisions[:_NAMED])
+        elif solution.hand != self._link.hand:
+            raise ConfigError(
+                f"the grasp was solved for '{solution.hand}', not '{self._link.hand}'"
+            )
+        if solution.collisions and not despite_collisions:
+            named = "; ".join(collision.words for collision in solution.collisions[:_NAMED])
             raise ConfigError(f"the grasp has collisions: {named}")
-        if reached.action:
-            return await self._by_action(reached, force, part)
+        if solution.action:
+            return await self._by_action(solution, force, part)
         if force is not None:
             raise ConfigError("a force needs a width; contacts are grasped with the effort limits")
-        return await self._by_postures(reached, part)
+        return await self._by_postures(solution, part)
 
     async def _by_action(
-        self, reached: ReachedGrasp, force: float | str | None, part: Stage
+        self, solution: GraspSolution, force: float | str | None, part: Stage
     ) -> Result:
         if part is Stage.PRE_GRASP:
             return await self._goals.do(
-                reached.action, *reached.elements, intensity=reached.pre_intensity
+                solution.action, *solution.elements, intensity=solution.pre_intensity
             )
         return await self._goals.grasp(
-            reached.width, force=force, fingers=reached.elements, action=reached.action
+            solution.width, force=force, fingers=solution.elements, action=solution.action
         )
 
-    async def _by_postures(self, reached: ReachedGrasp, part: Stage) -> Result:
+    async def _by_postures(self, solution: GraspSolution, part: Stage) -> Result:
         """Go to the postures one after the other, by temporary actions."""
         postures = {
-            Stage.PRE_GRASP: (reached.pre_grasp,),
-            Stage.GRASP: (reached.posture,),
-            Stage.BOTH: (reached.pre_grasp, reached.posture),
+            Stage.PRE_GRASP: (solution.pre_grasp,),
+            Stage.GRASP: (solution.posture,),
+            Stage.BOTH: (solution.pre_grasp, solution.posture),
         }[part]
         # All clients share the names of actions, and two may execute grasps at the same time.
         name = f"grasp_at_{os.urandom(4).hex()}"

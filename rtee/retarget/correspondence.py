@@ -84,13 +84,13 @@ class Pinch:
             none if it found no pinch.
         widths: For grippers, distances of their surfaces, falling [m]: the first one answers human
             tips that are fully apart.
-        way: The positions at these distances [rad | m], by actuator.
+        positions: The positions at these distances [rad | m], by actuator.
     """
 
     fingers: tuple[str, str]
     contact: dict[str, float] = field(default_factory=dict)
     widths: tuple[float, ...] = ()
-    way: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    positions: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,9 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
     fingers, actuators = {*found.fingers}, {*found.closed}
     for pinch in found.pinches:
         fingers.update(pinch.fingers)
-        actuators.update(pinch.contact, pinch.way)
-        if {len(each) for each in pinch.way.values()} - {len(pinch.widths)}:
-            raise ConfigError("a pinch's way has as many positions as widths", path=path)
+        actuators.update(pinch.contact, pinch.positions)
+        if {len(each) for each in pinch.positions.values()} - {len(pinch.widths)}:
+            raise ConfigError("a pinch needs one position per width for each actuator", path=path)
     tips = {finger.name for finger in hand.fingers if finger.tip_links}
     for name in sorted(fingers):
         if name not in tips or name not in found.fingers:
@@ -187,7 +187,7 @@ def _pinch(pinch: Pinch) -> dict[str, Any]:
         "fingers": list(pinch.fingers),
         **_unless_empty("contact", pinch.contact),
         **_unless_empty("widths", list(pinch.widths)),
-        **_unless_empty("way", pinch.way),
+        **_unless_empty("positions", pinch.positions),
     }
 
 

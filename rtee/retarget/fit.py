@@ -190,8 +190,8 @@ class _Fit:
             key=lambda name: list(Human).index(humans[name]),
         )
         bases = [self._bases[name] for name in names]
-        ways = [self._tip(name, self._rest) - self._bases[name] for name in names]
-        distal = _unit(np.sum([_unit(way) for way in ways], axis=0))
+        vectors = [self._tip(name, self._rest) - self._bases[name] for name in names]
+        distal = _unit(np.sum([_unit(vector) for vector in vectors], axis=0))
         palmar = np.sum([self._motion(name) for name in names], axis=0)
         across = bases[0] - bases[-1]
         if len(names) < 2 or not np.linalg.norm(across) > 1e-3:
@@ -208,16 +208,16 @@ class _Fit:
         if not (grips and contact):
             return Pinch(pair, contact)
         shares = np.linspace(0.0, 1.0, _WIDTHS)
-        way = {
+        positions = {
             name: tuple(np.round(rest + shares * (value - rest), 4).tolist())
             for name, value in contact.items()
             for rest in [self._hand.actuator(name).rest]
         }
         widths = np.minimum.accumulate([self._width(pair, contact, share) for share in shares])
-        return Pinch(pair, contact, tuple(np.round(widths, 5).tolist()), way)
+        return Pinch(pair, contact, tuple(np.round(widths, 5).tolist()), positions)
 
     def _width(self, pair: tuple[str, str], contact: Mapping[str, float], share: float) -> float:
-        """Return the opening between two fingers on the way from rest to their contact [m]."""
+        """Return the opening between two fingers on the path from rest to their contact [m]."""
         for primitive in self._pinches(pair):
             try:
                 opening = self._openings.of(primitive)
@@ -237,7 +237,7 @@ class _Fit:
         return [each for each in found if {*each.elements} == {*pair}]
 
     def _contact(self, pair: tuple[str, str]) -> dict[str, float]:
-        """Return where the tips of two fingers first meet on the way to their pinch."""
+        """Return where the tips of two fingers first meet on the path to their pinch."""
         hand, usual = self._hand, self._at(_PINCHING)
         lower, upper = limits_of(hand)
         best: tuple[float, dict[str, float]] = (np.inf, {})

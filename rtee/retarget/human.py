@@ -66,8 +66,8 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 def in_palm(points: FloatArray, side: Side) -> FloatArray:
     """Return points ``(21, 3)`` in the palm's frame from the wrist, in the unit given."""
-    seen: FloatArray = (points - points[0]) @ palm_frame(points, side).T
-    return seen
+    local: FloatArray = (points - points[0]) @ palm_frame(points, side).T
+    return local
 
 
 def bones(points: FloatArray) -> FloatArray:
@@ -76,34 +76,34 @@ def bones(points: FloatArray) -> FloatArray:
     return lengths
 
 
-def posture_of(seen: FloatArray, lengths: FloatArray, palm: float) -> HumanPosture:
+def posture_of(local: FloatArray, lengths: FloatArray, palm: float) -> HumanPosture:
     """Return the posture of a hand.
 
     Args:
-        seen: Points in the palm's frame ``(21, 3)`` [m].
+        local: Points in the palm's frame ``(21, 3)`` [m].
         lengths: The person's bones ``(15,)`` [m].
         palm: Length of the person's palm [m].
     """
-    first, last = seen[1::4], seen[4::4]
+    first, last = local[1::4], local[4::4]
     size = PALM / palm
     tips = (last - first) / lengths.reshape(5, 3).sum(axis=1)[:, None]
     # Angles between bones, the first of them from the palm's own direction.
-    chain = np.diff(seen[1:].reshape(5, 4, 3), axis=1)
+    chain = np.diff(local[1:].reshape(5, 4, 3), axis=1)
     chain /= np.maximum(np.linalg.norm(chain, axis=2, keepdims=True), 1e-9)
     into = np.clip(chain[:, 0, 2], -1.0, 1.0)
     inner = np.clip((chain[:, 1:] * chain[:, :-1]).sum(axis=2), -1.0, 1.0)
     flexion = np.arccos(into) * (chain[:, 0, 0] > 0.0) + np.arccos(inner).sum(axis=1)
     curls = (flexion - _FLEXION[0]) / (_FLEXION[1] - _FLEXION[0])
-    across = size * math.dist(seen[4], seen[17])
+    across = size * math.dist(local[4], local[17])
     curls[0] = (_THUMB[0] - across) / (_THUMB[0] - _THUMB[1])
     gaps = size * np.linalg.norm(last - last[0], axis=1)
     return HumanPosture(tips, np.clip(curls, 0.0, 1.0), gaps)
 
 
-def mirrored(seen: FloatArray) -> bool:
+def mirrored(local: FloatArray) -> bool:
     """Return whether fingers bend backwards, as those of the other hand would seem to."""
-    palmar = seen[5:, 0].reshape(4, 4)
-    long = np.linalg.norm(np.diff(seen[5:].reshape(4, 4, 3), axis=1), axis=2).sum(axis=1)
+    palmar = local[5:, 0].reshape(4, 4)
+    long = np.linalg.norm(np.diff(local[5:].reshape(4, 4, 3), axis=1), axis=2).sum(axis=1)
     return int(((palmar[:, 1:].mean(axis=1) - palmar[:, 0]) < -_BENT * long).sum()) >= 2
 
 

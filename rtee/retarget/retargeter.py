@@ -82,7 +82,7 @@ class Retargeter:
         self._u = np.array(hand.rest)
         self._fastest = _SPEED * self._solver.range
         self._stamp = -math.inf
-        self._seen: FloatArray | None = None
+        self._local: FloatArray | None = None
         self._bones: FloatArray = np.zeros(0)
         self._palm = 0.0
         self._odd = self._backwards = 0
@@ -156,28 +156,28 @@ class Retargeter:
         return points
 
     def _see(self, points: FloatArray, stamp: float) -> None:
-        seen, lengths = in_palm(points, self.side), bones(points)
+        local, lengths = in_palm(points, self.side), bones(points)
         palm = float(np.linalg.norm(points[9] - points[0]))
         dt = stamp - self._stamp
-        if dt > _LOST or self._seen is None:
+        if dt > _LOST or self._local is None:
             # Found anew, perhaps of another person.
-            if self._seen is None or self._odd > _OUTLIERS:
+            if self._local is None or self._odd > _OUTLIERS:
                 self._bones, self._palm = lengths, palm
             self._smoother.restart()
             dt = _FRAME
-        elif self._outlier(seen - self._seen, lengths, dt):
+        elif self._outlier(local - self._local, lengths, dt):
             self._odd += 1
             if self._odd <= _OUTLIERS:
                 self.dropped += 1
                 return
             self._bones, self._palm = lengths, palm
             self._smoother.restart()
-        self._check_side(mirrored(seen))
+        self._check_side(mirrored(local))
         self._odd = 0
-        self._stamp, self._seen = stamp, seen
+        self._stamp, self._local = stamp, local
         self._bones = self._bones + _LEARNING * (lengths - self._bones)
         self._palm += _LEARNING * (palm - self._palm)
-        smooth = self._smoother.step(seen, dt)
+        smooth = self._smoother.step(local, dt)
         wanted = self._solver.solve(posture_of(smooth, self._bones, self._palm), self._u)
         most = self._fastest * dt
         self._u = self._u + np.clip(wanted - self._u, -most, most)
@@ -191,7 +191,7 @@ class Retargeter:
 
     def _check_side(self, backwards: bool) -> None:
         self._backwards = self._backwards + 1 if backwards else 0
-        if backwards and (self._seen is None or self._backwards >= _OUTLIERS):
+        if backwards and (self._local is None or self._backwards >= _OUTLIERS):
             other = Side.LEFT if self.side is Side.RIGHT else Side.RIGHT
             raise TrackingError(
                 f"the fingers bend backwards, as if the points were of a {other} hand; "
@@ -204,13 +204,13 @@ class Retargeter:
         In the hand's base frame, its palm's axes along the hand's own, to look at.
         """
         palm, maps = self.correspondence.palm, [*self.correspondence.fingers.values()]
-        seen = in_palm(points, self.side)
+        local = in_palm(points, self.side)
         reach = max(each.reach for each in maps)
-        larger = reach / max(float(np.linalg.norm(seen[12] - seen[9])), bones(seen)[6:9].sum())
+        larger = reach / max(float(np.linalg.norm(local[12] - local[9])), bones(local)[6:9].sum())
         axes = np.array([palm.palmar, palm.radial, palm.distal])
         bases = np.array([each.base for each in maps]).mean(axis=0)
         # Its knuckles beside the hand's, on the little finger's side.
-        found: FloatArray = larger * (seen - seen[9]) @ axes + bases - 1.5 * reach * axes[1]
+        found: FloatArray = larger * (local - local[9]) @ axes + bases - 1.5 * reach * axes[1]
         return found
 
     def gap(self, at: Mapping[str, float], first: str, second: str) -> float:

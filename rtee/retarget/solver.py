@@ -81,12 +81,12 @@ class _Pinch:
     rows: NDArray[np.intp]
     contact: FloatArray
     widths: FloatArray
-    way: FloatArray
+    positions: FloatArray
 
     def at(self, width: float) -> FloatArray:
         """Return a gripper's positions ``(a,)`` at a distance of its tips [m]."""
         # np.interp needs rising abscissae, and the widths fall.
-        return np.array([np.interp(-width, -self.widths, column) for column in self.way])
+        return np.array([np.interp(-width, -self.widths, column) for column in self.positions])
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,16 +155,16 @@ class Solver:
             fingers = names.index(pinch.fingers[0]), names.index(pinch.fingers[1])
             reach = float(np.mean([self._reach[k] for k in fingers]))
             rows = np.array(
-                [hand.actuator_index(a) for a in pinch.way or pinch.contact], dtype=np.intp
+                [hand.actuator_index(a) for a in pinch.positions or pinch.contact], dtype=np.intp
             )
             contact = np.array([*pinch.contact.values()])
             if pinch.widths:
                 self._drawing[rows] = _GRIP**2
             human = self._humans[fingers[1]]
-            widths, way = np.array(pinch.widths), np.array([*pinch.way.values()])
+            widths, positions = np.array(pinch.widths), np.array([*pinch.positions.values()])
             scale = reach / _FINGER
             self._pinches.append(
-                _Pinch(pinch.fingers, fingers, human, scale, rows, contact, widths, way)
+                _Pinch(pinch.fingers, fingers, human, scale, rows, contact, widths, positions)
             )
 
     def solve(self, human: HumanPosture, last: FloatArray) -> FloatArray:

@@ -86,7 +86,7 @@ class EventDevice(Protocol):
 
 
 @dataclass(slots=True)
-class _Seen:
+class _AxisEvent:
     """The present value of an axis, in the form of an event."""
 
     type: int
@@ -120,7 +120,7 @@ class Gamepad:
     def _look(self) -> None:
         """Read the present values of all moved axes, since lost events may have released some."""
         for code in tuple(self._ranges):
-            self._take(_Seen(EV_ABS, code, self._device.absinfo(code).value))
+            self._take(_AxisEvent(EV_ABS, code, self._device.absinfo(code).value))
         pressed = set(self._device.active_keys())
         for name, code in BUTTONS.items():
             if name in self._moved:

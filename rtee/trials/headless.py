@@ -49,7 +49,7 @@ class Play(Protocol):
         """Contact force on each finger ``(fingers,)`` [N]."""
 
     @property
-    def seen(self) -> Mapping[str, FloatArray]:
+    def scene_channels(self) -> Mapping[str, FloatArray]:
         """What can be seen besides the hand, as channels; see `rtee.objects.description`."""
 
     def advance(self) -> None:
@@ -232,7 +232,7 @@ class HeadlessHand(Generic[P]):
         limit: FloatArray,
         forces: FloatArray,
     ) -> None:
-        seen = self.simulation.seen
+        seen = self.simulation.scene_channels
         channels = {f"simulation/{name}": values for name, values in seen.items()}
         channels[f"simulation/{TIP_FORCE}"] = forces
         measured = ActuatorState.measured(

@@ -23,6 +23,7 @@ from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.planning.collisions import CollisionChecker
+from rtee.planning.grasp_solution import Collision, WantedContact, from_document, to_document
 from rtee.planning.gripper_poses import (
     GripperPose,
     from_base_poses,
@@ -34,7 +35,6 @@ from rtee.planning.gripper_poses import (
 from rtee.planning.joint_vectors import fit_joints
 from rtee.planning.objects import read_object
 from rtee.planning.reach import MARGIN, TOLERANCE, reach_contacts
-from rtee.planning.reached import Collision, WantedContact, from_document, to_document
 from rtee.planning.tips import Fingertips
 from rtee.types import from_rest
 

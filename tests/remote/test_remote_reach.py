@@ -14,7 +14,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.load import load_hand
 from rtee.hand.own_copy import copy_hand
-from rtee.planning.reached import WantedContact
+from rtee.planning.grasp_solution import WantedContact
 from rtee.remote.blocking import BlockingHand
 
 from .serving import serving

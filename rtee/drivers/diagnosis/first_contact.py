@@ -41,7 +41,7 @@ _HARDLY = (0.005, 0.01, 0.02, 0.04, 0.08)
 _STOPS = 0.05
 """Travel after a stop that counts as standing [share]: 0.3 s of lag at the speed of this test."""
 _LEAST_FORCE, _MOST_FORCE = 0.4, 2.5
-"""Range of the measured by the told force within which a rough gauge confirms it."""
+"""Range of the measured by the reported force within which a rough gauge confirms it."""
 
 
 Ask = Callable[[Question], Awaitable[str]]
@@ -130,7 +130,7 @@ class FirstContact:
         return {"y": True, "n": False}.get(answer[:1])
 
     async def _number(self, topic: Topic, text: str, actuator: str, unit: str) -> float | None:
-        """Return a number that a person measured; ``None``: none."""
+        """Return a number that a person measured, or ``None``."""
         while True:
             answer = await self._put(Question(topic, text, "number", actuator, unit))
             if not answer:
@@ -194,11 +194,11 @@ class FirstContact:
         await patiently(self._driver.configure)
         self._connected = True
         identity = self.report.identity = dict(self._driver.capabilities.identity)
-        told = ", ".join(f"{name} {value}" for name, value in identity.items()) or "nothing"
+        reported = ", ".join(f"{name} {value}" for name, value in identity.items()) or "nothing"
         said = await self._yes(
-            Topic.IDENTITY, f"It says of itself: {told}. Is that the device in front of you?"
+            Topic.IDENTITY, f"It says of itself: {reported}. Is that the device in front of you?"
         )
-        self._find(Topic.IDENTITY, said, f"it says: {told}")
+        self._find(Topic.IDENTITY, said, f"it says: {reported}")
 
     async def _rest(self) -> None:
         await self._put(
@@ -301,7 +301,7 @@ class FirstContact:
                 ("ruler or gauge block", "finger") if linear else ("protractor", "joint")
             )
             opened, closed = _ends(one)
-            told, seen = [], []
+            reported, measured = [], []
             for part in _PLACES:
                 here = await self._glide(index, opened + part * (closed - opened))
                 number = await self._number(
@@ -313,24 +313,24 @@ class FirstContact:
                 )
                 if number is None:
                     break
-                told.append(abs(here - opened) * per)
-                seen.append(number)
+                reported.append(abs(here - opened) * per)
+                measured.append(number)
             await self._glide(index, opened + 0.02 * (closed - opened))
-            if len(seen) == len(_PLACES):
-                self._compare(one, told, seen, (one.upper - one.lower) * per, unit)
+            if len(measured) == len(_PLACES):
+                self._compare(one, reported, measured, (one.upper - one.lower) * per, unit)
             else:
                 self._find(Topic.SCALE, None, "nobody measured", one.name)
 
     def _compare(
         self,
         one: ActuatorSpec,
-        told: Sequence[float],
-        seen: Sequence[float],
+        reported: Sequence[float],
+        measured: Sequence[float],
         travel: float,
         unit: str,
     ) -> None:
-        """Judge direction, scale and zero by two places that were told and seen."""
-        ratio = (seen[1] - seen[0]) / (told[1] - told[0])
+        """Judge direction, scale and zero from two positions, reported and measured."""
+        ratio = (measured[1] - measured[0]) / (reported[1] - reported[0])
         if ratio < -0.2:
             self._find(Topic.DIRECTION, False, "it opened where it was told to close", one.name)
         elif ratio > 0.2:
@@ -339,17 +339,18 @@ class FirstContact:
         self._find(
             Topic.SCALE,
             abs(size - 1.0) <= _NEAR,
-            f"{told[1] - told[0]:.1f} {unit} told, {abs(seen[1] - seen[0]):.1f} {unit} seen: "
+            f"{reported[1] - reported[0]:.1f} {unit} reported, "
+            f"{abs(measured[1] - measured[0]):.1f} {unit} measured: "
             f"{size:.2f} times",
             one.name,
         )
-        # The zero by the scale that was found, so that a wrong scale is not told as both.
-        zero = seen[0] - ratio * told[0] if ratio > 0.0 else math.nan
+        # The zero by the scale that was found, so that a wrong scale is not reported as both.
+        zero = measured[0] - ratio * reported[0] if ratio > 0.0 else math.nan
         if math.isfinite(zero):
             self._find(
                 Topic.OFFSET,
                 abs(zero) <= _ZERO * travel,
-                f"it is {zero:+.1f} {unit} from its open end where it is told to be there",
+                f"it is {zero:+.1f} {unit} from its open end where it reports to be there",
                 one.name,
             )
 
@@ -384,15 +385,15 @@ class FirstContact:
                     await self._driver.move(Reference.at(target, max_effort=effort, mask=mask))
                     await self._sense(target)
                 await asyncio.sleep(_PERIOD)
-            seen = await self._number(
+            measured = await self._number(
                 Topic.FORCE, "What does the gauge show? [N, Enter to leave it out]", one.name, "N"
             )
-            text = f"{weakest:.1f} N told"
-            if seen is None:
+            text = f"{weakest:.1f} N reported"
+            if measured is None:
                 self._find(Topic.FORCE, None, f"{text}, nobody measured", one.name)
             else:
-                right = _LEAST_FORCE <= seen / weakest <= _MOST_FORCE
-                self._find(Topic.FORCE, right, f"{text}, {seen:.1f} N seen", one.name)
+                right = _LEAST_FORCE <= measured / weakest <= _MOST_FORCE
+                self._find(Topic.FORCE, right, f"{text}, {measured:.1f} N measured", one.name)
             await self._glide(index, opened)
 
     async def _stop(self) -> None:

@@ -153,7 +153,7 @@ class MujocoDriver(Driver):
 
     def _measured(self, simulation: Simulation) -> ActuatorState:
         now = monotonic.now()
-        extras: dict[str, FloatArray] = simulation.seen
+        extras: dict[str, FloatArray] = simulation.scene_channels
         if not simulation.taxels.sensors:
             # A hand with touch sensors feels with them, as a real one does.
             extras = {"contact_force": simulation.contact_forces, **extras}

@@ -13,7 +13,7 @@ from rtee.drivers.mujoco.couplings import motor_joint
 from rtee.drivers.mujoco.finger_forces import FingerForces
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import rest_position
-from rtee.drivers.mujoco.seen import SeenChannels, describe
+from rtee.drivers.mujoco.scene_channels import SceneChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.sheet_forces import SheetForces
 from rtee.drivers.mujoco.surroundings import Surroundings
@@ -93,7 +93,7 @@ class Simulation:
         self._sheet = SheetForces(hand, model, list(actuators))
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)
-        self._seen = SeenChannels(model, self.data, hand, self.surroundings, options)
+        self._scene_channels = SceneChannels(model, self.data, hand, self.surroundings, options)
         # After all parts have looked the model up, since each of them is reset.
         self.reset()
         self.object_description = describe(model, self.data, options)
@@ -202,9 +202,9 @@ class Simulation:
         return self._forces.read(self.data)
 
     @property
-    def seen(self) -> dict[str, FloatArray]:
-        """The object, the hand's pose and the contacts, as channels; see `SeenChannels`."""
-        return self._seen.read()
+    def scene_channels(self) -> dict[str, FloatArray]:
+        """The object, the hand's pose and the contacts, as channels; see `SceneChannels`."""
+        return self._scene_channels.read()
 
     @property
     def gains(self) -> dict[str, float]:

@@ -60,7 +60,7 @@ class CameraTopic:
     topic: str
     paths: tuple[Path, ...]
 
-    def seen(self) -> Signal:
+    def availability(self) -> Signal:
         """Return when there were images, without decoding any."""
         times = [time for time, _, _ in self._messages()]
         wall = np.array(times, dtype=np.int64)

@@ -165,7 +165,7 @@ def _kept(
     shots: Iterable[_Shot], cameras: Sequence[CameraTopic], notes: list[str]
 ) -> Iterator[_Shot]:
     """Yield the episodes in which action, positions and images are known throughout."""
-    images = [(camera, camera.seen()) for camera in cameras]
+    images = [(camera, camera.availability()) for camera in cameras]
     for number, shot in enumerate(shots, start=1):
         needed = {
             "the positions of the actuators": np.array(

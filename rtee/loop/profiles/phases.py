@@ -205,23 +205,23 @@ class TargetMotions:
         left, time = self._left(self._sign * speed)
         return time + max(0.0, self._sign * left / speed)
 
-    def _fastest_from_rest(self, way: float) -> float:
+    def _fastest_from_rest(self, distance: float) -> float:
         bounds = self._bounds
         most, jerk = bounds.acceleration, bounds.jerk
-        if way * jerk * jerk <= 2.0 * most * most * most:  # never at full acceleration
-            speed = cube_root(way * way * jerk / 4.0)
+        if distance * jerk * jerk <= 2.0 * most * most * most:  # never at full acceleration
+            speed = cube_root(distance * distance * jerk / 4.0)
         else:
             delay = most / jerk
-            speed = (math.sqrt(delay * delay + 4.0 * way / most) - delay) * most / 2.0
+            speed = (math.sqrt(delay * delay + 4.0 * distance / most) - delay) * most / 2.0
         return min(speed, bounds.velocity)
 
-    def _fastest(self, way: float) -> float:
-        """Return the largest speed that does not pass the target, ``way`` beyond the next stop."""
+    def _fastest(self, distance: float) -> float:
+        """Return the largest speed that does not pass the target, ``distance`` after a stop."""
         high = self._bounds.velocity
         left_high = self._sign * self._left(self._sign * high)[0]
         if left_high >= 0.0:
             return high
-        low, left_low = 0.0, way
+        low, left_low = 0.0, distance
         _, velocity, acceleration = self._state
         by_itself = velocity + acceleration * abs(acceleration) / (2.0 * self._bounds.jerk)
         # Narrow the search at the velocity reached by itself, where the distance has a kink.

@@ -64,12 +64,12 @@ class SCurve(Profile):
     def _together(self, indices: Iterable[int]) -> None:
         """Plan motions of some actuators to their targets that end at the same time."""
         fine = _FINE * self.period
-        ways = {
+        motions = {
             i: TargetMotions(self._state(i), self.target[i], self._bounds(i), fine) for i in indices
         }
-        longest = max((way.duration for way in ways.values()), default=0.0)
-        for i, way in ways.items():
-            self._begin(i, way.motion(longest))
+        longest = max((motion.duration for motion in motions.values()), default=0.0)
+        for i, motion in motions.items():
+            self._begin(i, motion.motion(longest))
 
     def _bounds(self, i: int) -> Bounds:
         return Bounds(self._top[i], self.limits.acceleration[i], self.limits.jerk[i])

@@ -161,8 +161,8 @@ class Targets:
         posture, rest = found.posture, hand.rest
         indices = [hand.actuator_index(each) for each in posture.involved]
         names = hand.actuator_names
-        ways = {i: posture.position[names[i]] - float(rest[i]) for i in indices}
-        return _Blend(name, {i: use.scale * way for i, way in ways.items()})
+        travels = {i: posture.position[names[i]] - float(rest[i]) for i in indices}
+        return _Blend(name, {i: use.scale * travel for i, travel in travels.items()})
 
     def resolve(
         self, values: Mapping[str, float], velocity: Mapping[str, float]

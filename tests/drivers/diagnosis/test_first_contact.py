@@ -194,7 +194,7 @@ async def test_the_report_is_one_page_and_a_recording(tmp_path: Path) -> None:
     assert "model SCHUNK EGK 40 M-B" in text
     scale = next(a for a in ASSUMPTIONS["schunk_egu"] if a.topic is Topic.SCALE)
     assert f"| {scale.text} | scale | {scale.source} | **refuted** |" in text
-    assert re.search(r"2\d\.\d mm told, 1\d\.\d mm seen: 0\.[45]\d times", text)
+    assert re.search(r"2\d\.\d mm reported, 1\d\.\d mm measured: 0\.[45]\d times", text)
     with recording.open("rb") as file:
         messages = [
             (channel.topic, json.loads(message.data))

@@ -61,7 +61,7 @@ def test_a_shape_is_described_as_it_was_asked(
 def test_without_an_object_there_is_none() -> None:
     simulation = simulated()
     assert simulation.object_description is None
-    assert OBJECT_POSE not in simulation.seen
+    assert OBJECT_POSE not in simulation.scene_channels
 
 
 def test_a_mesh_is_described_where_its_file_puts_it(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_capsule_is_a_cylinder_between_two_balls() -> None:
 def test_contact_forces_are_on_the_object_from_both_sides_and_carry_it() -> None:
     simulation = squeezed(object="box:0.04x0.04x0.1", object_mass=0.3)
     assert simulation.surroundings.unsupported
-    rows = contact_rows(simulation.seen[CONTACTS])
+    rows = contact_rows(simulation.scene_channels[CONTACTS])
     assert 2 <= len(rows) <= MOST_CONTACTS
     links = list(load_hand(GRIPPER).urdf.links)
     sides = {links[int(row[6])] for row in rows}
@@ -158,7 +158,7 @@ def test_contact_forces_are_on_the_object_from_both_sides_and_carry_it() -> None
     strength = np.linalg.norm(rows[:, 3:6], axis=1)
     assert (np.diff(strength) <= 1e-9).all(), "the strongest first"
     # They press towards the object's middle, and together carry its weight.
-    pose = pose_in_hand(simulation.seen)
+    pose = pose_in_hand(simulation.scene_channels)
     assert pose is not None
     strong = rows[strength > 1.0]
     assert ((pose[:3] - strong[:, :3]) * strong[:, 3:6]).sum() > 0.0
@@ -170,21 +170,21 @@ def test_contacts_are_renewed_thirty_times_a_second_at_most() -> None:
     seen = []
     for _ in range(200):
         simulation.advance()
-        seen.append(simulation.seen[CONTACTS])
+        seen.append(simulation.scene_channels[CONTACTS])
     renewed = sum(one is not other for one, other in pairwise(seen))
     assert renewed <= 30 * 200 * PERIOD
 
 
 def test_a_carried_hand_says_where_it_is() -> None:
     simulation = squeezed(object="sphere:0.025", carrier="arm")
-    before = pose_in_hand(simulation.seen)
-    base = simulation.seen[BASE_POSE]
+    before = pose_in_hand(simulation.scene_channels)
+    base = simulation.scene_channels[BASE_POSE]
     lift = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
     for _ in range(400):
         simulation.surroundings.carry(lift)
         simulation.advance()
-    after = pose_in_hand(simulation.seen)
-    assert simulation.seen[BASE_POSE][2] - base[2] == pytest.approx(0.1, abs=0.01)
+    after = pose_in_hand(simulation.scene_channels)
+    assert simulation.scene_channels[BASE_POSE][2] - base[2] == pytest.approx(0.1, abs=0.01)
     assert before is not None
     assert after is not None
     assert after[:3] == pytest.approx(before[:3], abs=0.02), "it came along"

@@ -33,7 +33,7 @@ _LEAST_FORCE: Final = 1e-3
 """Weaker contacts are left out [N]: they cannot be seen, and touching links have many."""
 
 
-class SeenChannels:
+class SceneChannels:
     """Reads the poses of the object and of the carried hand, and the contact forces.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a grasp that a planner gave comes to for a hand, as data that needs no geometry."""
+"""The solution for a planner's grasp by a hand, as data that needs no geometry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class WantedContact(Value):
 
 @dataclass(frozen=True, slots=True)
 class Residual(Value):
-    """What is left between a wanted contact and the fingertip.
+    """The error between a wanted contact and the fingertip.
 
     Attributes:
         finger: The finger.
@@ -46,7 +46,7 @@ class Residual(Value):
 
 @dataclass(frozen=True, slots=True)
 class Collision(Value):
-    """Two things that overlap in a posture.
+    """Two bodies that overlap in a posture.
 
     Attributes:
         links: Two links of the hand; or one, and ``object``.
@@ -60,15 +60,15 @@ class Collision(Value):
 
     @property
     def words(self) -> str:
-        """It in words."""
+        """The collision in words."""
         first, second = self.links
         where = "before the grasp" if self.posture == "pre_grasp" else "in the grasp"
         return f"{first} is {1e3 * self.depth:.1f} mm inside of {second} {where}"
 
 
 @dataclass(frozen=True, slots=True)
-class ReachedGrasp(Value):
-    """How a hand takes what a planner found; lengths in metres.
+class GraspSolution(Value):
+    """A hand's posture and poses for a grasp that a planner found; lengths in metres.
 
     Attributes:
         hand: The hand's name.
@@ -108,15 +108,15 @@ class ReachedGrasp(Value):
     pre_flange_pose: Matrix | None = None
 
 
-def to_document(reached: ReachedGrasp) -> dict[str, Any]:
+def to_document(solution: GraspSolution) -> dict[str, Any]:
     """Return it as plain data, ready for JSON."""
-    return asdict(reached)
+    return asdict(solution)
 
 
-def from_document(document: Mapping[str, Any]) -> ReachedGrasp:
+def from_document(document: Mapping[str, Any]) -> GraspSolution:
     """Return it from plain data.
 
     Raises:
-        Invalid: It is none; the error names all mistakes.
+        Invalid: If it is not a grasp solution; the error names all mistakes.
     """
-    return validated(ReachedGrasp, document)
+    return validated(GraspSolution, document)
