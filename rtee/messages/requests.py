@@ -39,6 +39,9 @@ ASK = "ask"
 CLIENTS = "clients"
 """Part of the keys of clients' liveliness tokens."""
 
+WATCHES = "00000000"
+"""Begin of the token's name of a client that only watches, which a router need not wait for."""
+
 ALIVE = "alive"
 """Last part of the key of a hand's liveliness token."""
 

@@ -18,6 +18,7 @@ import zenoh
 from anyio.abc import TaskGroup
 
 from rtee.errors import NoHand, RteeError
+from rtee.messages.requests import WATCHES
 from rtee.messages.state import State
 from rtee.remote.directory import Running
 from rtee.remote.find import FoundHand, alive, hands_running, open_here
@@ -145,17 +146,18 @@ class Fleet:
             await anyio.sleep(_SEARCH_EVERY)
 
     async def _at(self, group: TaskGroup, endpoint: str) -> None:
-        nowhere, first = HandAddress("", endpoint), 1
+        nowhere, first, path = HandAddress("", endpoint), 1, ""
         session: zenoh.Session | None = None
         try:
             while True:
                 try:
                     if session is None:
                         session = await anyio.to_thread.run_sync(open_client, [endpoint])
+                        path = way_to(endpoint)  # by the identity with which it was opened
                     self._troubles[nowhere] = "no hand runs there"
                     for name in await anyio.to_thread.run_sync(alive, session):
                         self._troubles.pop(nowhere, None)
-                        found = FoundHand(session, name, way_to(endpoint))
+                        found = FoundHand(session, name, path)
                         self._begin(group, HandAddress(name, endpoint), nullcontext(found))
                 except NoHand as error:
                     self._troubles[nowhere] = str(error)
@@ -177,7 +179,9 @@ class Fleet:
         try:
             async with (
                 opened as found,
-                introduced(found.session, found.hand, found.access_path, "fleet") as link,
+                introduced(
+                    found.session, found.hand, found.access_path, "fleet", prefix=WATCHES
+                ) as link,
             ):
                 await link.connect()
                 link.on_gone(gone.set)

@@ -66,7 +66,9 @@ class Link:
         role: This client's role, once it is connected.
     """
 
-    def __init__(self, session: zenoh.Session, hand: str, client: str, access_path: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, hand: str, client: str, access_path: str, prefix: str
+    ) -> None:
         self.hand = hand
         self.client = client
         self.gone = False
@@ -81,7 +83,7 @@ class Link:
         self._samples = Samples(session, hand, client, access_path, self._signer, self._call_soon)
         # The hand knows by this token that its client is alive. Nobody else knows the token's name,
         # so nobody else can declare it.
-        self._token_name = secrets.token_hex(16)
+        self._token_name = prefix + secrets.token_hex(16)[len(prefix) :]
         key = network_key(hand, f"{CLIENTS}/{self._token_name}")
         self._token = session.liveliness().declare_token(key)
         self._subscribers.append(
@@ -312,7 +314,7 @@ class Link:
 
 @contextlib.asynccontextmanager
 async def introduced(
-    session: zenoh.Session, hand: str, access_path: str, client: str
+    session: zenoh.Session, hand: str, access_path: str, client: str, *, prefix: str = ""
 ) -> AsyncIterator[Link]:
     """Open a link to a hand in a session, which may serve others, too; see `Link.connect`.
 
@@ -321,13 +323,14 @@ async def introduced(
         hand: The hand.
         access_path: The access path, see `rtee.remote.find.FoundHand`.
         client: A name for this client, shown to people.
+        prefix: Begin of its token's name, hexadecimal: `rtee.messages.requests.WATCHES`.
     """
     # The process id and a random part distinguish clients of the same name. The client's own name
     # is cut, so that all fits into the 100 characters of a name.
     own = client[:50].replace(".", "_")  # a dot sets off the person of a certificate
     owner = "" if access_path in (HERE, PLAIN) else f"{person(access_path)}."
     identity = safe_name(f"{owner}{own}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, hand, identity, common_name(access_path))
+    link = Link(session, hand, identity, common_name(access_path), prefix)
     try:
         yield link
     finally:

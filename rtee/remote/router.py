@@ -17,7 +17,7 @@ from anyio import to_thread
 
 from rtee.errors import ConfigError
 from rtee.messages import network_key
-from rtee.messages.requests import CLIENTS
+from rtee.messages.requests import CLIENTS, WATCHES
 from rtee.remote.access import router_access_control
 from rtee.remote.credentials import Credentials, router_certificates
 from rtee.remote.session import check_endpoints, close_session, is_safe, open_listening
@@ -34,8 +34,8 @@ async def route(
 ) -> None:
     """Be the router of a site until cancelled; errors as for `router_settings`.
 
-    Zenoh reads its rules once, so the router begins anew when hands are added: once no client is
-    connected, since hands stop what clients asked for that are lost.
+    Zenoh reads its rules once, so the router begins anew when hands are added: once no client
+    that may ask for something is connected, since hands stop what clients asked for that are lost.
 
     Args:
         site: The site's certificates; ``None``: whoever reaches the router can move the hands.
@@ -66,8 +66,10 @@ def _names(hands: Mapping[str, str]) -> str:
 
 
 def _busy(session: zenoh.Session) -> bool:
-    """Return whether a client of a hand is connected."""
-    return any(reply.ok for reply in session.liveliness().get(network_key("*", f"{CLIENTS}/*")))
+    """Return whether a client of a hand is connected that may have asked for something."""
+    tokens = session.liveliness().get(network_key("*", f"{CLIENTS}/*"))
+    names = (str(reply.ok.key_expr).rpartition("/")[2] for reply in tokens if reply.ok)
+    return not all(name.startswith(WATCHES) for name in names)
 
 
 def router_settings(site: Credentials | None, listen: Sequence[str]) -> dict[str, Any]:

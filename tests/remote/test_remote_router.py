@@ -108,11 +108,15 @@ async def test_two_hands_and_three_clients_with_certificates(
         async with rtee.connect(hand, endpoint=endpoint, wait=60.0) as remote:
             yield remote
 
+    monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(files["eve"]))
     async with (
         routing(endpoint, Credentials(site)) as told,
         behind(endpoint, tmp_path, True, "left", "right") as (left, right),
+        # Who watches many stays, keeps no new hand out, and sees it.
+        following([endpoint], here=False) as fleet,
     ):
         assert told == ["left, right"]
+        await fleet.known()
         async with (
             client("ann", "left") as ann,
             client("bob", "right") as bob,
@@ -153,6 +157,9 @@ async def test_two_hands_and_three_clients_with_certificates(
         ):
             for each in (ann, bob):
                 assert (await each.do("Trig", "index", intensity=0.3)).reached
+            await until(
+                lambda: {place.hand for place in fleet._monitors} == {"left", "right", "third"}
+            )
 
 
 def test_what_cannot_be_secured_is_refused(tmp_path: Path) -> None:
