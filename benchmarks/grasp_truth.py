@@ -262,6 +262,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hand", nargs="+", help="these hands only")
     parser.add_argument("--quick", action="store_true", help="a small part of the sweep")
+    parser.add_argument("--every", type=int, default=1, help="about one of so many tries")
     parser.add_argument("--seed", type=int, default=0, help="of places and frictions")
     parser.add_argument("--out", type=Path, help="add every try to this file, a line each")
     parser.add_argument("--read", type=Path, nargs="+", help="print the tables of such files")
@@ -276,6 +277,8 @@ def main() -> None:
         for part, made in (("force", force_cases), ("held", held_cases)):
             for number, case in enumerate(made(ready, arguments.quick)):
                 seed = zlib.crc32(f"{arguments.seed}/{hand}/{part}/{number}".encode())
+                if seed % arguments.every:
+                    continue
                 rows.append(tried(ready, hand, part, replace(case, seed=seed)))
                 if arguments.out:
                     with arguments.out.open("a") as file:

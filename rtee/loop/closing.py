@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from rtee.actions.openings import MARGIN
@@ -27,8 +28,12 @@ _BLOW: Final = 0.8
 """Share of the requested force that the blow of the closing fingers may have: the force itself is
 built up later."""
 
+_MOST_BLOW: Final = 1.3
+"""The same where they should not meet the object yet, on the way around it: what lies askew, or
+deep in the hand, is met there."""
+
 _LEAST_BLOW: Final = 1.0
-"""A blow may be as large as this in any case [N]: the force may be exceeded by as much."""
+"""A blow may be as large as this in any case, or exceed the force by it on the way around [N]."""
 
 _STOPPING: Final = 0.0015
 """Time in which an object stops what moves with the fingers [s]: in MuJoCo, an EGU that closes at
@@ -68,9 +73,10 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
     """Return the share of the velocity limits for a leg of a plan.
 
     Around an object, fingers of several actuators are slower, since what is thrown past its place
-    there strikes the object. As they close on it, the force of the impact, before any reflex acts,
-    comes from the inertia of the motors and grows with the speed: the smaller the requested force,
-    the slower the fingers meet the object.
+    there strikes the object. What they meet on the way they strike with no more than a grasp may.
+    As they close on it, the force of the impact, before any reflex acts, comes from the inertia of
+    the motors and grows with the speed: the smaller the requested force, the slower the fingers
+    meet the object.
     """
     grip, force = plan.grip, plan.force
     if not isinstance(plan.to, Around) or force is None or grip is None:
@@ -80,30 +86,51 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
         speed = meeting_speed(force.value, grip, at)
     else:
         at = grip.intensity_at(plan.to.width + MARGIN)
-        if len(grip.squeezing(at)) < 2:
-            return plan.speed
-        speed = _AROUND_SPEED
+        speed = around_speed(force.value, grip, at)
     return min(plan.speed, tip_speed_share(speed, hand, grip, at))
+
+
+def around_speed(force: float, grip: Grip, at: float) -> float:
+    """Return the largest speed of the opening on the way around an object [m/s].
+
+    Args:
+        force: The requested force [N].
+        grip: The grip.
+        at: Intensity at which the way ends.
+    """
+    most = math.inf if len(grip.squeezing(at)) < 2 else _AROUND_SPEED
+    blow = max(_MOST_BLOW * force, force + _LEAST_BLOW)
+    return max(_SLOWEST, min(most, _struck(blow, grip, at)))
+
+
+def _struck(blow: float, grip: Grip, at: float) -> float:
+    """Return the speed of the opening at which what moves strikes with a force [m/s].
+
+    What moves with the fingers, of mass ``m`` at the opening, is stopped within a time ``t`` by
+    ``m v / t``; infinite if the mass is not known.
+    """
+    mass = grip.moving_mass(at)
+    return math.inf if mass != mass else blow * _STOPPING / mass
 
 
 def meeting_speed(force: float, grip: Grip, at: float) -> float:
     """Return the closing speed of the opening at which the blow is not above a force [m/s].
 
-    What moves with the fingers, of mass ``m`` at the opening, is stopped within a time ``t`` by
-    ``m v / t``, which may be `_BLOW` of the force. Where the mass is not stated in hand.yaml, the
-    speed is in proportion to the force.
+    It is in proportion to the force, and less where the mass that moves with the fingers is known
+    and would strike with more than `_BLOW` of it.
 
     Args:
         force: The requested force [N].
         grip: The grip.
         at: Intensity at which the fingers meet the object.
     """
-    mass = grip.moving_mass(at)
-    if mass != mass:
-        return max(_CONTACT_SPEED, _SPEED_PER_FORCE * force)
-    return max(_SLOWEST, max(_BLOW * force, _LEAST_BLOW) * _STOPPING / mass)
+    by_mass = _struck(max(_BLOW * force, _LEAST_BLOW), grip, at)
+    return max(_SLOWEST, min(by_mass, max(_CONTACT_SPEED, _SPEED_PER_FORCE * force)))
 
 
 def closing_time(to: Around, force: float, grip: Grip) -> float:
     """Return the additional time of a goal that closes slowly on its object [s]."""
-    return (to.width + MARGIN) / meeting_speed(force, grip, grip.intensity_at(to.width))
+    at = grip.intensity_at(to.width)
+    # What is met on the way around is closed on from there.
+    way = max(grip.width[0], to.width + MARGIN)
+    return way / meeting_speed(force, grip, at) + way / around_speed(force, grip, at)

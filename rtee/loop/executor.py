@@ -177,9 +177,7 @@ class Executor:
             # Actuators that a reflex has stopped would look stalled.
             free = [i for i in targets if i not in reflexes.busy] if reflexes.active else targets
             self._contact.update(stamp, measured, reference, limits, free)
-            if reflexes.approaching:
-                reflexes.step(stamp, measured)
-            else:
+            if not reflexes.step(stamp, measured):
                 self._learn(targets, stamp, measured, reference)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
@@ -391,6 +389,11 @@ class Executor:
 
     def _judge(self, run: _Run, stamp: float, measured: Measured) -> None:
         error = self._norms(run.present.targets, measured.position)
+        if self._reflexes.around and self._reflexes.touched:
+            # The object is wider there than thought: the fingers close on it from here.
+            run.reached[run.leg], run.progress[run.leg] = True, 1.0
+            run.phase, run.until = Phase.AFTER, stamp + run.present.after
+            return
         # A progress bar must not go back when the hand overshoots.
         run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
         targets = run.present.targets

@@ -14,7 +14,8 @@ from typing import Final
 
 from rtee.actions.openings import Opening
 from rtee.drivers.capabilities import GripForce
-from rtee.hand.config_schema import ActuatorDynamics
+from rtee.hand.config_schema import ActuatorDynamics, Following
+from rtee.hand.inertia import inertia_of
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.measured import GRIP_FORCE, TIP_FORCE, tip_forces
@@ -90,7 +91,7 @@ class Grip:
         others: Indices of the fingers on the other sides.
         around: Whether the tips close from more than two sides.
         sheet: Force by effort limit from the device's data sheet, for a single actuator.
-        inertia: Inertia of motor and gear at each actuator [kg·m² | kg]; 0: not stated.
+        inertia: Inertia of motor and gear at each actuator [kg·m² | kg]; 0: not known.
         empty: Opening at which the empty hand's fingertips meet one another [m].
         strongest: Largest force by the sheets of fingers whose effort limits would give more [N].
     """
@@ -147,7 +148,13 @@ class Grip:
             tuple(finger for side in sides[1:] for finger in side),
             opening.around,
             single,
-            tuple(k.armature or 0.0 for k in known),
+            # What yields between motor and fingertip keeps the motor's inertia from the blow.
+            tuple(
+                inertia_of(hand.actuators[i], hand.actuators[i].effort, k)
+                if k.coupling in (None, Following.RIGID)
+                else 0.0
+                for i, k in zip(indices, known, strict=True)
+            ),
             empty,
             # Of tips all around, the force is the sum.
             min((k.finger_force for k in known if k.finger_force), default=math.inf)

@@ -6,13 +6,13 @@ Pure like the rest of a tick: measurements in, references and effort limits out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.closing import meeting_speed
+from rtee.loop.closing import leg_speed, meeting_speed
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
@@ -38,6 +38,10 @@ is lost in rounding."""
 _AHEAD = 0.1
 """An actuator runs ahead of its reference from this share of its tolerance on: more than noise."""
 
+_WAITS = 0.1
+"""A finger that waits for others goes on when it has felt nothing for this long [s]: contacts
+chatter."""
+
 _SLOW = 0.1
 """Where efforts cannot be limited, a squeeze closes at this share of the velocity limits: slow
 enough for the object to centre itself between the fingers."""
@@ -52,6 +56,7 @@ class _ApproachingActuator:
     ahead: float
     tolerance: float
     touched: bool = False
+    felt: float = -math.inf
     limit: float = math.inf
     runs: bool = False
     looked: float = math.nan
@@ -77,6 +82,7 @@ class _LegReactions:
             ``None``: each actuator presses with an effort of its own.
         predicted: Efforts for the force, by the levers [N·m | N].
         meeting: Speed of the opening at which the fingers meet an object [m/s].
+        around: Whether the fingers are on the way around an object, which ends once one is felt.
     """
 
     watched: dict[int, _ApproachingActuator]
@@ -91,6 +97,7 @@ class _LegReactions:
     together: ForceEstimate | None = None
     predicted: Mapping[int, float] = field(default_factory=dict)
     meeting: float = math.inf
+    around: bool = False
 
 
 class Reflexes:
@@ -144,9 +151,9 @@ class Reflexes:
         self.in_place: Mapping[int, float] = {}
 
     @property
-    def approaching(self) -> bool:
-        """Whether fingers approach what they are to touch, or have touched it."""
-        return self._approach is not None
+    def around(self) -> bool:
+        """Whether the fingers are on the way around an object."""
+        return self._approach is not None and self._approach.around
 
     @property
     def held(self) -> Iterable[int]:
@@ -221,18 +228,24 @@ class Reflexes:
             # The force is none of this way, on which the fingers must keep clear of one another.
             self._allow(ceilings(self._hand, {}, plan.effort))
             self.active = True
-        if not (plan.on_contact or touch or usual) or opens:
+        if not (plan.on_contact or touch or usual):
             return
         watched: dict[int, _ApproachingActuator] = {}
         for i, target in targets.items():
             spec, here = self._hand.actuators[i], measured.position[i]
-            mode = OnContact.STOP if touch else self._mode(plan.on_contact, i, usual)
+            mode: OnContact | None = OnContact.STOP
+            if not (touch or opens):
+                mode = self._mode(plan.on_contact, i, usual)
             # Hands close away from rest; a hand that opens touches nothing on purpose.
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
                 ahead = 1.0 if target > here else -1.0
                 watched[i] = _ApproachingActuator(mode, target, ahead, tolerance[i])
         if not watched:
+            return
+        if opens:
+            self._approach = _LegReactions(watched, first=True, around=True)
+            self.active = True
             return
         sides: tuple[frozenset[str], ...] = ()
         most: Mapping[int, float] = {}
@@ -253,8 +266,9 @@ class Reflexes:
         slips = bool(plan.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
         wanted = None if force is None else force.value
+        speed = leg_speed(plan, 0, self._hand)
         self._approach = approach = _LegReactions(
-            watched, sides, most, touch, wanted, plan.grip, pressing, slips, plan.speed
+            watched, sides, most, touch, wanted, plan.grip, pressing, slips, speed
         )
         if any(each.mode is not OnContact.SQUEEZE for each in watched.values()):
             together = None
@@ -343,39 +357,55 @@ class Reflexes:
 
     # --- a tick ------------------------------------------------------------------------------
 
-    def step(self, stamp: float, measured: Measured) -> None:
-        """Detect contacts of the running goal, and react to them."""
+    def step(self, stamp: float, measured: Measured) -> bool:
+        """Detect contacts of the running goal, and react to them.
+
+        Returns:
+            Whether efforts were evaluated, which also teaches free motion.
+        """
         approach = self._approach
         if approach is None:
-            return
+            return False
         passed, self._before = stamp - self._before, stamp
-        around = approach.grip is not None and approach.grip.around
-        sides = () if around else approach.sides
+        grip, force = approach.grip, approach.force
+        sides = () if grip is not None and grip.around else approach.sides
+        # Where some of the fingers press with all of the force, the others are not waited for.
+        forced = grip is not None and force is not None and grip.tip_force(measured.touch) >= force
         for i, watched in approach.watched.items():
+            if watched.touched and self._squeeze is None and not approach.first:
+                self._resume(i, watched, stamp, measured)
             if watched.touched or not measured.fresh[i]:
                 continue
             # An object pushed by one of several fingers is not held yet: all must touch.
             every = watched.mode is OnContact.SQUEEZE
             velocity = self._profile.velocity[i]
             reference = self._limiter.position[i]
-            if not self._contact.meets(
-                i, stamp, measured, reference, velocity, every=every, sides=sides
+            if approach.around:
+                # Only what is felt: efforts show a blow once it is over.
+                if (
+                    rules.any_touch(self._contact.forces(i, measured), self._grasp.touch)
+                    is not True
+                ):
+                    continue
+            elif not self._contact.meets(
+                i, stamp, measured, reference, velocity, every=every and not forced, sides=sides
             ):
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
                 elif approach.together is not None and not self.touched:
                     self._weigh(i, watched, passed, measured)
                 continue
-            self._note(i, watched, stamp, measured)
+            self._note(i, stamp, measured)
             if approach.first:
                 for j, other in approach.watched.items():
                     self._stop(j, other, stamp, measured)
-                return
+                break
             self._stop(i, watched, stamp, measured)
             if approach.together is not None:
                 self._stop_finger(i, approach, stamp, measured)
-        if self._squeeze is None and self._enough(approach):
-            self._begin_squeeze(approach, stamp)
+        if not approach.first and self._squeeze is None and self._enough(approach):
+            self._begin_squeeze(approach, stamp, pressing=measured.effort)
+        return not approach.around
 
     def _weigh(
         self, i: int, watched: _ApproachingActuator, passed: float, measured: Measured
@@ -387,6 +417,19 @@ class Reflexes:
         if moved * watched.ahead >= _LAGS * wanted * watched.ahead > 0.0:
             self._tare.learn(i, measured.effort[i], passed)
         watched.was, watched.reference = here, reference
+
+    def _resume(
+        self, i: int, watched: _ApproachingActuator, stamp: float, measured: Measured
+    ) -> None:
+        """Let an actuator that waits for others go on once its fingers have lost the contact."""
+        felt = rules.any_touch(self._contact.forces(i, measured), self._grasp.touch)
+        if felt is not False or watched.mode is not OnContact.SQUEEZE:
+            watched.felt = stamp
+        elif stamp - watched.felt >= _WAITS:
+            watched.touched = False
+            self.busy.discard(i)
+            self._contact.unpin(i, stamp)
+            self._profile.go({i: watched.target})
 
     def _stop_finger(
         self, i: int, approach: _LegReactions, stamp: float, measured: Measured
@@ -432,9 +475,7 @@ class Reflexes:
                 self.effort[i] = watched.limit
         watched.looked, watched.was, watched.reference = stamp, here, reference
 
-    def _note(
-        self, i: int, watched: _ApproachingActuator, stamp: float, measured: Measured
-    ) -> None:
+    def _note(self, i: int, stamp: float, measured: Measured) -> None:
         """Record that an actuator's fingers touch something, and report it."""
         actuator = self._hand.actuators[i]
         forces = self._contact.forces(i, measured)
@@ -445,7 +486,7 @@ class Reflexes:
         ]
         new = [f for f in felt or actuator.fingers if f not in self.touched]
         self.touched += tuple(new)
-        if new:
+        if new and not self.around:  # the fingers are going to close on it
             who = ", ".join(new)
             text = f"{who} touched something (actuator {actuator.name})"
             self._report(Event("contact", who, text, stamp))
@@ -456,7 +497,7 @@ class Reflexes:
         """Stop an actuator where it is."""
         if watched.touched:
             return
-        watched.touched = True
+        watched.touched, watched.felt = True, stamp
         here = measured.position[i]
         if not math.isfinite(here):
             return
@@ -501,11 +542,16 @@ class Reflexes:
         return rules.enough_touch(touching, approach.sides, fingers, self._grasp.contact_fingers)
 
     def _begin_squeeze(
-        self, approach: _LegReactions, stamp: float, efforts: Mapping[int, float] | None = None
+        self,
+        approach: _LegReactions,
+        stamp: float,
+        efforts: Mapping[int, float] | None = None,
+        pressing: Sequence[float] = (),
     ) -> None:
         """Begin to build up the force with all actuators that squeeze, together.
 
-        They begin with some effort limits [N·m | N], or lightly.
+        They begin with some effort limits [N·m | N]; or lightly, but not with less than they press
+        with already, which would drop the object.
         """
         if approach.together is not None and approach.grip is not None:
             self._press(approach, approach.grip, approach.together, stamp)
@@ -518,11 +564,14 @@ class Reflexes:
             full = self._limit(i)
             if math.isfinite(full) and full > 0.0:
                 begin = self._light(i, each) if efforts is None else efforts.get(i, full)
+                if pressing and abs(pressing[i]) > begin:
+                    begin = min(abs(pressing[i]), full)
                 held[i] = Held(begin, full)
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
-                # Only the impact needs the low speed of the approach.
+                # Only the impact needs the low speed of the approach; but what one side alone has
+                # met must not be struck by the other.
                 self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
                 # Its effort cannot be limited, so it closes slowly instead.

@@ -59,6 +59,10 @@ time constants."""
 _BELIEVED = 2.0
 """Largest factor by which a measured force changes the effort limits: sensors break, too."""
 
+_HEEL = 0.25
+"""Least factor of fingers from all around: with their middles, they press four times as hard as
+with their tips."""
+
 _FELT = 0.2
 """Below this share of the requested force, nothing is corrected: the object is lost, or the sensors
 measure only a part of the force."""
@@ -190,6 +194,11 @@ class Squeeze:
             return True
         return False
 
+    @property
+    def _least(self) -> float:
+        """Least factor by which a measured force changes the effort limits."""
+        return _HEEL if self.grip is not None and self.grip.around else 1.0 / _BELIEVED
+
     def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
         """Bring the force that sensors measure to the requested one; return whether it changed.
 
@@ -221,7 +230,7 @@ class Squeeze:
         elif not at_limit:
             return False  # the efforts are still rising to the present limit
         factor *= 1.0 + min(time / _FOLLOW, 1.0) * (1.0 - felt / wanted)
-        self._factor = min(max(factor, 1.0 / _BELIEVED), _BELIEVED)
+        self._factor = min(max(factor, self._least), _BELIEVED)
         self._apply()
         return True
 
@@ -248,7 +257,7 @@ class Squeeze:
             self.built = True
             if there:  # with less effort than the levers predict
                 shares = (self._exerted(i, measured) for i in self.pressing)
-                self._factor = max(max(shares, default=1.0), 1.0 / _BELIEVED)
+                self._factor = max(max(shares, default=1.0), self._least)
                 self._factor = min(self._factor, 1.0)
                 self._apply()
             self._ease = stamp + self._grasp.grip_after

@@ -20,9 +20,10 @@ import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.options import PASSIVE_STIFFNESS, SimOptions
-from rtee.drivers.mujoco.servos import PRISMATIC, Servo
+from rtee.drivers.mujoco.servos import Servo
 from rtee.errors import ModelError
 from rtee.hand.config_schema import ActuatorDynamics, Following
+from rtee.hand.inertia import PRISMATIC
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.transmission import Coupling, sample
 from rtee.hand.urdf import UrdfJoint

@@ -20,8 +20,9 @@ from rtee.drivers.mujoco.contacts import (
 from rtee.drivers.mujoco.couplings import add_couplings, add_locks, motor_joint, on_spring, reach
 from rtee.drivers.mujoco.options import DENSITY, JOINT_DAMPING, PASSIVE_STIFFNESS, SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
-from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
+from rtee.drivers.mujoco.servos import Servo, add_motor, servo_of
 from rtee.errors import ConfigError, ModelError
+from rtee.hand.inertia import PRISMATIC
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
 from rtee.sample import FloatArray

@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from rtee.hand.inertia import ARMATURE, BANDWIDTH, STIFFNESS
+
 DENSITY = 1000.0
 """Density of links without mass [kg/m³]: that of water, near that of plastics and hollow metal."""
 
@@ -59,9 +61,9 @@ class SimOptions(BaseModel):
     timestep: float | None = Field(default=None, gt=0, le=0.01)
     gravity: float = Field(default=-9.81, ge=-100, le=100)
     friction: float | None = Field(default=None, ge=0, le=10)
-    stiffness: float = Field(default=0.05, gt=0, le=1)
-    bandwidth: float = Field(default=15.0, gt=0, le=100)
-    armature: float = Field(default=5e-4, gt=0, le=1)
+    stiffness: float = Field(default=STIFFNESS, gt=0, le=1)
+    bandwidth: float = Field(default=BANDWIDTH, gt=0, le=100)
+    armature: float = Field(default=ARMATURE, gt=0, le=1)
     object: str = ""
     object_mass: float = Field(default=0.1, gt=0, le=100)
     object_scale: float = Field(default=1.0, ge=0.1, le=10)

@@ -14,23 +14,12 @@ import mujoco
 
 from rtee.drivers.mujoco.options import JOINT_DAMPING, JOINT_FRICTION, MISSING_EFFORT, SimOptions
 from rtee.hand.config_schema import ActuatorDynamics
+from rtee.hand.inertia import PRISMATIC, gain_of, inertia_of
 from rtee.hand.model import Hand
 from rtee.types import ActuatorSpec, JointKind
 
-PRISMATIC = 1000.0
-"""Inertia, damping and stiffness of a prismatic joint for those assumed of a revolute one [1/m²]:
-the inverse square of a lever of about 30 mm."""
-
 _LINEAR_EFFORT = 100.0
 """Factor of a missing effort limit in N for one in N·m: the force at a lever of 10 mm."""
-
-_LINEAR_SPAN = 0.01
-"""Factor of the position error at full effort in m for one in rad: the same lever [m/rad]."""
-
-
-_ROTOR_TIME = 0.003
-"""Mechanical time constant of a gripper's motor [s]: in it, full effort brings it to two thirds of
-its speed. Catalogues of small brushless motors have 2 to 7 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,21 +71,13 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
         derived.append("effort limit")
     kp = known.kp
     if kp is None:
-        kp = limit / (options.stiffness * (_LINEAR_SPAN if slide else 1.0))
+        kp = gain_of(actuator, limit, options.stiffness)
         derived.append("kp")
     if known.kd is None:
         derived.append("critical damping")
-    armature = known.armature
-    if armature is None and slide and actuator.velocity > 0.0:
-        # A spindle has no lever that the rule below could take for granted: 1000 times a finger's
-        # inertia would be tens of kilograms. The jaws' own mass is that of their links.
-        armature = max(options.armature * unit, _ROTOR_TIME * limit / actuator.velocity)
+    if known.armature is None:
         derived.append("armature")
-    elif armature is None:
-        # The natural frequency of spring and inertia is to be the bandwidth: ω² = kp / armature.
-        following = kp / (2.0 * math.pi * options.bandwidth) ** 2
-        armature = max(options.armature * unit, following)
-        derived.append("armature")
+    armature = inertia_of(actuator, limit, known, kp, options.bandwidth, options.armature)
     damping = known.damping
     if damping is None:
         damping = JOINT_DAMPING * unit
