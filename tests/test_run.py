@@ -394,6 +394,7 @@ def test_the_gui_of_a_run_that_is_killed_ends_with_it(folder: Path) -> None:
     assert "Traceback" not in errors
 
 
+@pytest.mark.samples("2", "15")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
 def test_a_signal_does_what_is_configured_and_closes_the_log(
     folder: Path, calls: Path, number: signal.Signals

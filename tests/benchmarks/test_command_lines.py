@@ -46,6 +46,7 @@ def documented(text: str) -> list[list[str]]:
     ]
 
 
+@pytest.mark.heavy
 def test_documented_command_lines_are_understood(repository: Path) -> None:
     pytest.importorskip("mujoco")
     lines = documented((repository / "docs" / "benchmarks.md").read_text())

@@ -57,6 +57,7 @@ def place(repository: Path, tmp_path: Path) -> Iterator[Path]:
     run.communicate()
 
 
+@pytest.mark.heavy
 def test_blocks_are_measured_and_kept_one_by_one(place: Path) -> None:
     file = place / "config" / HAND / "hand.yaml"
     comments = [line for line in file.read_text().splitlines() if line.lstrip().startswith("#")]
@@ -204,6 +205,7 @@ def test_ctrl_c_keeps_what_was_taken_and_the_next_time_goes_on(standing_in: Path
     assert again.end() == 0, again.said
 
 
+@pytest.mark.heavy
 def test_a_hand_that_came_with_rtee_is_copied_first(repository: Path, tmp_path: Path) -> None:
     site, work = tmp_path / "site", tmp_path / "work"
     shutil.copytree(repository / "rtee", site / "rtee")

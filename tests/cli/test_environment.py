@@ -21,7 +21,7 @@ CASES = [*((name, SERVE) for name in BAD), ("ROS_DOMAIN_ID", "ros2 list")]
 CASES += [("ZENOH_CONFIG_OVERRIDE", "run wsg50 --ros2 --duration 0.1 --no-log")]
 
 
-@pytest.mark.samples("ROS_DOMAIN_ID-ros2 list", "ZENOH_CONFIG_OVERRIDE-run*", "ZENOH_RUNTIME-*")
+@pytest.mark.samples("ROS_DOMAIN_ID-ros2 list", "ZENOH_CONFIG_OVERRIDE-run*")
 @pytest.mark.parametrize(("name", "command"), CASES)
 def test_it_is_one_sentence(tmp_path: Path, repository: Path, name: str, command: str) -> None:
     tmp_path.chmod(0o700)

@@ -385,6 +385,7 @@ def small_files(limit: int) -> Iterator[None]:
         signal.signal(signal.SIGXFSZ, before)
 
 
+@pytest.mark.heavy
 def test_a_full_disk(home: Path, refused: Run) -> None:
     out = home / "actions"
     out.mkdir()

@@ -529,6 +529,7 @@ def test_plan_and_dry_run_print_and_write_nothing(root: Path, hand: Path) -> Non
     assert tree(root) == before
 
 
+@pytest.mark.heavy
 @pytest.mark.skipif(os.geteuid() != 0, reason="accounts are made by root")
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="no systemd-sysusers here")
 def test_the_command_makes_the_user_and_takes_it_away(root: Path, hand: Path) -> None:

@@ -64,6 +64,7 @@ def test_all_files_of_the_layout_are_there(package: Path) -> None:
     }
 
 
+@pytest.mark.heavy
 def test_it_passes_the_contract_suite(package: Path) -> None:
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "tests")
     said = run(package, "-m", "pytest", *options, RTEE_CONTRACT_CYCLES="100")

@@ -752,6 +752,7 @@ def test_a_hand_read_back_from_its_own_mjcf_has_the_same_primitives(
             )
 
 
+@pytest.mark.samples("qb_softhand", "heri_ii", "schunk_svh", "robotiq_2f_85")
 @pytest.mark.parametrize(
     "name", sorted(folder.parent.name for folder in CONFIG.glob("*/hand.yaml"))
 )

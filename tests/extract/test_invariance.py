@@ -39,7 +39,7 @@ def benchmark() -> Mapping[str, Any]:
         sys.path.remove(str(ROOT / "benchmarks"))
 
 
-@pytest.mark.samples("wsg50", "linkerhand_o6")
+@pytest.mark.samples("wsg50")
 @pytest.mark.parametrize("name", ["robotiq_3f", "heri_ii", "wsg50", "linkerhand_o6"])
 def test_however_it_is_written_the_pinches_are_the_same(
     name: str, benchmark: Mapping[str, Any], tmp_path: Path

@@ -75,6 +75,7 @@ def test_the_real_dagana_does_too(shared: Path) -> None:
     check_dagana(load_model(folder / "dagana.urdf", folder / "dagana.srdf"))
 
 
+@pytest.mark.heavy
 def test_meshes_without_their_scale_are_noted_and_cost_no_more(
     shared: Path, tmp_path: Path
 ) -> None:

@@ -191,6 +191,7 @@ def test_depth_is_at_least_98_percent_of_what_256_starts_find(
     assert max(evidence.depth for evidence in found.evidence) >= 0.98 * -least
 
 
+@pytest.mark.samples("qbhand-2", "robotiq_3f-1")
 @pytest.mark.parametrize(("name", "jobs"), [("robotiq_3f", 1), ("qbhand", 1), ("qbhand", 2)])
 def test_repetition_and_jobs_change_nothing(name: str, jobs: int, shared: Path) -> None:
     again = extract(load(shared, name), jobs=jobs).primitives

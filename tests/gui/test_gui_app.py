@@ -565,6 +565,7 @@ with window(admitted(sys.argv[1])) as connection:
 """
 
 
+@pytest.mark.samples("9")
 @pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")  # as `serve` does
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
 async def test_jogging_ends_when_the_last_operator_has_gone(

@@ -112,6 +112,7 @@ def test_arrows_begin_at_the_contacts_and_grow_with_the_force() -> None:
     assert strongest(rows, ("tip", "palm")) == "tip 10.0 N, palm 1.0 N"
 
 
+@pytest.mark.heavy
 @pytest.mark.anyio
 async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Path) -> None:
     pytest.importorskip("mujoco")

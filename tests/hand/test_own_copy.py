@@ -120,7 +120,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
-@pytest.mark.samples("compose", "calibrate")
+@pytest.mark.samples("compose")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_installed_hand_is_copied_to_be_changed(site: Path, work: Path, command: str) -> None:
     if command == "try":
@@ -157,6 +157,7 @@ with rtee.connect_blocking() as hand:
 """
 
 
+@pytest.mark.heavy
 def test_a_running_hand_follows_its_copy(site: Path, work: Path) -> None:
     before = snapshot(site)
     running = subprocess.Popen(

@@ -223,6 +223,7 @@ GRIPPER_GROUPS = {
 }
 
 
+@pytest.mark.samples("palm-tips", "None-chains", "palm-links and joints")
 @pytest.mark.parametrize("inside", GRIPPER_GROUPS.values(), ids=GRIPPER_GROUPS.keys())
 @pytest.mark.parametrize("root", [None, "palm"])
 def test_the_group_of_the_end_effector_is_followed(

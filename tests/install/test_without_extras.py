@@ -249,6 +249,7 @@ def test_the_online_half_imports_neither_pinocchio_nor_coal() -> None:
     assert int(done.stdout) > 200, "few modules were found"
 
 
+@pytest.mark.heavy
 def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> None:
     write_hand(tmp_path)
     replay = Case("log replay --check logs", "the same, bit for bit")

@@ -153,6 +153,7 @@ async def test_references_come_out_again(
     assert report.values == report.ticks * 4 * 3
 
 
+@pytest.mark.samples("s_curve", "step")
 @pytest.mark.parametrize("profile", list(ProfileKind))
 async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: ProfileKind) -> None:
     """With jitter, loss, duplicates, spikes, velocities, efforts, a pause, goals, two streams."""

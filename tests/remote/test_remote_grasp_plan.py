@@ -64,6 +64,7 @@ def test_the_hand_says_why_it_does_not_fit(remote: BlockingHand) -> None:
         remote.grasp_plan("sphere:0.07")
 
 
+@pytest.mark.samples("cone*")
 @pytest.mark.parametrize("obj", ["sphere:nan", "cone:1x1", "ball"])
 def test_what_is_no_object_is_refused(remote: BlockingHand, obj: str) -> None:
     with pytest.raises(RequestRejected, match="is not an object"):

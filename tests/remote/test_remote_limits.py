@@ -401,6 +401,7 @@ anyio.run(main)
 """Twenty sessions that stop to read, and still say that they are alive."""
 
 
+@pytest.mark.samples("frozen")
 @pytest.mark.parametrize("how", ["frozen", "blocked"])
 async def test_twenty_sessions_that_stop_to_read_hold_up_nobody(
     hand: Hand, library: ActionLibrary, how: str

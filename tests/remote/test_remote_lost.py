@@ -103,6 +103,7 @@ anyio.run(main)
 """
 
 
+@pytest.mark.heavy
 async def test_closing_the_connection_of_a_frozen_client_holds_up_no_other(
     hand: Hand, library: ActionLibrary
 ) -> None:

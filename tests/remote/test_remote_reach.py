@@ -65,6 +65,7 @@ def test_contacts_are_done_without_leaving_an_action(remote: BlockingHand) -> No
     assert [action.name for action in remote.actions()] == before
 
 
+@pytest.mark.heavy
 def test_a_grasp_that_meets_the_object_is_refused(remote: BlockingHand) -> None:
     before = remote.state().position
     clear = remote.reach(width=0.03, pose=POSE, object="box:0.03x0.03x0.06")

@@ -298,6 +298,7 @@ async def test_a_goal_takes_over(hand: Hand, library: ActionLibrary) -> None:
         assert [event.kind for event in served.watcher.events].count(STREAM_ENDED) == 1
 
 
+@pytest.mark.samples("9")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_dead_client_is_noticed(hand: Hand, library: ActionLibrary, how: int) -> None:
     async with serving(hand, library) as served:

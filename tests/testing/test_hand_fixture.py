@@ -100,6 +100,7 @@ def test_a_project_tests_its_application(pytester: pytest.Pytester, repository: 
     done.assert_outcomes(passed=5)
 
 
+@pytest.mark.samples("False")
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("connect", [False, True])
 def test_a_test_does_not_move_a_hand_that_runs_already(

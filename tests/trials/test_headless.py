@@ -71,6 +71,7 @@ async def kinematic_end(hand: Hand, goal: dict[str, float]) -> np.ndarray:
     return state.position
 
 
+@pytest.mark.samples("robotiq_2f_85", "schunk_svh", "qb_softhand")
 @pytest.mark.parametrize("name", hand_names())
 async def test_the_same_goal_ends_where_the_kinematic_hand_ends(name: str) -> None:
     headless = start(name)

@@ -74,6 +74,7 @@ def group(leader: int) -> list[int]:
     return found
 
 
+@pytest.mark.heavy
 def test_ctrl_c_says_what_is_kept(hand: Path) -> None:
     sweep = start(hand)
     wait_for_a_result(hand)
@@ -102,6 +103,7 @@ def test_what_is_found_outlives_a_kill_and_the_workers_do_not(hand: Path) -> Non
     assert 0 < len(read_results(hand / "trials.yaml")) < 36
 
 
+@pytest.mark.heavy
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
 def test_a_worker_that_is_killed_is_told_in_one_sentence(hand: Path) -> None:
     sweep = start(hand)

@@ -52,6 +52,7 @@ def test_the_whole_effort_breaks_an_egg_and_reflexes_do_not() -> None:
     assert (reflexes["force"], reflexes["max_force"]) == (3.0, 7.0)
 
 
+@pytest.mark.samples("tug")
 @pytest.mark.parametrize("task", [Task.CUP, Task.TUG])
 def test_what_is_filled_or_tugged_at_needs_reflexes(task: Task) -> None:
     (reflexes,) = tried("--task", task, "--reflexes")

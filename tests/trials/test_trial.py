@@ -81,6 +81,7 @@ def test_only_fingers_whose_tips_touch_have_grasped() -> None:
     assert [result.grasped_fingers for result in results.seen] == [touching]
 
 
+@pytest.mark.heavy
 def test_no_finger_has_surely_grasped_where_the_empty_hands_tips_would_press_on_one_another() -> (
     None
 ):

@@ -143,6 +143,7 @@ def test_a_good_grasp_survives_its_variations(varied: TrialResult) -> None:
     assert varied.survived == 4
 
 
+@pytest.mark.heavy
 @pytest.mark.timeout(180)
 def test_the_same_seed_gives_the_same_result(varied: TrialResult) -> None:
     assert attempt(GRIPPER, varied.trial) == varied

@@ -67,6 +67,7 @@ def test_a_kept_model_with_another_friction_is_the_one_built_anew(name: str) -> 
         assert copied.data.qacc.tobytes() == anew.data.qacc.tobytes()
 
 
+@pytest.mark.samples("robotiq_3f", "heri_ii", "qb_softhand", "schunk_svh")
 @pytest.mark.parametrize("name", hand_names())
 def test_every_hand_compiles_and_its_couplings_hold(name: str) -> None:
     hand = load_hand(name)
