@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+from collections.abc import Coroutine
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from rtee.deploy.needs import Needs
     from rtee.drivers.diagnosis.checks import Check
     from rtee.types import DeviceSpec, DeviceStatus
+
+T = TypeVar("T")
 
 DeviceOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="One device of the hand; by default all.")
@@ -50,6 +53,14 @@ def _devices_of(
         names = [spec.name for spec in specs]
         raise ConfigError(f"hand '{name}' has no device '{only}'; {suggestion(only, names)}")
     return chosen
+
+
+def _finished(work: Coroutine[Any, Any, T], *, simulated: bool) -> T:
+    """Return what some work results in; emulated devices alone need not be waited for."""
+    from rtee.buses.simulated_time import SimulatedTimeLoop
+
+    with asyncio.Runner(loop_factory=SimulatedTimeLoop if simulated else None) as runner:
+        return runner.run(work)
 
 
 def _with_options(spec: DeviceSpec, **options: Any) -> DeviceSpec:
@@ -138,7 +149,7 @@ def doctor(
                     results[spec.name] = await check_device(spec, pool)
         return results
 
-    results = asyncio.run(execute())
+    results = _finished(execute(), simulated=emulated and not ros2)
     if as_json:
         print(json.dumps({k: [asdict(c) for c in v] for k, v in results.items()}, indent=2))
     else:
@@ -325,7 +336,7 @@ def locate(
                 identity = driver.capabilities.identity
                 print(f"{spec.name}: that was {', '.join(identity.values()) or 'it'}")
 
-    asyncio.run(execute())
+    _finished(execute(), simulated=emulated)
 
 
 def calibrate(
@@ -404,4 +415,5 @@ def calibrate(
                 if not spec.options.get("calibration"):
                     print(f"  to use it, add to the device's options: calibration: {path}")
 
-    asyncio.run(execute())
+    # A person is waited for, whose time is real.
+    _finished(execute(), simulated=emulated and yes)
