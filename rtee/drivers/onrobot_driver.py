@@ -43,14 +43,12 @@ class OnRobotDriver(Driver, Generic[S]):
 
     Attributes:
         MODEL: Its name in messages.
-        EMULATOR: The name of its emulator.
         STATUS: The block of its state.
         COMMAND: The block of a command.
         SOURCE: First register of its state.
     """
 
     MODEL: ClassVar[str]
-    EMULATOR: ClassVar[str]
     STATUS: ClassVar[type[Registers]]
     COMMAND: ClassVar[type[Registers]]
     SOURCE: ClassVar[int]
@@ -117,7 +115,6 @@ class OnRobotDriver(Driver, Generic[S]):
                 # No document gives a refresh time, so only the wire limits the rate.
                 refresh=0.0,
             ),
-            emulator=self.EMULATOR,
             emulated={"port": options.address},
             baudrate=options.baudrate,
             parity="E",

@@ -47,7 +47,6 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     Attributes:
         MODEL: Its name in the message when another device answers.
-        EMULATOR: The name of its emulator.
         STATUS: Its input block.
         COMMAND: Its output block.
         FAULTS: Its fault codes.
@@ -57,7 +56,6 @@ class RobotiqDriver(Driver, Generic[S, C]):
     """
 
     MODEL: ClassVar[str]
-    EMULATOR: ClassVar[str]
     STATUS: ClassVar[type[RobotiqStatus]]
     COMMAND: ClassVar[type[RobotiqCommand]]
     FAULTS: ClassVar[Mapping[int, Fault]]
@@ -138,7 +136,6 @@ class RobotiqDriver(Driver, Generic[S, C]):
                 kind="separate" if mixed else settings.exchange,
                 function=function,
             ),
-            emulator=self.EMULATOR,
             # An emulated gripper starts activated, as after an earlier run, unless it is to home.
             emulated={"emulator": {"activated": settings.home == "on_demand", **settings.emulator}},
             baudrate=settings.baudrate,

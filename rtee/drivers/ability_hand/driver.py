@@ -222,7 +222,6 @@ class AbilityHandDriver(Driver):
             self.buses.serial,
             options.port,
             lambda bus: bus,
-            emulator="ability_hand",
             baudrate=options.baudrate,
         )
         with self.identifying(

@@ -170,7 +170,6 @@ class AllegroDriver(Driver):
             self.buses.can,
             options.channel,
             lambda bus: AllegroLink(bus, options.hand, options.deadline),
-            emulator="allegro",
             interface=options.interface,
             bitrate=codec.BITRATE,
         )

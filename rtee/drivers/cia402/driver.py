@@ -172,7 +172,6 @@ class Cia402Driver(Driver):
             self.buses.canopen,
             options.channel,
             lambda bus: DriveCycle(self.spec, bus, options),
-            emulator="cia402",
             interface=options.interface,
             bitrate=options.bitrate,
         )

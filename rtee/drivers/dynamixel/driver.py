@@ -172,7 +172,6 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             lambda bus: DynamixelLink(
                 bus, self.ids, options.deadline, options.retries, options.turnaround
             ),
-            emulator="dynamixel",
             baudrate=options.baudrate,
         )
 

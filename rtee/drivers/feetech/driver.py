@@ -93,7 +93,6 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             lambda bus: FeetechLink(
                 bus, self.family, options.deadline, options.retries, options.turnaround, together
             ),
-            emulator="feetech",
             baudrate=options.baudrate,
             # A reply does not identify its request, so a late one could be taken for the next.
             fresh=True,

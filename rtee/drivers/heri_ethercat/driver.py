@@ -133,9 +133,7 @@ class HeriEthercatDriver(Driver):
         # On reconnection, the old master has to end first: a network has only one.
         await self.close()
         options = self.options
-        bus = await self.open(
-            self.buses.ethercat, options.interface, lambda bus: bus, emulator="heri_ethercat"
-        )
+        bus = await self.open(self.buses.ethercat, options.interface, lambda bus: bus)
         _identify(bus, self._boards, options, self.spec.name)
         self._echoes, self._echoing = [], set()
         self.capabilities = replace(

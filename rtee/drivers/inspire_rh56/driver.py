@@ -8,7 +8,7 @@ import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -150,7 +150,6 @@ class InspireRh56Driver(Driver):
         options = self.options
         # The deadline is set when the best rate is known; until then, a relaxed one holds.
         arguments = options.unit, 0.0, options.retries
-        line: dict[str, Any] = {"emulator": "inspire_rh56", "baudrate": options.baudrate}
         if options.modbus:
             await self._pause()
             return await self.open(
@@ -158,10 +157,13 @@ class InspireRh56Driver(Driver):
                 options.port,
                 lambda bus: ModbusLink(bus, *arguments),
                 behind=_BEHIND,
-                **line,
+                baudrate=options.baudrate,
             )
         return await self.open(
-            self.buses.serial, options.port, lambda bus: FrameLink(bus, *arguments), **line
+            self.buses.serial,
+            options.port,
+            lambda bus: FrameLink(bus, *arguments),
+            baudrate=options.baudrate,
         )
 
     async def _pause(self) -> None:

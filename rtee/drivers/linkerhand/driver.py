@@ -245,7 +245,6 @@ class LinkerHandDriver(Driver):
                 self.buses.can,
                 options.channel,
                 lambda bus: CanLink(bus, *arguments),
-                emulator="linkerhand",
                 interface=options.interface,
                 bitrate=options.bitrate,
             )
@@ -253,7 +252,6 @@ class LinkerHandDriver(Driver):
             self.buses.modbus,
             options.port,
             lambda bus: ModbusLink(bus, *arguments),
-            emulator="linkerhand",
             baudrate=BAUDRATE,
         )
 

@@ -78,7 +78,6 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
 
     MODEL = "an OnRobot 3FG"
-    EMULATOR = "onrobot_3fg"
     STATUS = Status
     COMMAND = Command
     SOURCE = STATE

@@ -70,7 +70,6 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
     MODEL = "an OnRobot RG"
-    EMULATOR = "onrobot_rg"
     STATUS = Status
     COMMAND = Command
     SOURCE = STATE

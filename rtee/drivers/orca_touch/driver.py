@@ -108,7 +108,6 @@ class OrcaTouchDriver(Driver):
             self.buses.serial,
             options.port,
             lambda bus: bus,
-            emulator="orca_touch",
             baudrate=options.baudrate,
         )
         self._newest, self._error = None, 0

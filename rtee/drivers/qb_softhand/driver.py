@@ -207,7 +207,6 @@ class QbSoftHandDriver(Driver):
             self.buses.serial,
             options.port,
             lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
-            emulator="qb_softhand",
             baudrate=options.baudrate,
         )
         if not await link.ping():

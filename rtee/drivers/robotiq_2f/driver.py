@@ -86,7 +86,6 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
     MODEL = "Robotiq 2-finger gripper"
-    EMULATOR = "robotiq_2f"
     STATUS = Status
     COMMAND = Command
     FAULTS = FAULTS

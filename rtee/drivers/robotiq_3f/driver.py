@@ -105,7 +105,6 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
     MODEL = "Robotiq 3-Finger"
-    EMULATOR = "robotiq_3f"
     STATUS = Status
     COMMAND = Command
     FAULTS = FAULTS

@@ -305,7 +305,6 @@ class SchunkEguDriver(Driver):
                 kind="separate",
                 refresh=0.0,
             ),
-            emulator="schunk_egu",
             baudrate=options.baudrate,
             parity="E",
         )

@@ -160,7 +160,6 @@ class SchunkSvhDriver(Driver):
             self.buses.serial,
             options.port,
             lambda bus: SvhLink(bus, options.deadline, options.retries),
-            emulator="schunk_svh",
             baudrate=codec.BAUDRATE,
         )
         with self.identifying(

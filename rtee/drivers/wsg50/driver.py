@@ -146,7 +146,6 @@ class Wsg50Driver(Driver):
             self.buses.serial,
             options.port,
             lambda bus: WsgLink(bus, 0.5),
-            emulator="wsg50",
             # An emulated gripper starts referenced, as after an earlier run, unless it is to home.
             emulated={"emulator": {"referenced": options.home == "on_demand", **options.emulator}},
         )

@@ -171,7 +171,6 @@ class XBot2Driver(Driver):
             self.buses.zmq,
             options.address,
             lambda bus: bus,
-            emulator="xbot2",
             emulated={"joints": joints, "ends": (min(ends), max(ends))},
             ports=(options.state_port, options.command_port, options.service_port),
         )
