@@ -32,10 +32,8 @@ def _sections(
     schema: dict[str, Any], section: dict[str, Any], path: str
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the sections inside a section with their paths, in the order of the fields."""
-    inner = [(name, _resolved(schema, field)) for name, field in section["properties"].items()]
-    if isinstance(section.get("additionalProperties"), dict):
-        inner.append(("ACTUATOR", _resolved(schema, section["additionalProperties"])))
-    for name, field in inner:
+    for name, given in section["properties"].items():
+        field = _resolved(schema, given)
         place = f"{path}.{name}" if path else name
         if "properties" in field:
             yield place, field
@@ -75,10 +73,10 @@ def _default(name: str, field: dict[str, Any], required: Any) -> str:
     if name in required:
         return "required"
     value = field.get("default")
-    if isinstance(value, dict):
+    if value and isinstance(value, dict):
         return ""
     text = json.dumps(value) if not isinstance(value, float) else f"{value:g}"
-    return _SHOWN.get(text, f"`{text}`" if text not in ('""', "[]") else "empty")
+    return _SHOWN.get(text, f"`{text}`" if text not in ('""', "[]", "{}") else "empty")
 
 
 def _kind(schema: dict[str, Any], field: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from msgspec import structs
 
 from experiments.common import Outcome, Steps, main, recording, strip
 from rtee.drivers.mujoco.options import SimOptions
@@ -156,7 +157,7 @@ def use(
     if variation is not None:
         place = variation.moved(PLACE)
         changes = {"object_mass": MASS * variation.mass, "friction": variation.friction}
-        options = options.model_copy(update=changes)
+        options = structs.replace(options, **changes)
     names, period = ready.hand.actuator_names, ready.settings.period
     simulation = make_simulation(ready.hand, options, names, period, mount=REACH)
     around, start = simulation.surroundings, given(simulation, place)

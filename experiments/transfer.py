@@ -9,6 +9,7 @@ from itertools import islice
 from typing import Literal
 
 import numpy as np
+from msgspec import structs
 
 from experiments.stance import Stance, find_stances
 from rtee.actions.library import ActionLibrary
@@ -304,7 +305,7 @@ class _Bench:
         )
         place, mount = stance.place, stance.mount
         if variation is not None:
-            options = options.model_copy(update=variation.options(transfer.mass))
+            options = structs.replace(options, **variation.options(transfer.mass))
             place, mount = stance.varied(variation, self._shape)
         lands = stance.place[:3, 3] if stance.lands is None else stance.lands
         # The container is where the hand leaves the object, turned and carried as it will be.

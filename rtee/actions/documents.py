@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
-from annotated_types import Ge, Len
+from msgspec import Meta
 
 from rtee.actions.build import (
     Find,
@@ -38,28 +38,26 @@ from rtee.actions.types import (
 )
 from rtee.errors import ActionError, UserError, suggestion
 from rtee.hand.model import Hand
-from rtee.hand.validation import Check, checked, field_types
+from rtee.hand.validation import Amount, Finite, Section, checked, field_names, fitting
 from rtee.hand.yamlfile import Location, YamlDocument, parse_yaml, read_text
 
 WHAT = "the file of actions"
 
-Amount = Annotated[float, Ge(0)]
 Names = tuple[str, ...]
-Vector = Annotated[tuple[float, ...], Len(3, 3)]
-Angles = Annotated[tuple[float, ...], Len(2, 2)]
-SetPoints = Annotated[dict[str, float], Len(1)]
+Vector = Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)]
+Angles = Annotated[tuple[Finite, ...], Meta(min_length=2, max_length=2)]
+SetPoints = Annotated[dict[str, Finite], Meta(min_length=1)]
 
 
 E = TypeVar("E")
 T = TypeVar("T")
-Some = Annotated[tuple[E, ...], Len(1)]
+Some = Annotated[tuple[E, ...], Meta(min_length=1)]
 
 
 # --- primitives ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class OppositionEntry:
+class OppositionEntry(Section, frozen=True):
     """How well contact forces oppose each other; see `Opposition`."""
 
     angles: Angles
@@ -67,8 +65,7 @@ class OppositionEntry:
     friction: Amount = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class EvidenceEntry:
+class EvidenceEntry(Section, frozen=True):
     """Evidence of the extraction for a posture; see `Evidence`."""
 
     depth: Amount = 0.0
@@ -86,23 +83,21 @@ class EvidenceEntry:
 
     def evidence(self) -> Evidence:
         """Return the evidence."""
-        values: dict[str, Any] = {name: getattr(self, name) for name in field_types(EvidenceEntry)}
+        values: dict[str, Any] = {name: getattr(self, name) for name in field_names(EvidenceEntry)}
         if self.opposition is not None:
-            known = field_types(OppositionEntry)
+            known = field_names(OppositionEntry)
             values["opposition"] = Opposition(**{n: getattr(self.opposition, n) for n in known})
         return Evidence(**values)
 
 
-@dataclass(frozen=True, slots=True)
-class PostureEntry:
+class PostureEntry(Section, frozen=True):
     """A posture of a primitive, with its evidence."""
 
     set_points: SetPoints
     evidence: EvidenceEntry | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PrimitiveEntry:
+class PrimitiveEntry(Section, frozen=True, kw_only=True):
     """A primitive with its ranked postures."""
 
     elements: Names
@@ -110,8 +105,7 @@ class PrimitiveEntry:
     postures: Some[PostureEntry]
 
 
-@dataclass(frozen=True, slots=True)
-class PrimitivesDocument:
+class PrimitivesDocument(Section, frozen=True):
     """A file of all primitives of one name."""
 
     kind: str
@@ -213,7 +207,7 @@ def set_points(posture: Posture) -> dict[str, float]:
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
     """Return evidence as plain data, without unknown values."""
-    values = {name: getattr(evidence, name) for name in field_types(EvidenceEntry)}
+    values = {name: getattr(evidence, name) for name in field_names(EvidenceEntry)}
     return {name: _plain(value) for name, value in values.items() if value not in (None, ())}
 
 
@@ -226,15 +220,14 @@ def _plain(value: Any) -> Any:
         case tuple():
             return [_plain(item) for item in value]
         case Opposition():
-            return {name: _plain(getattr(value, name)) for name in field_types(OppositionEntry)}
+            return {name: _plain(getattr(value, name)) for name in field_names(OppositionEntry)}
     return float(value)
 
 
 # --- composed, timed and generic actions -----------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class UseEntry:
+class UseEntry(Section, frozen=True):
     """A part of a composed action."""
 
     action: str
@@ -248,8 +241,7 @@ class UseEntry:
         return replace(use, scale=use.scale * self.scale)
 
 
-@dataclass(frozen=True, slots=True)
-class StepEntry(UseEntry):
+class StepEntry(UseEntry, frozen=True):
     """An inner action of a timed one."""
 
     alias: str = ""
@@ -257,8 +249,7 @@ class StepEntry(UseEntry):
     after: Amount = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CustomDocument:
+class CustomDocument(Section, frozen=True, kw_only=True):
     """A file of one composed, timed or generic action.
 
     Attributes:
@@ -267,8 +258,13 @@ class CustomDocument:
 
     body: ClassVar[str]
 
-    name: Annotated[str, Check(check_custom_name)]
+    name: str
     description: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        with fitting("name"):
+            check_custom_name(self.name)
 
     @abstractmethod
     def make(self, hand: Hand, find: Find, document: YamlDocument) -> Action:
@@ -284,8 +280,7 @@ class CustomDocument:
         """Return the entries of an action's file other than name and description."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ComposedDocument(CustomDocument):
+class ComposedDocument(CustomDocument, frozen=True, kw_only=True):
     """A file of a composed action."""
 
     body = "parts"
@@ -311,8 +306,7 @@ class ComposedDocument(CustomDocument):
         return {"independent": action.independent, "parts": parts}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimedDocument(CustomDocument):
+class TimedDocument(CustomDocument, frozen=True, kw_only=True):
     """A file of a timed action."""
 
     body = "steps"
@@ -340,8 +334,7 @@ class TimedDocument(CustomDocument):
         }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GenericDocument(CustomDocument):
+class GenericDocument(CustomDocument, frozen=True, kw_only=True):
     """A file of a generic action."""
 
     body = "set_points"

@@ -366,7 +366,7 @@ def load_actions(hand: Hand | str | Path) -> ActionLibrary:
 
 
 def _files_in(hand: Hand, folder: Path) -> ActionFiles:
-    # Imported only here, since a library in memory, as in a client, needs no pydantic and YAML.
+    # Imported only here, since a library in memory, as in a client, needs no YAML.
     from rtee.actions.action_files import ActionFiles
 
     return ActionFiles(hand, folder)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
-from annotated_types import Ge, Len
+from msgspec import Meta
 
 from rtee.actions.build import SLACK, StepPlan, full_posture, generic
 from rtee.actions.documents import located, read_document
@@ -37,7 +37,7 @@ from rtee.errors import ActionError, suggestion
 from rtee.hand.files import reason
 from rtee.hand.model import Hand
 from rtee.hand.names import safe_name
-from rtee.hand.validation import OTHERS, checked
+from rtee.hand.validation import Amount, Finite, checked
 from rtee.hand.yamlfile import Location, YamlDocument
 from rtee.types import from_rest
 
@@ -58,7 +58,6 @@ _GENERIC, _COMPOSED, _TIMED = 1, 2, 3
 _EARLY = "the files of early versions have neither 'PrimitiveType' nor 'Type'"
 
 
-Amount = Annotated[float, Ge(0)]
 Names = tuple[str, ...]
 Counts = dict[str, Amount]
 """Counts by name of the joint; 0 for joints that are not involved."""
@@ -66,53 +65,46 @@ Counts = dict[str, Amount]
 Joints = dict[str, Any]
 """Positions by joint; those of joints that the hand does not have may be anything."""
 
-_Positions = dict[str, Annotated[tuple[float, ...], Len(1, 1)] | float]
+_Positions = dict[str, Annotated[tuple[Finite, ...], Meta(min_length=1, max_length=1)] | Finite]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Entry:
-    """A mapping in a file of ROS End-Effector, with fields of the names of its keys, and others."""
-
-    others: Mapping[Any, Any] = field(default_factory=dict, metadata={OTHERS: True})
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Named(_Entry):
+class _Named:
     ActionName: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SingleJoint(_Entry):
+class _SingleJoint:
     FingersInvolved: Names
     JointPosFurther: Joints
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Counted(_Entry):
+class _Counted:
     JointsInvolvedCount: Counts
 
 
 @dataclass(frozen=True, kw_only=True)
-class _State(_Entry):
+class _State:
     JointPos: Joints = field(default_factory=dict)
     JointStates: Joints = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Composed(_Entry):
+class _Composed:
     InnerActionsNames: Names = ()
     FingersInvolved: Names = ()
     Independent: Any = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Margins(_Entry):
+class _Margins:
     marginBefore: Amount  # noqa: N815 - the key
     marginAfter: Amount  # noqa: N815
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Timed(_Entry):
+class _Timed:
     ActionsTimeMargins: dict[str, _Margins]
     ActionsJointPos: dict[str, Joints]
     ActionsJointCount: dict[str, Counts]

@@ -6,10 +6,10 @@ import random
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Le
+from msgspec import Meta
 
-Amount = Annotated[float, Ge(0.0), Le(1e3)]
-Share = Annotated[float, Ge(0.0), Le(1.0)]
+Amount = Annotated[float, Meta(ge=0.0, le=1e3)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class Wear:
     """
 
     lag: Amount = 0.0
-    pace: Annotated[float, Gt(0.0), Le(10.0)] = 1.0
+    pace: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
     backlash: Share = 0.0
-    offset: Annotated[float, Ge(-1.0), Le(1.0)] = 0.0
+    offset: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
     noise: Share = 0.0
     warmth: Amount = 0.0
     late: Amount = 0.0

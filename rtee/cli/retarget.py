@@ -60,9 +60,10 @@ def retarget(
         print(f"written to {path}", file=sys.stderr)
     if as_json:
         import json
-        from dataclasses import asdict
 
-        print(json.dumps({"hand": library.hand.name, **asdict(found)}))
+        from msgspec import to_builtins
+
+        print(json.dumps({"hand": library.hand.name, **to_builtins(found)}))
     else:
         _show(library.hand, found)
     if show:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import DRIVERS, find_driver
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import RemoteSettings
+from rtee.hand.validation import defaults
 from rtee.remote.protection import credentials_of, exposed
 from rtee.running.prepare import PreparedHand
 from rtee.types import DeviceSpec
@@ -198,8 +198,7 @@ def _options(spec: DeviceSpec) -> dict[str, Any]:
     """
     if spec.driver not in DRIVERS:
         return dict(spec.options)
-    defaults = default_options(find_driver(spec.driver, source=spec.source).Options)
-    return defaults | dict(spec.options)
+    return defaults(find_driver(spec.driver, source=spec.source).Options) | dict(spec.options)
 
 
 def _beyond(address: str, *, listens: bool = False) -> set[str]:

@@ -32,7 +32,7 @@ class Driver(ABC):
     calls the methods of a driver one after the other, never two at once.
 
     Attributes:
-        Options: Its options in hand.yaml: a pydantic model or a dataclass; ``None`` accepts any.
+        Options: Its options in hand.yaml, a `DeviceOptions`; ``None`` accepts any.
         spec: The device as configured.
         buses: The buses of this process, from which the driver acquires the one it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.

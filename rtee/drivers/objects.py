@@ -242,9 +242,8 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
     try:
         return validated(Wear, {**worn, **state})
     except Invalid as error:
-        first = error.errors()[0]
-        what = ".".join(map(str, first["loc"]))
-        raise ConfigError(f"wear '{what}' of the emulated device: {first['msg'].lower()}") from None
+        what = ".".join(map(str, error.first.at))
+        raise ConfigError(f"wear '{what}' of the emulated device: {error.sentence}") from None
 
 
 def wear_down(emulator: Emulator, wear: Wear) -> None:

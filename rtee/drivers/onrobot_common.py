@@ -7,10 +7,11 @@ the addresses and units named here.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
-from pydantic import Field
+from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.register_blocks import ExchangeKind
 
 TARGETS = 0x0000
@@ -27,20 +28,23 @@ PRODUCTS: dict[int, str] = {0x20: "RG2", 0x21: "RG6", 0xC0: "2FG7", 0xC1: "2FG14
 """Product codes from the vendor's own packages; sources disagree about that of the 3FG."""
 
 
-class OnRobotOptions(DeviceOptions):
+class OnRobotOptions(DeviceOptions, frozen=True):
     """Options of all of OnRobot's grippers."""
 
-    host: str = Field("192.168.1.1", description="the Compute Box's address (Modbus TCP)")
-    port: str | None = Field(
-        None, description="instead of `host`: tty, socket://, rfc2217:// (RTU) or tcp://host:port"
-    )
-    unit: int = Field(65, ge=0, le=255, description="65; 66 and 67 on a dual quick changer")
-    baudrate: int = Field(1_000_000, gt=0, description="of a direct line (8E1)")
-    exchange: ExchangeKind = Field("auto", description="function 23, or 16 and 3")
-    rate: float = Field(50.0, gt=0.0, description="exchanges per second through the Compute Box")
-    settle: float = Field(
-        0.1, ge=0.0, description="a reference that rests this long is gripped at with force [s]"
-    )
+    host: str = "192.168.1.1"
+    """The Compute Box's address (Modbus TCP)."""
+    port: str | None = None
+    """Instead of ``host``: tty, socket://, rfc2217:// (RTU) or tcp://host:port."""
+    unit: Annotated[int, Meta(ge=0, le=255)] = 65
+    """65; 66 and 67 on a dual quick changer."""
+    baudrate: Annotated[int, Meta(gt=0)] = 1_000_000
+    """Of a direct line (8E1)."""
+    exchange: ExchangeKind = "auto"
+    """Function 23, or 16 and 3."""
+    rate: Positive = 50.0
+    """Exchanges per second through the Compute Box."""
+    settle: Annotated[float, Meta(ge=0.0)] = 0.1
+    """A reference that rests this long is gripped at with force [s]."""
 
     @property
     def address(self) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -12,7 +11,8 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, Mod
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
 from rtee.drivers.onrobot_common import FIRMWARE, PRODUCT, SERIAL, SERIAL_COUNT
-from rtee.drivers.properties import Byte, Duration, Positive, Rate
+from rtee.drivers.options import Byte, Duration, Positive, Rate
+from rtee.hand.validation import Section
 
 _GATEWAY_NO_TARGET = 0x0B  # Modbus exception: the target device does not answer the gateway
 _VERSION, _BUILD = 0x0105, 7  # firmware 1.5, build 7, as of no gripper in particular
@@ -24,8 +24,7 @@ IDENTITY: Window = (PRODUCT, SERIAL + SERIAL_COUNT - 1)
 """The registers of product code, firmware and serial number."""
 
 
-@dataclass(frozen=True, slots=True)
-class OnRobotProperties:
+class OnRobotProperties(Section, frozen=True):
     """Properties of an emulated gripper.
 
     Attributes:

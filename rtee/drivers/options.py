@@ -1,39 +1,89 @@
-"""The options of a driver in hand.yaml: checked once, when the driver is made."""
+"""The options of a driver in hand.yaml and the properties of its emulated device.
+
+They are checked once, when the driver or the emulator is made.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from msgspec import Meta, field
 
-from rtee.drivers.plain_options import options_error
+from rtee.errors import ConfigError
+from rtee.hand.validation import Fault, Invalid, Section, validated
 from rtee.types import DeviceSpec
 
-Positive = Annotated[float, Field(gt=0.0)]
-"""An option that must be above 0."""
+Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
+"""An amount above 0."""
+
+NotNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
+"""An amount that is at least 0."""
+
+Byte = Annotated[int, Meta(ge=0, le=255)]
+"""A count or number that fits into a byte."""
+
+Rate = Annotated[int, Meta(gt=0, le=100_000_000)]
+"""Bits per second."""
+
+Duration = Annotated[float, Meta(ge=0.0, le=1e6)]
+"""A time [s]."""
 
 
-class DeviceOptions(BaseModel):
+class DeviceOptions(Section, frozen=True):
     """Options that every device has; unknown names are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    emulator: dict[str, Any] = Field(
-        default_factory=dict,
-        description="Properties of the emulated device (`rtee run --emulated`), by its emulator.",
-    )
+    emulator: dict[str, Any] = field(default_factory=dict)
+    """Properties of the emulated device (``rtee run --emulated``), by its emulator."""
 
 
-O = TypeVar("O", bound=BaseModel)  # noqa: E741 - reads well as a type variable
+S = TypeVar("S", bound=Section)
 
 
-def read_options(model: type[O], spec: DeviceSpec) -> O:
+def read_options(kind: type[S], spec: DeviceSpec) -> S:
     """Return the options of a device, checked.
 
     Raises:
         ConfigError: if a name is unknown or a value invalid; it names the option and the file.
     """
     try:
-        return model.model_validate(dict(spec.options))
-    except ValidationError as error:
-        raise options_error(error.errors(), model.model_fields, spec) from None
+        return validated(kind, dict(spec.options))
+    except Invalid as error:
+        place, words = _told(error, "option", "options", "")
+        where = f"{spec.source}: " if spec.source else ""
+        raise ConfigError(
+            f"{where}device '{spec.name}': {words}", key=f"devices.{spec.name}.options.{place}"
+        ) from None
+
+
+def read_properties(kind: type[S], options: Mapping[str, Any], **defaults: Any) -> S:
+    """Return the properties of an emulated device from its driver's options.
+
+    Args:
+        kind: The emulator's class of properties.
+        options: The driver's options; only ``emulator`` is read.
+        defaults: Values that follow from other options, for properties that are not given.
+
+    Raises:
+        ConfigError: if a name is unknown or a value invalid.
+    """
+    try:
+        return validated(kind, {**defaults, **dict(options.get("emulator") or {})})
+    except Invalid as error:
+        words = _told(error, "property", "properties", " of the emulated device")[1]
+        raise ConfigError(words) from None
+
+
+def _told(error: Invalid, one: str, all_: str, of: str) -> tuple[str, str]:
+    """Return the place of the first mistake, and the mistake as a sentence."""
+    # One mistake at a time: a user corrects them one by one anyway.
+    place = ".".join(map(str, error.first.at))
+    what = f"{one} '{place}'{of}" if place else all_ + of
+    match error.first.fault:
+        case Fault.UNKNOWN:
+            return place, f"unknown {what}; {error.sentence}"
+        case Fault.MISSING:
+            return place, f"{what} is missing"
+        case Fault.UNFIT:
+            return place, f"{what}: input {error.sentence}"
+    return place, f"{what}: {error.sentence}"

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.register_blocks import ExchangeKind
 from rtee.drivers.registers import Registers, at, flag
 
@@ -60,20 +60,22 @@ class Fault:
     major: bool = False
 
 
-class RobotiqOptions(DeviceOptions):
+class RobotiqOptions(DeviceOptions, frozen=True):
     """Options of all of Robotiq's grippers."""
 
-    port: str = Field("/dev/ttyUSB0", description="tty, socket://, rfc2217:// (RTU) or tcp://")
-    unit: int = Field(9, ge=0, le=255, description="Modbus number of the gripper")
-    baudrate: int = Field(115200, gt=0)
-    home: Literal["on_demand", "on_connect"] = Field(
-        "on_demand", description="when an inactive gripper is activated, which moves all fingers"
-    )
-    exchange: ExchangeKind = Field("auto", description="function 23, or 16 and a read")
-    check_fingers: bool = Field(
-        True, description="refuse a gripper whose registers are those of another number of fingers"
-    )
-    activation_timeout: float = Field(15.0, gt=0.0, description="[s]")
+    port: str = "/dev/ttyUSB0"
+    """Tty, socket://, rfc2217:// (RTU) or tcp://."""
+    unit: Annotated[int, Meta(ge=0, le=255)] = 9
+    """Modbus number of the gripper."""
+    baudrate: Annotated[int, Meta(gt=0)] = 115200
+    home: Literal["on_demand", "on_connect"] = "on_demand"
+    """When an inactive gripper is activated, which moves all fingers."""
+    exchange: ExchangeKind = "auto"
+    """Function 23, or 16 and a read."""
+    check_fingers: bool = True
+    """Refuse a gripper whose registers are those of another number of fingers."""
+    activation_timeout: Positive = 15.0
+    """Longest time [s]."""
 
 
 @dataclass(frozen=True, slots=True)

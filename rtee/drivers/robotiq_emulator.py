@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
-from rtee.drivers.properties import Byte, Duration, Positive, Rate
+from rtee.drivers.options import Byte, Duration, Positive, Rate
 from rtee.drivers.robotiq_common import (
     NOT_ACTIVATED,
     Fault,
@@ -23,6 +22,7 @@ from rtee.drivers.robotiq_common import (
     RobotiqCommand,
     RobotiqStatus,
 )
+from rtee.hand.validation import Section
 
 BLOCK = 8
 """Registers of either block that are served; published programs read six of a two-finger one."""
@@ -35,8 +35,7 @@ _SELF_TEST = 800.0
 with a margin."""
 
 
-@dataclass(frozen=True, slots=True)
-class RobotiqProperties:
+class RobotiqProperties(Section, frozen=True):
     """Properties of an emulated gripper.
 
     Attributes:

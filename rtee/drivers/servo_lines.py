@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from msgspec import Meta
 
 from rtee.drivers.json_files import read_calibration_file
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.errors import CalibrationError, DeviceFault, HandshakeError, NotConnected
+from rtee.hand.validation import Section
 from rtee.sample import FloatArray
 
 LATENCY = 1e-3
@@ -34,7 +35,7 @@ _MOST_SPEED = 0x7FFF
 """Largest speed that fits into the registers [counts]."""
 
 
-class ServoOptions(BaseModel):
+class ServoOptions(Section, frozen=True, kw_only=True):
     """Options of one servo that all kinds have.
 
     Attributes:
@@ -49,43 +50,41 @@ class ServoOptions(BaseModel):
         d: Derivative gain.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     direction: Literal[1, -1] = 1
     gear: Positive = 1.0
     model: int | None = None
     torque_per_ampere: Positive | None = None
-    id: Annotated[int, Field(ge=0, le=253)]
-    zero: Annotated[float, Field(ge=0.0)] | None = None
-    p: Annotated[int, Field(ge=0)] | None = None
-    i: Annotated[int, Field(ge=0)] | None = None
-    d: Annotated[int, Field(ge=0)] | None = None
+    id: Annotated[int, Meta(ge=0, le=253)]
+    zero: Annotated[float, Meta(ge=0.0)] | None = None
+    p: Annotated[int, Meta(ge=0)] | None = None
+    i: Annotated[int, Meta(ge=0)] | None = None
+    d: Annotated[int, Meta(ge=0)] | None = None
 
 
-class LineOptions(DeviceOptions):
+class LineOptions(DeviceOptions, frozen=True):
     """Options of a line of servos that all kinds have."""
 
-    port: str = Field("/dev/ttyUSB0", description="tty, socket:// or rfc2217://")
-    baudrate: int = Field(1_000_000, description="rate of the line [baud]")
-    calibration: Path | None = Field(
-        None, description="file of a calibration (`rtee calibrate`); its zeros replace those above"
-    )
-    p: Annotated[int, Field(ge=0)] | None = Field(
-        None, description="proportional gain; else as the servos have it"
-    )
-    i: Annotated[int, Field(ge=0)] | None = Field(None, description="integral gain")
-    d: Annotated[int, Field(ge=0)] | None = Field(None, description="derivative gain")
-    return_delay: Annotated[int, Field(ge=0, le=254)] | None = Field(
-        0, description="set in servos that have another one [2 µs]; null: leave"
-    )
-    outside: Positive = Field(
-        0.35, description="how far a joint may be outside its limits before its zero is doubted"
-    )
-    deadline: Positive = Field(0.1, description="for an exchange [s]")
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = Field(
-        LATENCY, description="time per answer that the bytes do not explain [s]"
-    )
+    port: str = "/dev/ttyUSB0"
+    """Tty, socket:// or rfc2217://."""
+    baudrate: int = 1_000_000
+    """Rate of the line [baud]."""
+    calibration: Path | None = None
+    """File of a calibration (``rtee calibrate``); its zeros replace those above."""
+    p: Annotated[int, Meta(ge=0)] | None = None
+    """Proportional gain; else as the servos have it."""
+    i: Annotated[int, Meta(ge=0)] | None = None
+    """Integral gain."""
+    d: Annotated[int, Meta(ge=0)] | None = None
+    """Derivative gain."""
+    return_delay: Annotated[int, Meta(ge=0, le=254)] | None = 0
+    """Set in servos that have another one [2 µs]; null: leave."""
+    outside: Positive = 0.35
+    """How far a joint may be outside its limits before its zero is doubted."""
+    deadline: Positive = 0.1
+    """For an exchange [s]."""
+    retries: Annotated[int, Meta(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Meta(ge=0.0)] = LATENCY
+    """Time per answer that the bytes do not explain [s]."""
 
 
 def check_line(

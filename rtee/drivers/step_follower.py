@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Annotated
 
-from pydantic import Field
+from msgspec import Meta
 
 from rtee import monotonic
 
@@ -16,7 +16,7 @@ begin."""
 
 Settle = Annotated[
     float,
-    Field(
+    Meta(
         ge=0.0, description="time after which a resting reference is sent, however close it is [s]"
     ),
 ]

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+from msgspec import structs
 
 from rtee.drivers.mujoco.couplings import fit, followers, span
 from rtee.drivers.mujoco.model import CARRIER, add_shape
@@ -94,7 +95,7 @@ def _rigid_where_curved(hand: Hand) -> tuple[Hand, list[str]]:
             continue
         name = follower.actuator.name
         if follower.elastic and rigid[name].joints:
-            rigid[name] = replace(rigid[name], coupling=None, joints=None, shares=None)
+            rigid[name] = structs.replace(rigid[name], coupling=None, joints=None, shares=None)
             notes.append(f"the joints of '{name}' follow along curves, so rigidly, not by springs")
         error = fit(follower.coupling, *span(follower.actuator))[1]
         if error > CLOSE:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from annotated_types import Gt, Interval
+from msgspec import Meta, field
 
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.config_schema import (
     ActuatorDynamics,
     ActuatorLimits,
     AgentSettings,
-    DefaultLimits,
     DeviceSection,
     FlangeSection,
     LogSection,
@@ -27,51 +23,25 @@ from rtee.hand.config_schema import (
     RemoteSettings,
     Ros2Settings,
     SafetySettings,
-    Section,
     ThermalSettings,
     TouchSection,
 )
 from rtee.hand.model import CLEARANCE
 from rtee.hand.names import check_name
-from rtee.hand.validation import OTHERS, Check, checked
+from rtee.hand.validation import Misfit, Section, checked, fitting
 from rtee.hand.yamlfile import YamlDocument, read_yaml
 
-MeasuredOpening = tuple[
-    Annotated[float, Interval(ge=0, le=1)], Annotated[float, Interval(ge=0, le=2)]
-]
+DEFAULTS: Final = "defaults"
+"""The name, among those of actuators, of what holds for all others."""
+
+MeasuredOpening = tuple[Annotated[float, Meta(ge=0, le=1)], Annotated[float, Meta(ge=0, le=2)]]
 """An intensity and the opening measured there [m]."""
 
 
-def _check_names(what: str, names: Mapping[str, object]) -> None:
-    for name in names:
-        check_name(name, what)
-
-
-@dataclass(frozen=True, slots=True)
-class LimitsSection(Section):
-    """Limits by actuator, and those of all others under ``defaults``."""
-
-    defaults: DefaultLimits = DefaultLimits()
-    """Limits of all actuators that have none of their own here."""
-    actuators: Mapping[str, ActuatorLimits] = field(default_factory=dict, metadata={OTHERS: True})
-    """The limits by actuator."""
-
-
-@dataclass(frozen=True, slots=True)
-class DynamicsSection(Section):
-    """Dynamics by actuator, and those of all others under ``defaults``."""
-
-    defaults: ActuatorDynamics = ActuatorDynamics()
-    """What holds for all actuators where they say nothing else."""
-    actuators: Mapping[str, ActuatorDynamics] = field(default_factory=dict, metadata={OTHERS: True})
-    """The dynamics by actuator."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandConfig(Section):
+class HandConfig(Section, frozen=True, kw_only=True):
     """A hand."""
 
-    name: Annotated[str, Check(partial(check_name, what="hand"))]
+    name: str
     """Its name: letters, digits, ``_``, ``-`` and ``.``; the same as its folder's."""
     title: str = ""
     """Its name for people."""
@@ -93,25 +63,24 @@ class HandConfig(Section):
     ignore: list[str] = field(default_factory=list)
     """Actuators that take no part, such as those of a wrist: they stay fixed at ``rest``, move in
     no action and need no device."""
-    limits: LimitsSection = LimitsSection()
-    """Limits that tighten or complete the URDF's."""
-    dynamics: DynamicsSection = DynamicsSection()
-    """Dynamics of the actuators: gains, inertia, friction, how joints follow them; for
-    the simulation, and for planners that ask for the hand's description."""
-    tip_friction: dict[str, Annotated[float, Interval(ge=0, le=10)]] = field(default_factory=dict)
+    limits: dict[str, ActuatorLimits] = field(default_factory=dict)
+    """Limits that tighten or complete the URDF's, by actuator, ``defaults``: of all others."""
+    dynamics: dict[str, ActuatorDynamics] = field(default_factory=dict)
+    """Dynamics by actuator, ``defaults``: what holds for all where they say nothing else; gains,
+    inertia, friction, how joints follow them; for the simulation, and for planners that ask for the
+    hand's description."""
+    tip_friction: dict[str, Annotated[float, Meta(ge=0, le=10)]] = field(default_factory=dict)
     """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
     for planners that ask for the hand's description. Unless given, the URDF's ``mu1``, if any."""
-    touch: Annotated[dict[str, TouchSection], Check(partial(_check_names, "touch sensor"))] = field(
-        default_factory=dict
-    )
+    touch: dict[str, TouchSection] = field(default_factory=dict)
     """Where its touch sensors are, by the names that their devices give them."""
     openings: dict[str, list[MeasuredOpening]] = field(default_factory=dict)
     """Openings measured on the real hand, by action and elements, such as ``PinchTight index
     thumb``: pairs of intensity and opening [m]."""
-    clearance: Annotated[float, Interval(ge=0, le=0.1)] = CLEARANCE
+    clearance: Annotated[float, Meta(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""
-    payload: Annotated[float, Gt(0)] | None = None
+    payload: Annotated[float, Meta(gt=0)] | None = None
     """Largest mass that its data sheet lets it hold by friction [kg]; trials of heavier objects say
     that they do not fit."""
     flange: FlangeSection | None = None
@@ -139,13 +108,21 @@ class HandConfig(Section):
     """What a language model may do with the hand."""
     driver: Literal["kinematic", "devices"] = "kinematic"
     """What ``rtee run`` drives by default: a kinematic stand-in, or the ``devices``."""
-    devices: Annotated[dict[str, DeviceSection], Check(partial(_check_names, "device"))] = field(
-        default_factory=dict
-    )
+    devices: dict[str, DeviceSection] = field(default_factory=dict)
     """The devices by name."""
 
     def __post_init__(self) -> None:
-        """Check that there are devices where they are to be driven."""
+        """Check names, default limits, and that there are devices where they are to be driven."""
+        with fitting("name"):
+            check_name(self.name, "hand")
+        for what, section in (("touch sensor", "touch"), ("device", "devices")):
+            for name in getattr(self, section):
+                with fitting(section, name):
+                    check_name(name, what)
+        usual = self.limits.get(DEFAULTS, ActuatorLimits())
+        for name in ("lower", "upper"):
+            if getattr(usual, name) is not None:
+                raise Misfit("should be given for each actuator", "limits", DEFAULTS, name)
         if self.driver == "devices" and not self.devices:
             raise ValueError("driver is 'devices' but no devices are given")
 

@@ -1,21 +1,20 @@
 """The sections of ``hand.yaml``: their settings, with defaults, bounds and what they mean.
 
-They are plain dataclasses, which the loop, the recorder and the server use directly; what is read
-from a file is checked against their types and bounds by `rtee.hand.validation`. The JSON schema for
-editors is made of them by pydantic, which nothing here imports: hands run without it.
+The loop, the recorder and the server use them directly; what is read from a file is checked against
+their types and bounds, and `rtee.hand.schema` makes the JSON schema for editors of them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Gt, Interval
+from msgspec import Meta, field
 
+from rtee.hand.validation import Section
 from rtee.types import OnContact
 
 MIN_RATE = 1.0
@@ -27,35 +26,15 @@ MAX_RATE = 2000.0
 LONGEST_DEADLINE = 10.0
 """Longest deadline of a stream [s]: samples further apart are goals, not a stream."""
 
-Positive = Annotated[float, Gt(0)]
-NotNegative = Annotated[float, Ge(0)]
-Fraction = Annotated[float, Interval(ge=0, le=1)]
-
-
-class Section:
-    """A part of hand.yaml: unknown keys, and numbers that are NaN or infinite, are refused."""
-
-    __slots__ = ()
-    # For the JSON schema, which pydantic makes.
-    __pydantic_config__: ClassVar[dict[str, Any]] = {
-        "extra": "forbid",
-        "use_attribute_docstrings": True,
-    }
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
 
 
 Names = tuple[str, ...]
 
 
-class Word(StrEnum):
-    """A word out of a few; in hand.yaml it is given as a text."""
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
-        # As a schema of literals, so that the JSON schema has the words.
-        return {"type": "literal", "expected": [word.value for word in cls]}
-
-
-class ProfileKind(Word):
+class ProfileKind(StrEnum):
     """How the reference gets from one set-point to the next."""
 
     JERK_LIMITED = "jerk_limited"
@@ -64,7 +43,7 @@ class ProfileKind(Word):
     STEP = "step"
 
 
-class Behaviour(Word):
+class Behaviour(StrEnum):
     """What the hand does when it is no longer driven."""
 
     HOLD = "hold"
@@ -77,7 +56,7 @@ class Behaviour(Word):
     """Take the drive power away, so that the actuators are limp."""
 
 
-class Outside(Word):
+class Outside(StrEnum):
     """What becomes of the parts of a robot that are not its hand."""
 
     ABSENT = "absent"
@@ -86,7 +65,7 @@ class Outside(Word):
     """They stay as obstacles, with all their joints at 0."""
 
 
-class PositionRange(Word):
+class PositionRange(StrEnum):
     """Which position limits of a URDF hold."""
 
     SOFT = "soft"
@@ -95,9 +74,8 @@ class PositionRange(Word):
     """Those of ``<limit>``."""
 
 
-@dataclass(frozen=True, slots=True)
-class DefaultLimits(Section):
-    """Limits of all actuators that have none of their own here."""
+class ActuatorLimits(Section, frozen=True):
+    """Limits of one actuator; they may only tighten the URDF's."""
 
     velocity: Positive | None = None
     """Velocity limit [rad/s | m/s]; lowers the URDF's where that is higher."""
@@ -112,19 +90,13 @@ class DefaultLimits(Section):
     range: PositionRange | None = None
     """Which position limits of the URDF hold: ``soft``, those of ``<safety_controller>`` where it
     gives any, unless given; or ``hard``, those of ``<limit>``."""
-
-
-@dataclass(frozen=True, slots=True)
-class ActuatorLimits(DefaultLimits):
-    """Limits of one actuator; they may only tighten the URDF's."""
-
     lower: float | None = None
     """Lower position limit [rad | m]."""
     upper: float | None = None
     """Upper position limit [rad | m]."""
 
 
-class Following(Word):
+class Following(StrEnum):
     """How joints follow their actuator."""
 
     RIGID = "rigid"
@@ -137,8 +109,7 @@ class Following(Word):
     """On springs, with a linkage in each finger that shares its effort among the finger's own."""
 
 
-@dataclass(frozen=True, slots=True)
-class ActuatorDynamics(Section):
+class ActuatorDynamics(Section, frozen=True):
     """Dynamics of an actuator, as far as known; the simulation derives the rest."""
 
     kp: Positive | None = None
@@ -153,7 +124,7 @@ class ActuatorDynamics(Section):
     """Viscous friction of the joint [N·m·s/rad | N·s/m]."""
     dry_friction: NotNegative | None = None
     """Dry friction of the joint [N·m | N]; estimates of forces at fingertips use it, too."""
-    efficiency: Annotated[float, Interval(gt=0, le=1)] | None = None
+    efficiency: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Share of its effort that reaches the fingertips, besides dry friction; 1 unless given.
     Estimates of forces at fingertips use it; the simulation has none."""
     coupling: Following | None = None
@@ -176,8 +147,7 @@ class ActuatorDynamics(Section):
     unless given."""
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileSettings(Section):
+class ProfileSettings(Section, frozen=True):
     """How references move between set-points."""
 
     kind: ProfileKind = ProfileKind.JERK_LIMITED
@@ -189,8 +159,7 @@ class ProfileSettings(Section):
     """Bandwidth of ``filter`` [Hz]."""
 
 
-@dataclass(frozen=True, slots=True)
-class StallSettings(Section):
+class StallSettings(Section, frozen=True):
     """When an actuator counts as stalled."""
 
     time: Positive = 0.25
@@ -199,13 +168,12 @@ class StallSettings(Section):
     """Share of the velocity limit."""
 
 
-@dataclass(frozen=True, slots=True)
-class GraspSettings(Section):
+class GraspSettings(Section, frozen=True):
     """When a finger counts as holding something, and how hard it then holds."""
 
     effort: Fraction = 0.2
     """A stalled actuator above this share of its effort limit holds something."""
-    grip_effort: Annotated[float, Interval(gt=0, le=1)] = 0.4
+    grip_effort: Annotated[float, Meta(gt=0, le=1)] = 0.4
     """Effort while holding, as a share of the effort limit."""
     grip_after: NotNegative = 2.0
     """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
@@ -218,18 +186,17 @@ class GraspSettings(Section):
     contact_force: Positive = 0.5
     """Where no device measures forces on the fingers: force at the fingertips above which an
     actuator's effort counts as a contact [N]."""
-    contact_fingers: Annotated[int, Ge(1)] = 2
+    contact_fingers: Annotated[int, Meta(ge=1)] = 2
     """Number of fingers that must touch before they squeeze; actions with an opening need one on
     each of its sides instead."""
     squeeze_time: NotNegative = 0.3
     """Time in which the force is then built up [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class StreamSettings(Section):
+class StreamSettings(Section, frozen=True):
     """Streams of set-points."""
 
-    deadline: Annotated[float, Interval(gt=0, le=LONGEST_DEADLINE)] = 0.1
+    deadline: Annotated[float, Meta(gt=0, le=LONGEST_DEADLINE)] = 0.1
     """A stream without a sample for this long brakes and holds [s]; a stream may ask for another
     one."""
     max_lag: Positive | None = None
@@ -237,11 +204,10 @@ class StreamSettings(Section):
     periods of the stream and 5 ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class LoopSection(Section):
+class LoopSection(Section, frozen=True):
     """The control loop."""
 
-    rate: Annotated[float, Interval(ge=MIN_RATE, le=MAX_RATE)] = 1000.0
+    rate: Annotated[float, Meta(ge=MIN_RATE, le=MAX_RATE)] = 1000.0
     """Rate of the loop [Hz]."""
     goal_timeout: Positive = 10.0
     """Longest time a goal may take [s]."""
@@ -263,25 +229,23 @@ class LoopSection(Section):
             )
 
 
-@dataclass(frozen=True, slots=True)
-class RealtimeSettings(Section):
+class RealtimeSettings(Section, frozen=True):
     """What the operating system is asked for."""
 
     enabled: bool = False
     """Ask for real-time scheduling (SCHED_FIFO)."""
-    priority: Annotated[int, Interval(ge=1, le=99)] = 80
+    priority: Annotated[int, Meta(ge=1, le=99)] = 80
     """Its priority."""
-    cpus: tuple[Annotated[int, Ge(0)], ...] = ()
+    cpus: tuple[Annotated[int, Meta(ge=0)], ...] = ()
     """Processors the loop may run on; empty for all."""
     lock_memory: bool = True
     """Keep the process's memory from being swapped out."""
-    helper_priority: Annotated[int, Interval(ge=0, le=98)] = 0
+    helper_priority: Annotated[int, Meta(ge=0, le=98)] = 0
     """Real-time priority of the recorder's and the network's threads, for which the loop has to
     wait when other programs keep them from running; 0 leaves them ordinary."""
 
 
-@dataclass(frozen=True, slots=True)
-class SafetySettings(Section):
+class SafetySettings(Section, frozen=True):
     """What the hand does when something ends or breaks."""
 
     on_exit: Behaviour = Behaviour.HOLD
@@ -301,8 +265,7 @@ class SafetySettings(Section):
     devices can be; ``rtee recover`` wakes it. Unless given, it stays powered."""
 
 
-@dataclass(frozen=True, slots=True)
-class ThermalSettings(Section):
+class ThermalSettings(Section, frozen=True):
     """Temperatures of actuators [°C]."""
 
     warn: float = 60.0
@@ -327,7 +290,7 @@ class ThermalSettings(Section):
             raise ValueError("should rise: warn <= derate <= disable")
 
 
-class Recorded(Word):
+class Recorded(StrEnum):
     """What a recording holds."""
 
     FULL = "full"
@@ -338,7 +301,7 @@ class Recorded(Word):
     """The last minute before something fails, as the flight recorder writes it."""
 
 
-class Layout(Word):
+class Layout(StrEnum):
     """How the states and references of ticks are recorded."""
 
     MESSAGES = "messages"
@@ -348,8 +311,7 @@ class Layout(Word):
     second."""
 
 
-@dataclass(frozen=True, slots=True)
-class LogSection(Section):
+class LogSection(Section, frozen=True):
     """Recordings."""
 
     directory: Path | None = None
@@ -377,7 +339,7 @@ class LogSection(Section):
     when there are none, recording pauses."""
     flight_recorder: NotNegative = 60.0
     """This much is kept in memory and written when something fails [s]; 0: nothing."""
-    decimation: Annotated[int, Ge(1)] = 1
+    decimation: Annotated[int, Meta(ge=1)] = 1
     """Record every n-th tick; only recordings of every tick can be recomputed."""
     tf_rate: NotNegative = 50.0
     """Rate of the links' transforms on ``/tf``, from which Foxglove and RViz show the moving hand
@@ -391,8 +353,7 @@ class LogSection(Section):
         return self.directory or Path("logs")
 
 
-@dataclass(frozen=True, slots=True)
-class SecuritySettings(Section):
+class SecuritySettings(Section, frozen=True):
     """Who may use the hand on a network."""
 
     folder: Path | None = None
@@ -403,8 +364,7 @@ class SecuritySettings(Section):
     hand."""
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteSettings(Section):
+class RemoteSettings(Section, frozen=True):
     """The hand on the network."""
 
     listen: Names = ()
@@ -417,7 +377,7 @@ class RemoteSettings(Section):
     """Rate at which states are published [Hz]."""
 
 
-class Lines(Word):
+class Lines(StrEnum):
     """Where lines about events go."""
 
     STDOUT = "stdout"
@@ -426,15 +386,14 @@ class Lines(Word):
     """Entries with fields ``RTEE_HAND``, ``RTEE_GOAL``, ``RTEE_DEVICE`` and so on."""
 
 
-@dataclass(frozen=True, slots=True)
-class MetricsSettings(Section):
+class MetricsSettings(Section, frozen=True):
     """Metrics of the hand for Prometheus, see `rtee.remote.metrics`."""
 
     listen: str = ""
     """``HOST:PORT`` to serve them on, such as ``127.0.0.1:9464``; empty: nowhere."""
 
 
-class Gate(Word):
+class Gate(StrEnum):
     """What stands between an agent and the hand."""
 
     WATCH = "watch"
@@ -447,8 +406,7 @@ class Gate(Word):
     """It moves the hand within the limits."""
 
 
-@dataclass(frozen=True, slots=True)
-class AgentSettings(Section):
+class AgentSettings(Section, frozen=True):
     """What a language model may do with the hand by ``rtee mcp``.
 
     Its command line may allow less than is given here, never more; what is not given here, the
@@ -460,20 +418,20 @@ class AgentSettings(Section):
     simulation, and a person says yes to it; ``simulate``: each motion is played in simulation, and
     refused if it loses the object, collides or exceeds ``force``; ``act``: it moves the hand within
     the limits below, which always hold."""
-    force: Annotated[float, Interval(gt=0, le=1000)] | None = None
+    force: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Largest force that it may ask for, and that a simulation may come to [N]; 10 N unless
     given."""
-    effort: Annotated[float, Interval(gt=0, le=1)] | None = None
+    effort: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Largest effort of actions that are done without a force, as a share of the effort limits; 0.4
     unless given."""
-    speed: Annotated[float, Interval(gt=0, le=1)] | None = None
+    speed: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Largest speed, as a share of the velocity limits; 0.5 unless given."""
     actions: Names = ()
     """Names of the actions that it may do; ``grasp`` stands for grasping by width and force, and
     ``open`` for opening. Empty: all."""
 
 
-class Distro(Word):
+class Distro(StrEnum):
     """A distribution of ROS 2: it determines the interfaces and their hashes."""
 
     JAZZY = "jazzy"
@@ -489,14 +447,13 @@ class GripperUnit(StrEnum):
     MOVEIT = "moveit"
 
 
-@dataclass(frozen=True, slots=True)
-class Ros2Settings(Section):
+class Ros2Settings(Section, frozen=True):
     """The hand as a node of ROS 2, for nodes with the middleware ``rmw_zenoh_cpp``."""
 
     enabled: bool = False
     """Be a node of ROS 2. ROS 2 knows no identities: whoever reaches its router can move the
     hand."""
-    domain: Annotated[int, Interval(ge=0, le=232)] = 0
+    domain: Annotated[int, Meta(ge=0, le=232)] = 0
     """The domain, unless ``ROS_DOMAIN_ID`` gives another."""
     namespace: str = ""
     """Namespace of the node, such as ``left``; empty: none."""
@@ -504,7 +461,7 @@ class Ros2Settings(Section):
     """Distribution of the other nodes: jazzy, kilted, rolling or humble."""
     router: str = "tcp/localhost:7447"
     """Zenoh endpoint of the router (``rmw_zenohd``)."""
-    rate: Annotated[float, Interval(ge=1, le=1000)] = 100.0
+    rate: Annotated[float, Meta(ge=1, le=1000)] = 100.0
     """Rate of ``joint_states`` and of the other topics with what is measured [Hz]."""
     tf: bool = False
     """Publish ``/tf`` and ``/tf_static``, where no ``robot_state_publisher`` does."""
@@ -525,11 +482,10 @@ class Ros2Settings(Section):
 
 Vector = tuple[float, float, float]
 Vectors = tuple[Vector, ...]
-Cells = Annotated[int, Interval(ge=1, le=100)]
+Cells = Annotated[int, Meta(ge=1, le=100)]
 
 
-@dataclass(frozen=True, slots=True)
-class FlangeSection(Section):
+class FlangeSection(Section, frozen=True):
     """Where the hand sits on an arm: the pose of its base frame in that of the arm's flange."""
 
     frame: str = "flange"
@@ -547,8 +503,7 @@ class FlangeSection(Section):
             )
 
 
-@dataclass(frozen=True, slots=True)
-class TouchSection(Section):
+class TouchSection(Section, frozen=True):
     """Where a touch sensor is on the hand, and what its values mean."""
 
     link: str | None = None
@@ -583,15 +538,14 @@ class TouchSection(Section):
             raise ValueError("should have normals that are longer than 0")
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceSection(Section):
+class DeviceSection(Section, frozen=True):
     """A physical thing on a bus."""
 
     driver: str
     """Name of the driver, or ``module:Class`` for one of your own."""
     actuators: Literal["all"] | Names = "all"
     """The actuators it drives."""
-    every: Annotated[int, Ge(1)] | None = None
+    every: Annotated[int, Meta(ge=1)] | None = None
     """Exchange with it every n ticks; unless given, as often as its bus allows."""
     deadline: Positive | None = None
     """Longest time one exchange may take [s]."""

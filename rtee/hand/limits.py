@@ -12,7 +12,6 @@ from rtee.errors import ModelError, UserError
 from rtee.hand.config_schema import (
     ActuatorDynamics,
     ActuatorLimits,
-    DefaultLimits,
     FlangeSection,
     PositionRange,
     TouchSection,
@@ -75,7 +74,7 @@ class Overrides:
     package_dirs: tuple[Path, ...] = ()
     rest: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, ActuatorLimits] = field(default_factory=dict)
-    default_limits: DefaultLimits = field(default_factory=DefaultLimits)
+    default_limits: ActuatorLimits = field(default_factory=ActuatorLimits)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
     tip_friction: Mapping[str, float] = field(default_factory=dict)

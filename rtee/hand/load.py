@@ -5,17 +5,25 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 
 from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf, joints_of_hand
-from rtee.hand.config_schema import ActuatorDynamics, Following, Outside, TouchSection
+from rtee.hand.config import DEFAULTS
+from rtee.hand.config_schema import (
+    ActuatorDynamics,
+    ActuatorLimits,
+    Following,
+    Outside,
+    TouchSection,
+)
 from rtee.hand.discovery import find_branches, make_fingers
 from rtee.hand.limits import (
     Overrides,
@@ -137,10 +145,10 @@ def load_configured(
         title=config.title,
         package_dirs=tuple(folder / package for package in config.package_dirs),
         rest=config.rest,
-        limits=config.limits.actuators,
-        default_limits=config.limits.defaults,
-        dynamics=config.dynamics.actuators,
-        default_dynamics=config.dynamics.defaults,
+        limits={name: each for name, each in config.limits.items() if name != DEFAULTS},
+        default_limits=config.limits.get(DEFAULTS, ActuatorLimits()),
+        dynamics={name: each for name, each in config.dynamics.items() if name != DEFAULTS},
+        default_dynamics=config.dynamics.get(DEFAULTS, ActuatorDynamics()),
         tip_friction=config.tip_friction,
         touch=config.touch,
         flange=config.flange,
@@ -505,7 +513,7 @@ def _make_dynamics(
         # In the hand's order, independent of that of the patterns.
         chosen = {joint: chosen[joint] for joint in follow if joint in chosen}
         shares = chosen if dynamics.shares is not None else None
-        found[name] = replace(dynamics, joints=tuple(chosen), shares=shares)
+        found[name] = structs.replace(dynamics, joints=tuple(chosen), shares=shares)
     return found
 
 
@@ -513,8 +521,8 @@ def _completed(own: ActuatorDynamics | None, defaults: ActuatorDynamics) -> Actu
     """Return an actuator's dynamics with the defaults for missing values."""
     if own is None:
         return defaults
-    missing = [field.name for field in fields(own) if getattr(own, field.name) is None]
-    return replace(own, **{name: getattr(defaults, name) for name in missing})
+    missing = [name for name, value in structs.asdict(own).items() if value is None]
+    return structs.replace(own, **{name: getattr(defaults, name) for name in missing})
 
 
 def _carries_shape(urdf: Urdf, link: str) -> bool:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import json
+from types import ModuleType
 from typing import Any, Final
-
-from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
 
 SCHEMA_FILE: Final = "hand.schema.json"
 SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
@@ -14,21 +16,44 @@ SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
 
 def hand_schema() -> dict[str, Any]:
     """Return the JSON schema of ``hand.yaml``."""
-    from pydantic import TypeAdapter
+    import msgspec
 
-    from rtee.hand.config import DynamicsSection, HandConfig, LimitsSection
+    from rtee.hand import config, config_schema
 
-    schema = TypeAdapter(HandConfig).json_schema()
-    # pydantic does not find the docstrings of the fields that a dataclass inherits.
-    inherited = schema["$defs"][DefaultLimits.__name__]["properties"]
-    schema["$defs"][ActuatorLimits.__name__]["properties"] |= inherited
-    # Nor does it know that a field takes all keys without a field.
-    for name, kind in (("limits", LimitsSection), ("dynamics", DynamicsSection)):
-        section = schema["$defs"][kind.__name__]
-        others = section["properties"].pop("actuators")
-        section["additionalProperties"] = others["additionalProperties"]
-        del schema["properties"][name]["default"]["actuators"]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    made = msgspec.json.schema(config.HandConfig, schema_hook=lambda path: {"type": "string"})
+    # Equal bounds are one in Python, so that 0 and 0.0 would change with the order of imports.
+    made = json.loads(json.dumps(made), object_hook=_with_whole_bounds)
+    sections = made["$defs"]
+    for module in (config_schema, config):
+        for section, texts in _descriptions(module).items():
+            for field, text in texts.items():
+                sections[section]["properties"][field]["description"] = text
+    root = sections.pop(config.HandConfig.__name__)
+    schema = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": schema, "$defs": sections, **root}
+
+
+def _with_whole_bounds(node: dict[str, Any]) -> dict[str, Any]:
+    bounds = ("minimum", "maximum", "exclusiveMinimum")
+    whole = {name: int(node[name]) for name in bounds if node.get(name, 0.5) % 1 == 0}
+    return node | whole
+
+
+def _descriptions(module: ModuleType) -> dict[str, dict[str, str]]:
+    """Return the texts below the fields of a module's sections, by section and field."""
+    found: dict[str, dict[str, str]] = {}
+    for section in ast.parse(inspect.getsource(module)).body:
+        for pair in itertools.pairwise(getattr(section, "body", ())):
+            match section, pair:
+                case (
+                    ast.ClassDef(name=name),
+                    (
+                        ast.AnnAssign(target=ast.Name(id=field)),
+                        ast.Expr(value=ast.Constant(value=str(text))),
+                    ),
+                ):
+                    found.setdefault(name, {})[field] = inspect.cleandoc(text)
+    return found
 
 
 def schema_text() -> str:

@@ -1,91 +1,133 @@
-"""Check plain data, as YAML and JSON hold it, against dataclasses.
+"""Check plain data, as YAML and JSON hold it, against types.
 
-The types of a dataclass define valid data: ``float``, ``int``, ``bool``, ``str``, ``Path``,
-literals, enumerations, tuples, lists, mappings, other dataclasses, unions of these, and bounds of
-annotated-types. Values are converted only where YAML and JSON lack the type: a mapping becomes a
-dataclass, a list a tuple, a text a path or a member of an enumeration, an integer a ``float``.
-Unknown keys, and numbers that are NaN or infinite, are refused.
-
-The mistakes have the form of those of pydantic, which checks the options of drivers. Files are not
-checked with it, since its import takes 9 MB and a tenth of a second; `checked` reads them.
+msgspec does it: `Section` is the base of what people write, and dataclasses hold what programs
+write; bounds are `msgspec.Meta`. Values are converted only where YAML and JSON lack the type: a
+mapping becomes a section or a dataclass, a list a tuple or a set, a text a path or a member of an
+enumeration, an integer a ``float``. msgspec stops at the first mistake and does not say the key of
+a mapping, so that wrong data is looked through once more, for sentences with all locations.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import operator
 import os
+import re
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, TypedDict, TypeVar
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
-from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MaxLen, MinLen
+from msgspec import NODEFAULT, Meta, Struct, ValidationError, convert, structs
 
 from rtee.errors import ConfigError, UserError, suggestion
 from rtee.hand.yamlfile import Location, YamlDocument
 
 T = TypeVar("T")
 
-OTHERS: Final = "others"
-"""Marks, in its metadata, the field of a dataclass that takes all keys without a field."""
+_NONE: Final = (NODEFAULT, dataclasses.MISSING)
+"""Marks of fields without a default."""
+
+_LARGEST: Final = 1.7976931348623157e308
+
+Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
+"""A number of a file that may hold NaN and infinity; with other bounds, ``le`` is enough."""
+Amount = Annotated[float, Meta(ge=0, le=_LARGEST)]
+"""One that is at least 0."""
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """A further condition for a value of the right type, in `Annotated`.
+class Section(Struct, frozen=True, forbid_unknown_fields=True):
+    """A part of a file that people write: unknown keys are refused.
 
-    Attributes:
-        function: Takes the value; raises a ``ValueError`` with the reason if it is wrong.
+    Conditions on its values together are checked in ``__post_init__``, which raises a
+    ``ValueError`` with the reason, or `Misfit`.
     """
 
-    function: Callable[[Any], object]
 
-
-class Mistake(TypedDict):
-    """A mistake, as in ``ValidationError.errors()`` of pydantic.
+class Misfit(ValueError):
+    """A value inside a section is not as it should be.
 
     Attributes:
-        type: Its kind, such as ``missing``.
-        loc: Its location: keys and positions from the root.
-        msg: What the value should be, or what is wrong.
-        input: The value that is wrong.
+        at: Its location in the section.
     """
 
-    type: str
-    loc: Location
-    msg: str
-    input: Any
+    def __init__(self, reason: str, *at: str | int) -> None:
+        super().__init__(reason)
+        self.at = at
+
+
+@contextmanager
+def fitting(*at: str | int) -> Iterator[None]:
+    """Raise a ``ValueError`` inside the context as a `Misfit` at a location of the section."""
+    try:
+        yield
+    except ValueError as error:
+        raise Misfit(str(error), *at) from None
+
+
+class Fault(Enum):
+    """What is wrong with a value."""
+
+    UNKNOWN = "its key is unknown"
+    MISSING = "it is missing"
+    UNFIT = "it is of another type or out of bounds"
+    CONTRARY = "a condition of its section does not hold"
+
+
+class Mistake(NamedTuple):
+    """A mistake in plain data.
+
+    Attributes:
+        fault: What kind of mistake it is.
+        at: Its location: keys and positions from the root.
+        words: What the value should be, what is wrong, or for an unknown key a hint.
+        value: The value that is wrong.
+    """
+
+    fault: Fault
+    at: Location
+    words: str
+    value: Any = None
 
 
 class Invalid(ValueError):
-    """Data does not fit the dataclass it was checked against."""
+    """Data does not fit the type it was checked against.
+
+    Attributes:
+        mistakes: All mistakes, in the order of the fields.
+    """
 
     def __init__(self, mistakes: list[Mistake]) -> None:
-        super().__init__(mistakes[0]["msg"])
-        self._mistakes = mistakes
+        super().__init__(mistakes[0].words)
+        self.mistakes = mistakes
 
-    def errors(self) -> list[Mistake]:
-        """Return all mistakes, in the order of the fields."""
-        return self._mistakes
+    @property
+    def first(self) -> Mistake:
+        """The first mistake."""
+        return self.mistakes[0]
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong at the place of the first mistake; a union may have several."""
+        words = " or ".join(each.words for each in self.mistakes if each.at == self.first.at)
+        unfit = self.first.fault is Fault.UNFIT
+        return f"{words}, not {self.first.value!r:.80}" if unfit else words
 
 
 def validated(kind: type[T], data: Any) -> T:
-    """Return plain data from YAML or JSON as a dataclass.
+    """Return plain data from YAML or JSON as a value of a type.
 
     Raises:
         Invalid: It does not fit; the error names all mistakes.
     """
-    mistakes: list[Mistake] = []
-    made = _checker(typing.cast("Any", kind))(data, (), mistakes)
-    if mistakes:
-        raise Invalid(mistakes)
-    return typing.cast("T", made)
+    try:
+        return convert(data, kind, dec_hook=_converted)
+    except ValidationError:
+        raise Invalid([*_mistakes(kind, data, ())]) from None
 
 
 def checked(
@@ -95,10 +137,10 @@ def checked(
     at: Location = (),
     data: Any = None,
 ) -> T:
-    """Return a document, or what is at a location in it, as a dataclass.
+    """Return a document, or what is at a location in it, as a value of a type.
 
     Args:
-        kind: The dataclass, or another type of valid data.
+        kind: The type of valid data.
         document: The document.
         raised: The error to raise.
         at: Location of the data in the document.
@@ -110,357 +152,153 @@ def checked(
     try:
         return validated(kind, document.data if data is None else data)
     except Invalid as error:
-        found = document.located([{**each, "loc": (*at, *each["loc"])} for each in error.errors()])
-    location, first = found[0]
-    # One location has several for a union.
-    reasons = " or ".join(mistake["msg"] for place, mistake in found if place == location)
-    match first["type"]:
-        case "extra_forbidden":
-            known = known_keys(kind, location[len(at) : -1])
-            reasons = f"unknown key; {suggestion(str(location[-1]), known)}"
-        case "missing" | "value_error":
-            pass
-        case _:
-            reasons = f"{reasons}, not {first['input']!r:.80}"
-    raise document.error(location, reasons, raised)
-
-
-def known_keys(kind: Any, location: Location) -> list[str]:
-    """Return the keys that a dataclass allows at a location inside it."""
-    for part in location:
-        kind = _inside(kind, part)
-    return list(field_types(next(_dataclasses(kind))))
-
-
-def _inside(kind: Any, part: str | int) -> Any:
-    """Return the type of the value at a key or position of a value of some type."""
-    if _is_dataclass(kind):
-        others = _others(kind)
-        if part in field_types(kind) and part != others:
-            return field_types(kind)[str(part)]
-        return kind if others is None else _inside(field_types(kind)[others], part)
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (dict, Mapping):
-        return arguments[1]
-    if origin in (list, tuple):
-        return arguments[0]
-    # An annotated or optional type contains the type that leads further.
-    return _inside(arguments[0], part)
-
-
-def _dataclasses(annotation: Any) -> Iterator[Any]:
-    """Yield the dataclasses in a type."""
-    if _is_dataclass(annotation):
-        yield annotation
-    for inner in typing.get_args(annotation):
-        yield from _dataclasses(inner)
+        found = [each._replace(at=(*at, *each.at)) for each in error.mistakes]
+    # Keys that are missing come last: one of them may only be misspelled.
+    found.sort(key=lambda each: (each.fault is Fault.MISSING, document.line(each.at) or 0))
+    wrong = Invalid(found)
+    unknown = "unknown key; " if wrong.first.fault is Fault.UNKNOWN else ""
+    raise document.error(wrong.first.at, unknown + wrong.sentence, raised)
 
 
 @cache
-def field_types(kind: Any) -> Mapping[str, Any]:
-    """Return the fields of a dataclass with their types, bounds included."""
-    hints = typing.get_type_hints(kind, include_extras=True)
-    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+def field_names(kind: Any) -> Collection[str]:
+    """Return the names of the fields of a section or a dataclass."""
+    if issubclass(kind, Struct):
+        return tuple(field.name for field in structs.fields(kind))
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
-def _is_dataclass(kind: Any) -> bool:
-    return dataclasses.is_dataclass(kind)
+def defaults(kind: Any) -> dict[str, Any]:
+    """Return the default of each field of a section or a dataclass that has one.
 
-
-def _others(kind: Any) -> str | None:
-    """Return the field of a dataclass that takes all keys without a field, if it has one."""
-    return next(
-        (field.name for field in dataclasses.fields(kind) if OTHERS in field.metadata), None
-    )
-
-
-_A_MAPPING: Final = "should be a mapping, such as {name: value}"
-
-_Checker = Callable[[Any, Location, list[Mistake]], Any]
-"""Takes a value, its location and the mistakes so far; returns the value converted to its type.
-
-After a mistake, the returned value is meaningless."""
-
-
-def _mistake(mistakes: list[Mistake], kind: str, at: Location, message: str, value: Any) -> None:
-    mistakes.append(Mistake(type=kind, loc=at, msg=message, input=value))
-
-
-# Cached, since a file of actions has thousands of values of a few types.
-@cache
-def _checker(kind: Any) -> _Checker:
-    """Return the function that checks values of a type.
-
-    Raises:
-        TypeError: No value of that type can be in a file.
+    Args:
+        kind: The class; ``None`` for one without fields.
     """
+    if kind is None:
+        return {}
+    found = {}
+    for field in structs.fields(kind) if issubclass(kind, Struct) else dataclasses.fields(kind):
+        if field.default_factory not in _NONE:
+            found[field.name] = field.default_factory()
+        elif field.default is not NODEFAULT and field.default is not dataclasses.MISSING:
+            found[field.name] = field.default
+    return found
+
+
+def values_given(section: Section) -> dict[str, Any]:
+    """Return the values of a section other than ``None``."""
+    return {name: value for name, value in structs.asdict(section).items() if value is not None}
+
+
+def _converted(kind: type, value: Any) -> Any:
+    """Return a value as a type that msgspec does not know."""
+    if issubclass(kind, Path) and isinstance(value, str | Path):
+        return Path(os.path.expanduser(value))
+    raise ValueError("should be a valid path")
+
+
+def _mistakes(kind: Any, value: Any, at: Location) -> Iterator[Mistake]:
+    """Yield the mistakes of a value."""
+    try:
+        convert(value, kind, dec_hook=_converted)
+    except ValidationError as error:
+        mistake = error
+    else:
+        return
+    inner = [found for part in _parts(kind, value, at) for found in part]
+    yield from inner or [_own(kind, value, at, mistake)]
+
+
+def _parts(kind: Any, value: Any, at: Location) -> Iterator[Iterator[Mistake]]:
+    """Yield the mistakes of what is in a value."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
-        return _bounded(_checker(arguments[0]), arguments[1:])
-    if origin in (typing.Union, types.UnionType):
-        return _union([_checker(each) for each in arguments])
-    if origin is Literal:
-        return _words({word: word for word in arguments})
-    if origin is tuple:
-        if arguments[-1] is Ellipsis:
-            return _sequence(_checker(arguments[0]), tuple, "tuple")
-        return _fixed([_checker(each) for each in arguments])
-    if origin is list:
-        return _sequence(_checker(arguments[0]), list, "list")
-    if origin in (dict, Mapping):
-        return _mapping(_checker(arguments[0]), _checker(arguments[1]))
-    if _is_dataclass(kind):
-        return _dataclass(kind)
+        yield _mistakes(arguments[0], value, at)
+    elif origin in (typing.Union, types.UnionType):
+        # A mistake need not say that None is possible.
+        yield from (_mistakes(each, value, at) for each in arguments if each is not type(None))
+    elif origin in (dict, Mapping) and isinstance(value, Mapping):
+        for name, each in value.items():
+            yield _mistakes(arguments[0], name, (*at, name))
+            yield _mistakes(arguments[1], each, (*at, name))
+    elif origin in (list, tuple, frozenset) and isinstance(value, list | tuple):
+        fixed = origin is tuple and arguments[-1] is not Ellipsis
+        kinds = arguments if fixed else arguments[:1] * len(value)
+        for number, (inner, each) in enumerate(zip(kinds, value, strict=False)):
+            yield _mistakes(inner, each, (*at, number))
+    elif has_fields(kind) and isinstance(value, Mapping):
+        yield from _fields(kind, value, at)
+
+
+def has_fields(kind: Any) -> bool:
+    """Return whether a type is a section or a dataclass."""
+    return isinstance(kind, type) and (issubclass(kind, Struct) or dataclasses.is_dataclass(kind))
+
+
+def _fields(kind: Any, value: Mapping[Any, Any], at: Location) -> Iterator[Iterator[Mistake]]:
+    """Yield the mistakes of a section's or a dataclass's fields."""
+    hints, names = typing.get_type_hints(kind, include_extras=True), field_names(kind)
+    for name in names:
+        if name in value:
+            yield _mistakes(hints[name], value[name], (*at, name))
+        elif name not in defaults(kind):
+            yield iter([Mistake(Fault.MISSING, (*at, name), "is missing", value)])
+    for name in value:
+        if name not in names and issubclass(kind, Section):
+            hint = suggestion(str(name), names)
+            yield iter([Mistake(Fault.UNKNOWN, (*at, name), hint, value[name])])
+
+
+_KINDS: Final[Mapping[Any, str]] = {
+    float: "should be a valid number",
+    int: "should be a valid integer",
+    bool: "should be a valid boolean",
+    str: "should be a valid string",
+    list: "should be a valid list, such as [1, 2, 3]",
+    tuple: "should be a valid list, such as [1, 2, 3]",
+    frozenset: "should be a valid list, such as [1, 2, 3]",
+    dict: "should be a mapping, such as {name: value}",
+    Mapping: "should be a mapping, such as {name: value}",
+    Path: "should be a valid path",
+}
+
+_BOUNDS: Final[Mapping[str, str]] = {
+    ">": "greater than",
+    ">=": "greater than or equal to",
+    "<": "less than",
+    "<=": "less than or equal to",
+}
+
+
+def _own(kind: Any, value: Any, at: Location, error: ValidationError) -> Mistake:
+    """Return the mistake of a value whose parts are as they should be."""
+    cause = error.__cause__
+    if cause is not None and kind is not Path:
+        inner = cause.at if isinstance(cause, Misfit) else ()
+        return Mistake(Fault.CONTRARY, (*at, *inner), str(cause), value)
+    return Mistake(Fault.UNFIT, at, _words(kind, value, str(error)), value)
+
+
+def _words(kind: Any, value: Any, error: str) -> str:
+    """Return what a value should be, by its type and what msgspec says of it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return "should be a finite number"
+    if bound := re.match(r"Expected `\w+` ([<>]=?) (\S+)", error):
+        return f"should be {_BOUNDS[bound[1]]} {float(bound[2]):g}"
+    if length := re.match(r"Expected `\w+` of length (?:([<>])= )?(\d+)", error):
+        least = {"<": "at most ", ">": "at least "}.get(length[1], "")
+        return f"should have {least}{length[2]} items"
+    if pattern := re.search(r"matching regex (.+?)(?: - at|$)", error):
+        return f"should match the pattern {pattern[1]}"
+    while typing.get_origin(kind) is Annotated:
+        kind = typing.get_args(kind)[0]
+    if typing.get_origin(kind) is Literal:
+        return _one_of(typing.get_args(kind))
     if isinstance(kind, type) and issubclass(kind, Enum):
-        return _words({member.value: member for member in kind})
-    if kind is Any:
-        return lambda value, at, mistakes: value
-    if kind in _PLAIN:
-        return _PLAIN[kind]
-    raise TypeError(f"settings cannot be of the type {kind}")
+        return _one_of([member.value for member in kind])
+    return _KINDS[Mapping if has_fields(kind) else typing.get_origin(kind) or kind]
 
 
-def _float(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-    if type(value) is float:
-        if not math.isfinite(value):
-            _mistake(mistakes, "finite_number", at, "should be a finite number", value)
-        return value
-    if type(value) is int:
-        try:
-            return float(value)
-        # An integer of more than 308 digits.
-        except OverflowError:
-            pass
-    _mistake(mistakes, "float_type", at, "should be a valid number", value)
-    return None
-
-
-def _of_type(kind: type, name: str, words: str) -> _Checker:
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        # Not isinstance: True is an int, too.
-        if type(value) is not kind:
-            _mistake(mistakes, f"{name}_type", at, f"should be a valid {words}", value)
-        return value
-
-    return check
-
-
-def _none(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-    if value is not None:
-        _mistake(mistakes, "none_required", at, "should be None", value)
-
-
-def _path(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-    if isinstance(value, str | Path):
-        return Path(os.path.expanduser(value))
-    _mistake(mistakes, "path_type", at, "should be a valid path", value)
-    return None
-
-
-_PLAIN: Final[Mapping[Any, _Checker]] = {
-    float: _float,
-    int: _of_type(int, "int", "integer"),
-    bool: _of_type(bool, "bool", "boolean"),
-    str: _of_type(str, "string", "string"),
-    Path: _path,
-    type(None): _none,
-}
-
-
-def _words(members: Mapping[Any, Any]) -> _Checker:
-    names = [repr(word) for word in members]
-    expected = " or ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
-
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        # A text first: a list could not be looked up.
-        if isinstance(value, str) and value in members:
-            return members[value]
-        message = f"should be {expected}"
-        _mistake(mistakes, "literal_error", at, message, value)
-        return None
-
-    return check
-
-
-def _union(checkers: list[_Checker]) -> _Checker:
-    optional = _none in checkers
-    members = [check for check in checkers if check is not _none]
-
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        # Not as one of the members: a mistake would then also say that None is possible.
-        if value is None and optional:
-            return None
-        found: list[Mistake] = []
-        for member in members:
-            wrong: list[Mistake] = []
-            made = member(value, at, wrong)
-            if not wrong:
-                return made
-            found += wrong
-        mistakes += found
-        return None
-
-    return check
-
-
-def _sequence(item: _Checker, kind: type[list[Any]] | type[tuple[Any, ...]], name: str) -> _Checker:
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        if not isinstance(value, list | tuple):
-            _mistake(mistakes, f"{name}_type", at, "should be a valid list", value)
-            return None
-        return kind(item(each, (*at, i), mistakes) for i, each in enumerate(value))
-
-    return check
-
-
-def _fixed(items: list[_Checker]) -> _Checker:
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        if not isinstance(value, list | tuple):
-            _mistake(mistakes, "tuple_type", at, "should be a valid list", value)
-            return None
-        if len(value) > len(items):
-            _exceeded(_TOO_LONG, len(items), value, at, mistakes)
-            return None
-        pairs = zip(items, value, strict=False)
-        made = [item(each, (*at, i), mistakes) for i, (item, each) in enumerate(pairs)]
-        for i in range(len(value), len(items)):
-            _mistake(mistakes, "missing", (*at, i), "is missing", value)
-        return tuple(made)
-
-    return check
-
-
-def _mapping(key: _Checker, item: _Checker) -> _Checker:
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        if not isinstance(value, Mapping):
-            _mistake(mistakes, "dict_type", at, _A_MAPPING, value)
-            return None
-        # "[key]" as in pydantic: without it, a wrong key would look like a wrong value.
-        return {
-            key(name, (*at, name, "[key]"), mistakes): item(each, (*at, name), mistakes)
-            for name, each in value.items()
-        }
-
-    return check
-
-
-def _dataclass(kind: Any) -> _Checker:
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    hints = field_types(kind)
-    others = _others(kind)
-    needed = {
-        name
-        for name, field in fields.items()
-        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    }
-    checkers = {name: _checker(hints[name]) for name in fields if name != others}
-    rest = None if others is None else _checker(hints[others])
-
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        if not isinstance(value, Mapping):
-            _mistake(mistakes, "dataclass_type", at, _A_MAPPING, value)
-            return None
-        before = len(mistakes)
-        made: dict[str, Any] = {}
-        for name, item in checkers.items():
-            if name in value:
-                made[name] = item(value[name], (*at, name), mistakes)
-            elif name in needed:
-                _mistake(mistakes, "missing", (*at, name), "is missing", value)
-        unknown = {name: each for name, each in value.items() if name not in checkers}
-        if rest is not None and others is not None:
-            made[others] = rest(unknown, at, mistakes)
-        else:
-            for name, each in unknown.items():
-                message = "unknown key"
-                _mistake(mistakes, "extra_forbidden", (*at, name), message, each)
-        # `__post_init__` relies on values of the right types.
-        if len(mistakes) > before:
-            return None
-        try:
-            return kind(**made)
-        except ValueError as error:  # from __post_init__: values that do not fit each other
-            _mistake(mistakes, "value_error", at, str(error), value)
-            return None
-
-    return check
-
-
-class _Bound(NamedTuple):
-    """A kind of bound on a value.
-
-    Attributes:
-        kind: The kind of its mistake.
-        limit: Name of the limit, in annotated-types and in the mistake's context.
-        holds: Function that returns whether a value is within a limit.
-        words: The condition in words, with the limit in braces.
-    """
-
-    kind: str
-    limit: str
-    holds: Callable[[Any, Any], bool]
-    words: str
-
-
-_TOO_LONG: Final = _Bound(
-    "too_long", "max_length", lambda value, most: len(value) <= most, "have at most {:g} items"
-)
-_BOUNDS: Final[Mapping[Any, _Bound]] = {
-    Le: _Bound("less_than_equal", "le", operator.le, "be less than or equal to {:g}"),
-    Lt: _Bound("less_than", "lt", operator.lt, "be less than {:g}"),
-    Ge: _Bound("greater_than_equal", "ge", operator.ge, "be greater than or equal to {:g}"),
-    Gt: _Bound("greater_than", "gt", operator.gt, "be greater than {:g}"),
-    MinLen: _Bound(
-        "too_short",
-        "min_length",
-        lambda value, least: len(value) >= least,
-        "have at least {:g} items",
-    ),
-    MaxLen: _TOO_LONG,
-}
-
-
-def _bounded(inner: _Checker, metadata: tuple[Any, ...]) -> _Checker:
-    """Return a function that checks values as `inner` does, and then their bounds."""
-    bounds = [each for group in metadata for each in _single(group)]
-
-    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
-        before = len(mistakes)
-        made = inner(value, at, mistakes)
-        for bound in bounds:
-            # A comparison with a value of the wrong type would raise an error.
-            if made is None or len(mistakes) > before:
-                break
-            _check_bound(bound, made, value, at, mistakes)
-        return made
-
-    return check
-
-
-def _single(metadata: Any) -> Iterator[Any]:
-    """Yield the bounds in one annotation; annotations for other readers have none."""
-    if isinstance(metadata, GroupedMetadata):
-        yield from metadata
-    elif isinstance(metadata, BaseMetadata | Check):
-        yield metadata
-
-
-def _check_bound(
-    metadata: Any, value: Any, given: Any, at: Location, mistakes: list[Mistake]
-) -> None:
-    """Check a value of the right type, converted from `given`, against one bound."""
-    if isinstance(metadata, Check):
-        try:
-            metadata.function(value)
-        except ValueError as error:
-            _mistake(mistakes, "value_error", at, str(error), given)
-        return
-    bound = _BOUNDS[type(metadata)]
-    limit = getattr(metadata, bound.limit)
-    if not bound.holds(value, limit):
-        _exceeded(bound, limit, given, at, mistakes)
-
-
-def _exceeded(bound: _Bound, limit: Any, value: Any, at: Location, mistakes: list[Mistake]) -> None:
-    message = f"should {bound.words.format(limit)}"
-    _mistake(mistakes, bound.kind, at, message, value)
+def _one_of(words: Collection[Any]) -> str:
+    *names, last = map(repr, words)
+    return f"should be {' or '.join(filter(None, (', '.join(names), last)))}"

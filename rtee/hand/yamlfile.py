@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -70,37 +70,6 @@ class YamlDocument:
         if isinstance(error, ConfigError):
             error.key = key or None
         return error
-
-    def located(self, errors: Sequence[Mapping[str, Any]]) -> list[tuple[Location, Any]]:
-        """Return mistakes with their locations, in the order of the file.
-
-        Keys that are missing come last: one of them may only be misspelled.
-
-        Args:
-            errors: What `Invalid.errors` returns for this document's data.
-        """
-        found = [(self._known(error["loc"], error["type"]), error) for error in errors]
-        return sorted(
-            found, key=lambda item: (item[1]["type"] == "missing", self.line(item[0]) or 0)
-        )
-
-    def _known(self, location: Location, kind: str) -> Location:
-        """Return the part of an error's location that is keys and items of the document."""
-        kept: list[str | int] = []
-        data = self.data
-        for place, part in enumerate(location):
-            if _has(data, part):
-                data = data[part]
-            elif kind != "missing" or place < len(location) - 1:
-                continue
-            kept.append(part)
-        return tuple(kept)
-
-
-def _has(data: Any, part: str | int) -> bool:
-    if isinstance(data, list):
-        return isinstance(part, int) and part < len(data)
-    return isinstance(data, dict) and part in data
 
 
 def read_yaml(path: Path | str, what: str) -> YamlDocument:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import types
@@ -12,6 +11,7 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from rtee.errors import LogError
+from rtee.hand.validation import field_names, has_fields
 
 T = TypeVar("T")
 
@@ -22,8 +22,9 @@ def to_json(value: object) -> str:
 
 
 def _plain(value: Any) -> Any:
-    if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    kind: Any = type(value)
+    if has_fields(kind):
+        return {name: _plain(getattr(value, name)) for name in field_names(kind)}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, float):
@@ -56,9 +57,9 @@ def _value_of(value: Any, kind: Any) -> Any:
         return {key: _value_of(item, arguments[1]) for key, item in value.items()}
     if origin is tuple:
         return tuple(_value_of(item, arguments[0]) for item in value)
-    if dataclasses.is_dataclass(kind):
+    if has_fields(kind):
         hints = typing.get_type_hints(kind)
-        known = {field.name for field in dataclasses.fields(kind)}
+        known = field_names(kind)
         # Older recordings may have fields that no longer exist.
         return typing.cast("Any", kind)(
             **{key: _value_of(item, hints[key]) for key, item in value.items() if key in known}

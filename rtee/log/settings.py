@@ -1,4 +1,4 @@
-"""Settings and status of the recorder, as dataclasses without pydantic."""
+"""Settings and status of the recorder."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from pathlib import Path
 from rtee.hand.config_schema import LogSection
 
 
-@dataclass(frozen=True, slots=True)
-class RecorderSettings(LogSection):
+class RecorderSettings(LogSection, frozen=True):
     """Settings of the recorder: the section of hand.yaml, and some that it does not have.
 
     Attributes:

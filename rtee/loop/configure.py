@@ -1,10 +1,12 @@
-"""Derive the loop's plain settings from a hand.yaml that was read; does not import pydantic."""
+"""Derive the loop's plain settings from a hand.yaml that was read."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from msgspec import structs
 
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import DeviceSection, ProfileKind, RealtimeSettings
@@ -32,10 +34,9 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
     if kind is ProfileKind.JERK_LIMITED:
         # ruckig is optional; a recording must name the profile that really ran, for its replay.
         kind = usual_profile()
-    given = {each.name: getattr(config.loop, each.name) for each in fields(config.loop)}
     return LoopSettings(
-        **given | ({} if rate is None else {"rate": rate}),
-        profile=replace(config.profile, kind=kind),
+        **structs.asdict(config.loop) | ({} if rate is None else {"rate": rate}),
+        profile=structs.replace(config.profile, kind=kind),
         safety=config.safety,
         thermal=config.thermal,
     )
@@ -51,7 +52,7 @@ def profile_words(config: HandConfig, settings: LoopSettings) -> str:
 
 def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeSettings:
     """Return the real-time settings of a hand; ``enabled`` overrides those of hand.yaml."""
-    return replace(config.realtime, enabled=config.realtime.enabled or enabled)
+    return structs.replace(config.realtime, enabled=config.realtime.enabled or enabled)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from itertools import compress
 from typing import assert_never
 
 import numpy as np
+from msgspec import structs
 
 from rtee.commands import (
     Abort,
@@ -275,7 +276,7 @@ class Controller:
             case Jog():
                 self._jog(command, stamp)
             case SetGripEffort(fraction):
-                self._grasp = replace(self._grasp, grip_effort=fraction)
+                self._grasp = structs.replace(self._grasp, grip_effort=fraction)
                 self._set_efforts()
             case SetActive(active):
                 self._set_active(active, stamp)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from msgspec import field
 
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import (
@@ -42,8 +44,7 @@ class DeviceSettings:
     reconnect_active: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LoopSettings(LoopSection):
+class LoopSettings(LoopSection, frozen=True):
     """The settings of one hand's loop.
 
     Attributes:

@@ -2,7 +2,8 @@
 
 `capture` copies references only, within the time of a tick; `encode` makes JSON of them later, in
 another thread. `restore` puts them into a new controller of the same hand and settings, bit for
-bit. It makes only objects of the controller's own classes, and runs none of their code.
+bit. It makes only objects of the controller's own classes, and runs none of their code but the
+checks of settings.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rtee.errors import LogError
+from rtee.hand.validation import Section
 from rtee.loop.controller import Controller
 
 _SCALARS = frozenset({type(None), bool, int, float, str})
@@ -150,8 +152,9 @@ class _Restoring:
     def _make(self, place: int, there: Any) -> None:
         kind, *parts = self._nodes[place]
         made: Any = there  # an object of another library: the new one does as well
-        if kind == "object":
-            its = _class(parts[0])
+        if kind == "object" and issubclass(its := _class(parts[0]), Section):
+            made = its(**{name: self.value(part, None) for name, part in parts[1].items()})
+        elif kind == "object":
             made = self._made[place] = there if type(there) is its else object.__new__(its)
             for name, part in parts[1].items():
                 object.__setattr__(made, name, self.value(part, getattr(made, name, None)))

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from annotated_types import Ge, Len
+from msgspec import Meta, field
 
 from rtee.actions.openings import model_of
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
-from rtee.hand.validation import checked
+from rtee.hand.validation import Section, checked
 from rtee.hand.yamlfile import read_yaml
 from rtee.hand.yamlwrite import emit
 
@@ -38,8 +37,7 @@ class Human(StrEnum):
     NEAREST = "nearest"
 
 
-@dataclass(frozen=True, slots=True)
-class Palm:
+class Palm(Section, frozen=True):
     """The palm's axes, unit vectors in the hand's base frame.
 
     Attributes:
@@ -53,8 +51,7 @@ class Palm:
     distal: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class FingerMap:
+class FingerMap(Section, frozen=True):
     """A finger of the hand and the human one that it follows.
 
     Attributes:
@@ -69,13 +66,12 @@ class FingerMap:
     human: Human
     base: Vector
     tip: Vector
-    reach: Annotated[float, Ge(0.0)]
-    scale: Annotated[float, Ge(0.0)] = 1.0
-    follow: Annotated[float, Ge(0.0)] = 1.0
+    reach: Annotated[float, Meta(ge=0.0)]
+    scale: Annotated[float, Meta(ge=0.0)] = 1.0
+    follow: Annotated[float, Meta(ge=0.0)] = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Pinch:
+class Pinch(Section, frozen=True):
     """Two fingertips that meet.
 
     Attributes:
@@ -93,8 +89,7 @@ class Pinch:
     positions: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Correspondence:
+class Correspondence(Section, frozen=True):
     """How a person's hand moves this one.
 
     Attributes:
@@ -109,7 +104,7 @@ class Correspondence:
     format: int
     model: str
     palm: Palm
-    fingers: Annotated[dict[str, FingerMap], Len(1)]
+    fingers: Annotated[dict[str, FingerMap], Meta(min_length=1)]
     closed: dict[str, float] = field(default_factory=dict)
     pinches: tuple[Pinch, ...] = ()
 

@@ -6,13 +6,13 @@ import json
 import os
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import anyio
 import anyio.to_thread
 import zenoh
+from msgspec import structs
 
 from rtee.errors import ConfigError, NoRouter
 from rtee.hand.config_schema import Distro, Ros2Settings
@@ -96,7 +96,7 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
             raise ConfigError(f"--distro {distro}: there are {known}")
         changes["distro"] = Distro(distro)
     try:
-        return replace(settings, **changes)
+        return structs.replace(settings, **changes)
     except ValueError as error:
         raise ConfigError(f"the command line: {error}") from None
 

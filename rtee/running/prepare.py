@@ -6,19 +6,21 @@ import logging
 import os
 import stat
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+from msgspec import structs
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.resting import pinch_at_rest
 from rtee.actions.types import Primitive
 from rtee.drivers.objects import between_fingers
-from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.hand.config import HandConfig, read_document
 from rtee.hand.config_schema import Lines
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
+from rtee.hand.validation import defaults
 from rtee.log import RecorderSettings
 from rtee.loop.configure import DeviceChoice, device_settings, loop_settings
 from rtee.loop.settings import DeviceSettings, LoopSettings
@@ -105,7 +107,7 @@ class PreparedHand:
     def recorder_settings(self, options: RunOptions) -> RecorderSettings:
         """Return the settings of the hand's recorder."""
         given = self.config.log
-        settings = {each.name: getattr(given, each.name) for each in fields(given)}
+        settings = structs.asdict(given)
         # The shell leaves the `~` of `--log=~/logs` as it is.
         log_folder = None if options.log is None else Path(os.path.expanduser(options.log))
         settings["directory"] = folder = log_folder or given.directory
@@ -182,7 +184,7 @@ def homing_allowed(specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
     """
     return tuple(
         replace(spec, options={**spec.options, "home": "on_connect"})
-        if "home" in default_options(find_driver(spec.driver, source=spec.source).Options)
+        if "home" in defaults(find_driver(spec.driver, source=spec.source).Options)
         else spec
         for spec in specs
     )

@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 import anyio
+from msgspec import structs
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
@@ -166,7 +167,7 @@ async def run_hands(
 def _recalled(prepared: PreparedHand) -> PreparedHand:
     """Return a hand that goes on from what it has learned of its free motion."""
     known = free_motion.recall(prepared.hand.name, prepared.devices)
-    return replace(prepared, settings=replace(prepared.settings, free_motion=known))
+    return replace(prepared, settings=structs.replace(prepared.settings, free_motion=known))
 
 
 def _in_ros2(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from msgspec import structs
 
 from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.model import Built
@@ -301,7 +302,7 @@ def _simulation(
         changes = variation.options(trial.mass)
         if trial.friction is not None:  # what the user gives does not vary
             del changes["friction"]
-        options = options.model_copy(update=changes)
+        options = structs.replace(options, **changes)
     return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)
 
 

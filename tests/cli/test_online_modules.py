@@ -11,7 +11,7 @@ import pytest
 HAND = "robotiq_2f_85"
 
 UNUSED = {
-    # other than files of hands and actions are checked with it
+    # arguments of language models are checked with it
     "pydantic",
     "pydantic_core",
     # extras and what works offline

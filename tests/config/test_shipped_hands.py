@@ -11,9 +11,10 @@ import pytest
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Composed, Generic, Primitive, Timed
 from rtee.drivers.registry import find_driver
-from rtee.hand.config import HandConfig, read_config
+from rtee.hand.config import DEFAULTS, HandConfig, read_config
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand, JointRole
+from rtee.hand.validation import validated
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIG = REPOSITORY / "config"
@@ -107,7 +108,7 @@ def test_the_rest_posture_lies_within_the_limits(hand: Hand) -> None:
 
 
 def test_limits_only_tighten_the_model(name: str, hand: Hand, config: HandConfig) -> None:
-    assert set(config.limits.actuators) <= set(hand.actuator_names)
+    assert set(config.limits) <= {*hand.actuator_names, DEFAULTS}
     for actuator in hand.actuators:
         joint = hand.urdf.joints[actuator.name]
         assert 0.0 < actuator.velocity <= joint.velocity
@@ -142,7 +143,7 @@ def test_its_devices_have_drivers_and_options_they_know(config: HandConfig) -> N
     for device in config.devices.values():
         options = find_driver(device.driver).Options
         assert options is not None
-        options.model_validate(device.options)
+        validated(options, dict(device.options))
 
 
 def test_its_actions_load(library: ActionLibrary) -> None:

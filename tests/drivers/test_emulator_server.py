@@ -161,9 +161,9 @@ def test_a_hand_with_two_wires_is_played_on_either() -> None:
 
 def test_a_list_is_asked_for_in_the_form_it_is_written() -> None:
     assert Player("dynamixel", {"ids": [1, 2]}).emulator.servos.keys() == {1, 2}  # type: ignore[attr-defined]
-    with pytest.raises(ConfigError, match=r"should be a valid list; a list is written \[1, 2, 3\]"):
+    with pytest.raises(ConfigError, match=r"should be a valid list, such as \[1, 2, 3\]"):
         Player("dynamixel", {"ids": "1,2"})
-    with pytest.raises(ConfigError, match=r"a mapping is written \{name: value\}"):
+    with pytest.raises(ConfigError, match=r"a mapping, such as \{name: value\}"):
         Player("dynamixel", {"servo": 3})
 
 

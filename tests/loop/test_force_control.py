@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from rtee.actions.library import ActionLibrary
 from rtee.commands import Abort, SetActive
@@ -67,7 +68,9 @@ class Gripper:
     ) -> None:
         self.hand, config = load_configured(FOLDER)
         self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
-        self.settings = replace(loop_settings(config, rate=500.0), free_motion=learned or {})
+        self.settings = structs.replace(
+            loop_settings(config, rate=500.0), free_motion=learned or {}
+        )
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
         self.amperes = amperes

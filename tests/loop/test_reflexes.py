@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from loop.hands import make_hand, make_library
 from rtee.commands import SetActive
@@ -286,7 +287,7 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
 def test_a_touch_may_take_as_long_as_its_slow_way(small: Hand) -> None:
     world = World(small, {THUMB: 0.75}, tips=True)
     goal = Goal(Named("PinchTight", ("index", "thumb")), FirstContact())
-    settings = replace(world.settings, goal_timeout=2.0)
+    settings = structs.replace(world.settings, goal_timeout=2.0)
     # At a twentieth of 2 rad/s, the thumb takes 7.5 s to its wall.
     world.controller.accept(make_plan(goal, small, make_library(small), settings), world.time)
     result = world.until_result()

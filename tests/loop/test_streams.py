@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from rtee.actions.library import ActionLibrary
 from rtee.commands import (
@@ -735,9 +736,8 @@ class TestIntake:
             assert streams.status().thinned in (0, 3000 - admitted)
 
     async def test_the_deadline_of_hand_yaml(self, hand: Hand) -> None:
-        from dataclasses import replace
 
-        chosen = replace(LoopSettings(), stream=StreamSettings(deadline=0.3, max_lag=0.05))
+        chosen = structs.replace(LoopSettings(), stream=StreamSettings(deadline=0.3, max_lag=0.05))
         async with running(hand, chosen) as rig:
             rig.loop.streams.begin("s", 5.0)
             begun = None

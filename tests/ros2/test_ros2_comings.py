@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
+from msgspec import structs
 from remote.serving import make_hand, make_library, serving, until
 from rtee_process import RTEE
 
@@ -120,7 +120,9 @@ async def test_a_node_that_fails_is_made_anew_and_others_go_on(
     monkeypatch.setattr(rtee.ros2.serving, "PARTS", (*rtee.ros2.serving.PARTS, Broken))
     monkeypatch.setattr(rtee.ros2.serving, "_AFTER_FAILURE", 0.1)
     hands = [make_hand(tmp_path, name) for name in ("one", "two")]
-    shown = [Shown(h.name, replace(settings, namespace=h.name), configured=h) for h in hands]
+    shown = [
+        Shown(h.name, structs.replace(settings, namespace=h.name), configured=h) for h in hands
+    ]
     one, two = hands
     async with (
         serving(one, make_library(one)),

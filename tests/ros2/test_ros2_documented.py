@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 from remote.serving import until
 
 from rtee.actions.library import ActionLibrary
@@ -58,7 +58,7 @@ async def test_the_table_of_interfaces(
     hand: Hand, library: ActionLibrary, settings: Ros2Settings, repository: Path
 ) -> None:
     table = documented((repository / "docs" / "how-to" / "ros2.md").read_text())
-    async with a_hand_in_ros(hand, library, replace(settings, tf=True)) as (_, robot):
+    async with a_hand_in_ros(hand, library, structs.replace(settings, tf=True)) as (_, robot):
         mine = robot.node.name
 
         def in_graph() -> set[Row]:

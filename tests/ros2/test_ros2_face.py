@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 from remote.serving import URDF, serving, until
 
 from rtee.actions.library import ActionLibrary
@@ -43,7 +44,7 @@ CONTROL = "control_msgs/msg/JointTrajectoryControllerState"
 async def test_what_is_published(
     hand: Hand, library: ActionLibrary, settings: Ros2Settings
 ) -> None:
-    settings = replace(settings, tf=True)
+    settings = structs.replace(settings, tf=True)
     async with a_hand_in_ros(hand, library, settings) as (_, robot):
         told = await robot.listen("/robot_description", STRING, LATCHED)
         assert told[0].data == hand.urdf.text
@@ -81,7 +82,7 @@ async def test_what_is_published(
 async def test_a_node_of_the_graph(
     hand: Hand, library: ActionLibrary, settings: Ros2Settings
 ) -> None:
-    settings = replace(settings, namespace="left/arm")
+    settings = structs.replace(settings, namespace="left/arm")
     async with a_hand_in_ros(hand, library, settings) as (_, robot):
         wanted = {
             Kind.NODE: {"/left/arm/small"},

@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import anyio
 import numpy as np
 import pytest
+from msgspec import structs
 from remote.serving import Served, serving, until
 
 from rtee.actions.library import ActionLibrary
@@ -161,7 +161,7 @@ async def test_what_a_gripper_refuses(
 
 
 async def test_a_joint_value(settings: Ros2Settings) -> None:
-    settings = replace(settings, gripper_joint="finger_joint")
+    settings = structs.replace(settings, gripper_joint="finger_joint")
     async with a_gripper(settings) as (served, robot):
         client = await client_of(robot, f"/{NAME}/gripper_cmd", SIMPLE)
         outcome = await (await client.send_goal(simple_goal(client, 0.4, 5.0))).result(30)
@@ -182,7 +182,7 @@ async def test_a_joint_value(settings: Ros2Settings) -> None:
 async def test_a_gripper_as_moveit_and_ros2_control_have_it(
     settings: Ros2Settings, caplog: pytest.LogCaptureFixture
 ) -> None:
-    moveit = replace(settings, gripper=GripperUnit.MOVEIT)
+    moveit = structs.replace(settings, gripper=GripperUnit.MOVEIT)
     async with a_gripper(moveit) as (served, robot):
         client = await client_of(robot, f"/{NAME}/gripper_cmd", SIMPLE)
         closed = await (await client.send_goal(simple_goal(client, 0.7))).result(30)
@@ -215,7 +215,7 @@ async def test_a_joint_value_is_no_gap(
 
 
 def test_moveit_needs_to_know_the_joint_of_several(settings: Ros2Settings) -> None:
-    moveit = replace(settings, gripper=GripperUnit.MOVEIT)
+    moveit = structs.replace(settings, gripper=GripperUnit.MOVEIT)
     with pytest.raises(ConfigError, match="3 actuators; name the gripper's"):
         joint_of(moveit, ("near", "thumb", "push"))
 
@@ -223,7 +223,7 @@ def test_moveit_needs_to_know_the_joint_of_several(settings: Ros2Settings) -> No
 async def test_a_joint_that_the_hand_does_not_have(
     hand: Hand, library: ActionLibrary, settings: Ros2Settings
 ) -> None:
-    settings = replace(settings, gripper_joint="nera")
+    settings = structs.replace(settings, gripper_joint="nera")
     with pytest.raises(ExceptionGroup) as caught:
         async with a_hand_in_ros(hand, library, settings):
             pass

@@ -6,10 +6,10 @@ import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -49,59 +49,45 @@ _ROTATES = ("rot", "yaw", "oppos", "abduct")
 """Parts of names that identify the motor that rotates the thumb."""
 
 
-class AbilityHandOptions(DeviceOptions):
+class AbilityHandOptions(DeviceOptions, frozen=True):
     """Options of an Ability Hand."""
 
-    port: str = Field("/dev/ttyUSB0", description="a tty, socket:// or rfc2217://")
-    address: Annotated[int, Field(ge=1, le=255)] = Field(
-        ADDRESS, description="of the hand; 80 (hexadecimal 50) from the factory"
-    )
+    port: str = "/dev/ttyUSB0"
+    """A tty, socket:// or rfc2217://."""
+    address: Annotated[int, Meta(ge=1, le=255)] = ADDRESS
+    """Of the hand; 80 (hexadecimal 50) from the factory."""
     baudrate: Literal[
         460_800, 1200, 38_400, 56_000, 57_600, 76_800, 115_200, 230_400, 250_000, 921_600, 1_000_000
-    ] = Field(460_800, description="as the hand is set; above 460800 on RS-485 only")
-    mode: Literal["position", "velocity", "current"] = Field(
-        "position",
-        description="what the hand is sent; with `velocity` it takes velocity limits, with "
-        "`current` effort limits, and this computer controls the positions",
-    )
-    reply: Literal[1, 2, 3] | None = Field(
-        None,
-        description="what it answers: 1 positions, currents, touch (default); 2 positions, "
-        "velocities, touch (default with `mode: current`); 3 positions, currents, velocities",
-    )
-    touch: bool = Field(
-        True, description="whether it has touch sensors; a hand without them reports no touch"
-    )
-    touch_threshold: Positive = Field(
-        0.15, description="force of a touch sensor above its value at rest that is a contact [N]"
-    )
-    motors: dict[str, Motor] = Field(
-        default_factory=dict,
-        description="the motor that drives each actuator; by default by its name",
-    )
-    reverse: frozenset[Motor] = Field(
-        frozenset({"thumb_rotator"}),
-        description="motors whose angles on the wire have the other sign than the actuator's",
-    )
-    approach: Positive = Field(
-        20.0, description="with `mode: velocity`: velocity by position error [1/s]"
-    )
-    stiffness: Positive = Field(
-        8.0, description="with `mode: current`: effort by position error [N·m/rad]"
-    )
-    damping: Annotated[float, Field(ge=0.0)] = Field(
-        0.05, description="with `mode: current`: effort against velocity [N·m·s/rad]"
-    )
-    retries: Annotated[int, Field(ge=0, le=10)] = 1
-    turnaround: Annotated[float, Field(ge=0.0)] = Field(
-        0.0, description="time per answer that the bytes do not explain [s]"
-    )
+    ] = 460_800
+    """As the hand is set; above 460800 on RS-485 only."""
+    mode: Literal["position", "velocity", "current"] = "position"
+    """What the hand is sent; with ``velocity`` it takes velocity limits, with ``current`` effort
+    limits, and this computer controls the positions."""
+    reply: Literal[1, 2, 3] | None = None
+    """What it answers: 1 positions, currents, touch (default); 2 positions, velocities, touch
+    (default with ``mode: current``); 3 positions, currents, velocities."""
+    touch: bool = True
+    """Whether it has touch sensors; a hand without them reports no touch."""
+    touch_threshold: Positive = 0.15
+    """Force of a touch sensor above its value at rest that is a contact [N]."""
+    motors: dict[str, Motor] = field(default_factory=dict)
+    """The motor that drives each actuator; by default by its name."""
+    reverse: frozenset[Motor] = frozenset({"thumb_rotator"})
+    """Motors whose angles on the wire have the other sign than the actuator's."""
+    approach: Positive = 20.0
+    """With ``mode: velocity``: velocity by position error [1/s]."""
+    stiffness: Positive = 8.0
+    """With ``mode: current``: effort by position error [N·m/rad]."""
+    damping: Annotated[float, Meta(ge=0.0)] = 0.05
+    """With ``mode: current``: effort against velocity [N·m·s/rad]."""
+    retries: Annotated[int, Meta(ge=0, le=10)] = 1
+    turnaround: Annotated[float, Meta(ge=0.0)] = 0.0
+    """Time per answer that the bytes do not explain [s]."""
 
-    @model_validator(mode="after")
-    def _replies_fit(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         if self.mode == "current" and self.reply == 1:
             raise ValueError("reply 1 has no velocities, which `mode: current` needs: 2 or 3")
-        return self
 
     @property
     def variant(self) -> int:
@@ -163,7 +149,7 @@ class AbilityHandDriver(Driver):
     that is a fault; recovery starts from the measured positions.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = AbilityHandOptions
+    Options = AbilityHandOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

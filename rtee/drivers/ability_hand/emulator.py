@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from msgspec import Meta
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.wear import TYPICAL, Wear
@@ -32,9 +32,10 @@ from rtee.drivers.ability_hand.codec import (
 from rtee.drivers.ability_hand.control import EFFORTS, SPEEDS
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Byte, Duration, Positive, read_properties
+from rtee.drivers.options import Byte, Duration, Positive, read_properties
+from rtee.hand.validation import Section
 
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 _RANGES = ((0.0, 1.74),) * 5 + ((-1.74, 0.0),)
 """Ranges of the motors' joints [rad], from the maker's model."""
@@ -50,8 +51,7 @@ _INDEX, _ROTATOR = 0, 5
 """Indices of two motors in `codec.MOTORS`; the thumb's rotator does not react to collisions."""
 
 
-@dataclass(frozen=True, slots=True)
-class AbilityProperties:
+class AbilityProperties(Section, frozen=True):
     """Properties of the emulated hand.
 
     Attributes:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -45,10 +45,10 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
-NotNegative = Annotated[float, Field(ge=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
 
 
-class AllegroOptions(DeviceOptions):
+class AllegroOptions(DeviceOptions, frozen=True):
     """Options of an Allegro Hand.
 
     Attributes:
@@ -71,18 +71,18 @@ class AllegroOptions(DeviceOptions):
 
     channel: str = "can0"
     interface: str = "socketcan"
-    hand: Annotated[int, Field(ge=0, le=3)] = 0
+    hand: Annotated[int, Meta(ge=0, le=3)] = 0
     version: Literal[4, 5] | None = None
     side: Literal["left", "right"] | None = None
-    joints: dict[str, Annotated[int, Field(ge=0, lt=JOINTS)]] = Field(default_factory=dict)
-    period: Annotated[int, Field(ge=1, le=50)] | None = None
+    joints: dict[str, Annotated[int, Meta(ge=0, lt=JOINTS)]] = field(default_factory=dict)
+    period: Annotated[int, Meta(ge=1, le=50)] | None = None
     kp: NotNegative = 1.0
     kd: NotNegative = 0.04
     ki: NotNegative = 8.0
     max_integral: NotNegative = 0.05
     max_torque: Positive = 0.5
     smoothing: Positive = 0.006
-    info_every: Annotated[int, Field(ge=1)] = 100
+    info_every: Annotated[int, Meta(ge=1)] = 100
     deadline: Positive = 0.1
 
 

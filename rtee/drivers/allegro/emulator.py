@@ -26,7 +26,8 @@ from rtee.drivers.allegro.codec import (
 )
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.hand.validation import Section
 
 _STEP = 0.0005
 """Longest integration step [s]: a joint against an object oscillates with a period of 30 ms."""
@@ -47,8 +48,7 @@ _SERIALS = {
 """Serial numbers by version and whether it is a left hand."""
 
 
-@dataclass(frozen=True, slots=True)
-class AllegroProperties:
+class AllegroProperties(Section, frozen=True):
     """Properties of the emulated hand.
 
     Attributes:

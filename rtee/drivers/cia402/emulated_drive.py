@@ -25,7 +25,8 @@ from rtee.drivers.cia402.codec import (
     StatusBit,
 )
 from rtee.drivers.cia402.node import Entry, Node
-from rtee.drivers.properties import Positive
+from rtee.drivers.options import Positive
+from rtee.hand.validation import Section
 
 Method = Literal[1, 2, 17, 18, 33, 34, 35, 37]
 METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
@@ -57,8 +58,7 @@ class Leg:
     speed: float
 
 
-@dataclass(frozen=True, slots=True)
-class DriveProperties:
+class DriveProperties(Section, frozen=True):
     """Properties of the emulated drives.
 
     Attributes:

@@ -14,7 +14,7 @@ from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.options import read_properties
 
 _CODES = {"overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611}
 """Error codes of the faults of the first drive."""

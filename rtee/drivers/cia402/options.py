@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from msgspec import Meta
 
 from rtee.drivers.options import DeviceOptions, Positive
+from rtee.hand.validation import Section
 
 
-class NodeOptions(BaseModel):
+class NodeOptions(Section, frozen=True):
     """Options of one drive.
 
     Attributes:
@@ -25,19 +26,17 @@ class NodeOptions(BaseModel):
         homing_method: Homing method (object 6098) of a drive without an absolute encoder.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    id: Annotated[int, Field(ge=1, le=127)]
+    id: Annotated[int, Meta(ge=1, le=127)]
     counts: float | None = None
     zero: int = 0
     direction: Literal[1, -1] = 1
     rated_torque: Positive | None = None
     velocity_unit: Positive = 1.0
     product: int | None = None
-    homing_method: Annotated[int, Field(ge=-128, le=127)] | None = None
+    homing_method: Annotated[int, Meta(ge=-128, le=127)] | None = None
 
 
-class Cia402Options(DeviceOptions):
+class Cia402Options(DeviceOptions, frozen=True, kw_only=True):
     """Options of CiA 402 drives on a CAN bus.
 
     Attributes:
@@ -61,25 +60,24 @@ class Cia402Options(DeviceOptions):
 
     channel: str = "can0"
     interface: str = "socketcan"
-    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
+    bitrate: Annotated[int, Meta(gt=0)] = 1_000_000
     nodes: dict[str, NodeOptions]
     mode: Literal["profile_position", "cyclic_position"] = "profile_position"
     home: Literal["on_demand", "on_connect"] = "on_demand"
-    max_torque: Annotated[int, Field(ge=1, le=5000)] = 1000
-    host: Annotated[int, Field(ge=1, le=127)] = 126
-    watchdog: Annotated[float, Field(ge=0.0, le=60.0)] = 0.5
+    max_torque: Annotated[int, Meta(ge=1, le=5000)] = 1000
+    host: Annotated[int, Meta(ge=1, le=127)] = 126
+    watchdog: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.5
     on_silence: Literal[0, 1, 2, 3] = 1
-    heartbeat: Annotated[float, Field(gt=0.0, le=60.0)] = 0.1
+    heartbeat: Annotated[float, Meta(gt=0.0, le=60.0)] = 0.1
     enable_timeout: Positive = 2.0
     homing_timeout: Positive = 30.0
     sdo_timeout: Positive = 0.5
     deadline: Positive = 0.02
 
-    @model_validator(mode="after")
-    def _distinct(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         ids = [node.id for node in self.nodes.values()]
         if len(set(ids)) != len(ids):
             raise ValueError("two drives have the same node id")
         if self.host in ids:
             raise ValueError("the host's node id is that of a drive")
-        return self

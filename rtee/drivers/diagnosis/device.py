@@ -16,7 +16,6 @@ from rtee.drivers.diagnosis.can_probe import can
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 from rtee.drivers.diagnosis.port import check_address
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
-from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import (
     BusBusy,
@@ -27,6 +26,7 @@ from rtee.errors import (
     RteeError,
     UserError,
 )
+from rtee.hand.validation import defaults
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec
 
@@ -75,7 +75,7 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
         ConfigError: if its options cannot be used.
     """
     driver = find_driver(spec.driver, source=spec.source)(spec, pool)
-    options = default_options(type(driver).Options) | dict(spec.options)
+    options = defaults(type(driver).Options) | dict(spec.options)
     address = None if spec.emulated else address_of(options)
     network = address is not None and "://" in address
     found: list[Check] = []

@@ -93,11 +93,11 @@ async def _slaves(
 
 def _any_unit(found: Sequence[Found]) -> Found:
     """Return the one device that answers to every unit, with its driver's default unit."""
-    from rtee.drivers.plain_options import default_options
     from rtee.drivers.registry import find_driver
+    from rtee.hand.validation import defaults
 
     first = found[0]
-    usual = default_options(find_driver(first.driver).Options)["unit"] if first.driver else None
+    usual = defaults(find_driver(first.driver).Options)["unit"] if first.driver else None
     device = next((f for f in found if f.options["unit"] == usual), first)
     what = device.what.partition(", unit ")[0]
     return Found(device.driver, f"{what}, any unit", device.options)

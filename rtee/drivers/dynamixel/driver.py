@@ -8,10 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import IntFlag
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -36,7 +36,7 @@ from rtee.sample import FloatArray
 from rtee.types import DeviceSpec
 
 
-class DynamixelServo(ServoOptions):
+class DynamixelServo(ServoOptions, frozen=True, kw_only=True):
     """Options of one servo.
 
     Attributes:
@@ -46,42 +46,40 @@ class DynamixelServo(ServoOptions):
         current_unit: Current per count [A]; by default that of the model.
     """
 
-    id: Annotated[int, Field(ge=0, le=252)]
-    zero: Annotated[float, Field(ge=0, lt=PULSES)] | None = None
+    id: Annotated[int, Meta(ge=0, le=252)]
+    zero: Annotated[float, Meta(ge=0, lt=PULSES)] | None = None
     drive_mode: int = 0
     current: Positive | None = None
     current_unit: Positive | None = None
 
 
-class DynamixelOptions(LineOptions):
+class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
     """Options of a line of Dynamixel servos."""
 
-    baudrate: int = Field(4_000_000, description="rate of the line [baud]")
-    servos: dict[str, DynamixelServo] = Field(
-        description="the servo of each actuator, by the actuator's name"
+    baudrate: int = 4_000_000
+    """Rate of the line [baud]."""
+    servos: dict[str, DynamixelServo]
+    """The servo of each actuator, by the actuator's name."""
+    mode: Literal["current_based_position", "extended_position", "position"] = (
+        "current_based_position"
     )
-    mode: Literal["current_based_position", "extended_position", "position"] = Field(
-        "current_based_position", description="operating mode"
-    )
-    current: Positive | None = Field(
-        None, description="largest current [A]; by default the servos' own limit"
-    )
-    fast: Literal["auto", "always", "never"] = Field(
-        "auto", description="whether to read with the fast sync read; `auto` tries it"
-    )
-    watchdog: Annotated[float, Field(ge=0.0, le=2.54)] = Field(
-        0.0, description="servos stop after a silence of this length on the line [s]; 0: they hold"
-    )
-    health_every: Annotated[int, Field(ge=1)] = Field(
-        50, description="temperature, voltage and torque are read once in so many exchanges"
-    )
-    reboot_time: Positive = Field(3.0, description="longest time for a reboot [s]")
-    deadline: Positive = Field(0.03, description="for one exchange, retries included [s]")
+    """Operating mode."""
+    current: Positive | None = None
+    """Largest current [A]; by default the servos' own limit."""
+    fast: Literal["auto", "always", "never"] = "auto"
+    """Whether to read with the fast sync read; ``auto`` tries it."""
+    watchdog: Annotated[float, Meta(ge=0.0, le=2.54)] = 0.0
+    """Servos stop after a silence of this length on the line [s]; 0: they hold."""
+    health_every: Annotated[int, Meta(ge=1)] = 50
+    """Temperature, voltage and torque are read once in so many exchanges."""
+    reboot_time: Positive = 3.0
+    """Longest time for a reboot [s]."""
+    deadline: Positive = 0.03
+    """For one exchange, retries included [s]."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         check_line(self, self.servos, BAUD_RATES, MOST_GAIN)
-        return self
 
 
 WATCHDOG_TRIPPED = 0x101

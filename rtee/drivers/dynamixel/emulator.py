@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Self
+
+from msgspec import field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import table
@@ -22,9 +24,10 @@ from rtee.drivers.dynamixel.codec import (
 )
 from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.options import read_properties
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import LATENCY
+from rtee.hand.validation import Section
 
 _SPAN = 4
 """Bytes of address and length at the beginning of most instructions' parameters."""
@@ -42,8 +45,7 @@ _HARDWARE = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LineProperties:
+class LineProperties(Section, frozen=True):
     """Properties of an emulated line of servos.
 
     Attributes:

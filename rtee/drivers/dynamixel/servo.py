@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error, Hardware
 from rtee.drivers.dynamixel.table import Mode, Register
 from rtee.drivers.servo_emulator import EmulatedServo
+from rtee.hand.validation import Section
 
 
 class Memory:
@@ -88,8 +88,7 @@ _BOUNDS = {
 """Registers that limit the amount of others."""
 
 
-@dataclass(frozen=True, slots=True)
-class ServoProperties:
+class ServoProperties(Section, frozen=True):
     """Properties of an emulated servo.
 
     Attributes:

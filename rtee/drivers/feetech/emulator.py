@@ -11,8 +11,9 @@ import functools
 import itertools
 import operator
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Self
+
+from msgspec import field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
@@ -22,9 +23,10 @@ from rtee.drivers.feetech.options import DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FULL, FamilyName
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Byte, Duration, read_properties
+from rtee.drivers.options import Byte, Duration, read_properties
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, ServoScale
+from rtee.hand.validation import Section, validated
 
 _ERRORS = {
     "voltage": Status.VOLTAGE,
@@ -39,8 +41,7 @@ _WRONG = 0x0101
 """Model number of a device of another kind."""
 
 
-@dataclass(frozen=True, slots=True)
-class LineProperties:
+class LineProperties(Section, frozen=True):
     """Properties of an emulated line of servos.
 
     Attributes:
@@ -236,7 +237,7 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
     family = FAMILIES[options.get("family", "sts")]
     angles: dict[str, tuple[float, float]] = {}
     if options.get("differential"):
-        pairing = DifferentialOptions.model_validate(options["differential"])
+        pairing = validated(DifferentialOptions, options["differential"])
         differential = Differential(pairing)
         bent = max(pairing.flexion[-1][1], pairing.flexion[0][1])
         for pair in pairing.pairs.values():

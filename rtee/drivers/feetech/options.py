@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from msgspec import Meta
 
 from rtee.drivers import servo_lines
 from rtee.drivers.feetech.table import BAUD_RATES, FAMILIES, MOST_GAIN, FamilyName
 from rtee.drivers.options import Positive
 from rtee.drivers.servo_lines import LineOptions, check_line
+from rtee.hand.validation import Section
 
-Share = Annotated[float, Field(gt=0.0, le=1.0)]
-Points = Annotated[list[tuple[float, float]], Field(min_length=2)]
+Share = Annotated[float, Meta(gt=0.0, le=1.0)]
+Points = Annotated[tuple[tuple[float, float], ...], Meta(min_length=2)]
 
 
-class ServoOptions(servo_lines.ServoOptions):
+class ServoOptions(servo_lines.ServoOptions, frozen=True, kw_only=True):
     """Options of one servo.
 
     Attributes:
@@ -27,7 +28,7 @@ class ServoOptions(servo_lines.ServoOptions):
     stall_torque: Positive | None = None
 
 
-class PairOptions(BaseModel):
+class PairOptions(Section, frozen=True):
     """Two servos that drive two actuators together.
 
     Attributes:
@@ -35,13 +36,11 @@ class PairOptions(BaseModel):
         actuators: The actuators, in the order of its columns: flexion, then tilt.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     servos: tuple[str, str]
     actuators: tuple[str, str]
 
 
-class DifferentialOptions(BaseModel):
+class DifferentialOptions(Section, frozen=True, kw_only=True):
     """How pairs of servos drive pairs of actuators, the same for all pairs of the device.
 
     The matrix gives the angles of the two servos from two coordinates, flexion and tilt. Two curves
@@ -56,23 +55,21 @@ class DifferentialOptions(BaseModel):
         pairs: The pairs by name.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     matrix: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 1.0), (-1.0, 1.0))
     limit: Positive = math.pi / 2.0
-    flexion: Points = [(-1.0, -1.0), (1.0, 1.0)]
-    tilt: Points = [(-1.0, -1.0), (1.0, 1.0)]
-    tilt_share: Points = [(-1.0, 1.0), (1.0, 1.0)]
-    pairs: Annotated[dict[str, PairOptions], Field(min_length=1)]
+    flexion: Points = ((-1.0, -1.0), (1.0, 1.0))
+    tilt: Points = ((-1.0, -1.0), (1.0, 1.0))
+    tilt_share: Points = ((-1.0, 1.0), (1.0, 1.0))
+    pairs: Annotated[dict[str, PairOptions], Meta(min_length=1)]
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         (a, b), (c, d) = self.matrix
         # Relative to its terms, since the matrix has no scale of its own.
         if abs(a * d - b * c) < 1e-6 * max(abs(a * d), abs(b * c), 1e-9):
             raise ValueError("the matrix cannot be inverted: its rows must not be alike")
         for name in ("flexion", "tilt", "tilt_share"):
-            points: list[tuple[float, float]] = getattr(self, name)
+            points: Points = getattr(self, name)
             steps = list(itertools.pairwise(points))
             if any(there[0] <= here[0] for here, there in steps):
                 raise ValueError(f"the first numbers of the points of '{name}' must rise")
@@ -81,41 +78,32 @@ class DifferentialOptions(BaseModel):
         # The tilt is divided by its share.
         if any(share <= 0.0 for _, share in self.tilt_share):
             raise ValueError("the shares of 'tilt_share' must be above 0")
-        return self
 
 
-class FeetechOptions(LineOptions):
+class FeetechOptions(LineOptions, frozen=True, kw_only=True):
     """Options of a line of Feetech servos."""
 
-    family: FamilyName = Field(description="of all servos: their registers and byte order")
-    servos: dict[str, ServoOptions] = Field(
-        description="the servo of each actuator, by the actuator's name; those of pairs by any"
-    )
-    differential: DifferentialOptions | None = Field(
-        None, description="pairs of servos that drive two actuators together"
-    )
-    torque: Share | None = Field(
-        None, description="largest share of the stall torque; unless given, as the servos have it"
-    )
-    stall_torque: Positive | None = Field(
-        None, description="largest torque of each servo at this supply [N·m]"
-    )
-    torque_per_ampere: Positive | None = Field(
-        None, description="torque per current of each servo [N·m/A]"
-    )
-    acceleration: Annotated[int, Field(ge=0, le=254)] | None = Field(
-        None, description="of STS, SMS and HLS [100 counts/s²], 0: the largest"
-    )
-    read: Literal["auto", "sync", "single"] = Field(
-        "auto", description="one request for all servos, or one for each; `auto`: by the family"
-    )
-    check_every: Annotated[int, Field(ge=1)] = Field(
-        10,
-        description="after so many exchanges one servo is asked whether it has torque and settings",
-    )
+    family: FamilyName
+    """Of all servos: their registers and byte order."""
+    servos: dict[str, ServoOptions]
+    """The servo of each actuator, by the actuator's name; those of pairs by any."""
+    differential: DifferentialOptions | None = None
+    """Pairs of servos that drive two actuators together."""
+    torque: Share | None = None
+    """Largest share of the stall torque; unless given, as the servos have it."""
+    stall_torque: Positive | None = None
+    """Largest torque of each servo at this supply [N·m]."""
+    torque_per_ampere: Positive | None = None
+    """Torque per current of each servo [N·m/A]."""
+    acceleration: Annotated[int, Meta(ge=0, le=254)] | None = None
+    """Of STS, SMS and HLS [100 counts/s²], 0: the largest."""
+    read: Literal["auto", "sync", "single"] = "auto"
+    """One request for all servos, or one for each; ``auto``: by the family."""
+    check_every: Annotated[int, Meta(ge=1)] = 10
+    """After so many exchanges one servo is asked whether it has torque and settings."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         check_line(self, self.servos, BAUD_RATES, MOST_GAIN)
         counts = FAMILIES[self.family].counts
         for name, servo in self.servos.items():
@@ -125,7 +113,6 @@ class FeetechOptions(LineOptions):
                 )
         if self.differential is not None:
             self._check_pairs(self.differential)
-        return self
 
     def _check_pairs(self, differential: DifferentialOptions) -> None:
         pairs = differential.pairs.values()

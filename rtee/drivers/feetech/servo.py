@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Status
 from rtee.drivers.feetech.table import END, FULL, MODELS, RAM, Family, Register
-from rtee.drivers.properties import Duration, Positive
+from rtee.drivers.options import Duration, Positive
 from rtee.drivers.servo_emulator import EmulatedServo
+from rtee.hand.validation import Section
 
 _COMMON = {table.ID: 1, table.RETURN_DELAY: 0, table.RESPONSE_LEVEL: 1}
 _SCS = {
@@ -137,8 +137,7 @@ _SPEED_MODE = 1
 _VOLTAGE_UNIT = 0.1  # V per count
 
 
-@dataclass(frozen=True, slots=True)
-class ServoProperties:
+class ServoProperties(Section, frozen=True):
     """Properties of an emulated servo.
 
     Attributes:

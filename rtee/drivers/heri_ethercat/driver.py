@@ -10,7 +10,7 @@ from functools import partial
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, Ring, SlaveState
@@ -57,13 +57,13 @@ _BEST_RATE = 1000.0
 _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
 """Motor numbers by the names of the public description, counted over its two boards."""
 
-Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
+Raw = Annotated[int, Meta(ge=0, le=0xFFFF)]
 
 _ACKNOWLEDGED = 1.0
 """Longest time for a board to acknowledge a command [s]: hundreds of its cycles."""
 
 
-class HeriEthercatOptions(DeviceOptions):
+class HeriEthercatOptions(DeviceOptions, frozen=True):
     """Options of a HERI II hand on EtherCAT.
 
     Attributes:
@@ -81,13 +81,13 @@ class HeriEthercatOptions(DeviceOptions):
     """
 
     interface: str = "eth0"
-    motors: dict[str, Annotated[int, Field(ge=0, lt=4 * MOTORS)]] = Field(default_factory=dict)
+    motors: dict[str, Annotated[int, Meta(ge=0, lt=4 * MOTORS)]] = field(default_factory=dict)
     vendor: int | None = None
     product: int | None = None
     gains: tuple[Raw, Raw, Raw, Raw, Raw] = (0, 0, 0, 0, 0)
     torque_per_ampere: Positive = TORQUE_PER_AMPERE
     limit_torque: bool = True
-    watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
+    watchdog: Annotated[float, Meta(ge=0.0, le=6.5)] = 0.25
     deadline: Positive = 0.02
 
 

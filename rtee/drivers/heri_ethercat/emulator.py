@@ -10,7 +10,6 @@ missing frames are not public: here they are properties, or missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
@@ -31,14 +30,14 @@ from rtee.drivers.heri_ethercat.codec import (
     Reply,
 )
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Positive, read_properties
+from rtee.drivers.options import Positive, read_properties
+from rtee.hand.validation import Section
 
 _FAULTS = {"hardware": Fault.HARDWARE, "encoder": Fault.ENCODER_1}
 """Faults of the first board that cut its power."""
 
 
-@dataclass(frozen=True, slots=True)
-class BoardProperties:
+class BoardProperties(Section, frozen=True):
     """Properties of the emulated boards.
 
     Attributes:

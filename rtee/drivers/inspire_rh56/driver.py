@@ -8,10 +8,8 @@ import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
@@ -82,7 +80,7 @@ class InspireRh56Driver(Driver):
     the set-points are read back now and then.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = InspireRh56Options
+    Options = InspireRh56Options
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

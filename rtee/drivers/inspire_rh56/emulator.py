@@ -26,7 +26,7 @@ from rtee.drivers.inspire_rh56.codec import (
 )
 from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.options import read_properties
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
 _POLL = 0.05

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 from rtee.drivers.axis import Axis
@@ -25,7 +24,8 @@ from rtee.drivers.inspire_rh56.codec import (
     words,
 )
 from rtee.drivers.inspire_rh56.options import TURNAROUND
-from rtee.drivers.properties import Byte, Duration, Positive
+from rtee.drivers.options import Byte, Duration, Positive
+from rtee.hand.validation import Section
 
 FIRST, LAST = Register.HAND_ID, Register.TEMPERATURE + COUNT
 _BLOCK_FAULTS = {
@@ -56,8 +56,7 @@ _RUNNING_MA = 150.0
 """Current of a motor that moves freely [mA]; no source gives it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rh56Properties:
+class Rh56Properties(Section, frozen=True):
     """Properties of the emulated hand.
 
     Attributes:

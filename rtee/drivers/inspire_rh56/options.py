@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from msgspec import Meta, field
 
 from rtee.drivers import wiring
 from rtee.drivers.capabilities import GripForce
@@ -16,6 +16,7 @@ from rtee.drivers.inspire_rh56.tactile import AREAS, Area
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.errors import ConfigError
+from rtee.hand.validation import Section, values_given
 from rtee.types import DeviceSpec
 
 LEAST = 100
@@ -132,7 +133,7 @@ _ROTATES = ("yaw", "rot", "oppos", "abduct")
 """Parts of names that identify the motor that rotates the thumb."""
 
 
-class ForceOptions(BaseModel):
+class ForceOptions(Section, frozen=True):
     """A force calibration of one finger that replaces the default.
 
     Attributes:
@@ -141,72 +142,53 @@ class ForceOptions(BaseModel):
         arm: Effort of the actuator per force at the fingertip [N·m/N].
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     newton_per_gram: Positive | None = None
     offset: float | None = None
     arm: Positive | None = None
 
 
-class InspireRh56Options(DeviceOptions):
+class InspireRh56Options(DeviceOptions, frozen=True):
     """Options of an RH56."""
 
-    port: str = Field(
-        "/dev/ttyUSB0",
-        description="tty, socket:// or rfc2217:// (serial), or tcp://host:6000 (Modbus TCP)",
-    )
-    protocol: Literal["frames", "modbus"] = Field(
-        "frames", description="on a serial line: the hand's own frames, or Modbus RTU"
-    )
-    unit: Annotated[int, Field(ge=1, le=254)] = Field(
-        1, description="number of the hand, also its Modbus number"
-    )
+    port: str = "/dev/ttyUSB0"
+    """Tty, socket:// or rfc2217:// (serial), or tcp://host:6000 (Modbus TCP)."""
+    protocol: Literal["frames", "modbus"] = "frames"
+    """On a serial line: the hand's own frames, or Modbus RTU."""
+    unit: Annotated[int, Meta(ge=1, le=254)] = 1
+    """Number of the hand, also its Modbus number."""
     baudrate: Literal[115_200, 57_600, 19_200, 921_600] = 115_200
-    model: Literal["dfx", "dfq", "bfx", "dftp"] = Field(
-        "dfx", description="`dftp` has tactile sensors and force limits up to 3000 g, not 1000"
-    )
-    fingers: dict[str, Finger] = Field(
-        default_factory=dict,
-        description="the motor that drives each actuator; by default by its name",
-    )
-    reverse: frozenset[Finger] = Field(
-        frozenset(), description="motors whose counts rise with the actuator's position"
-    )
-    forces: dict[Finger, ForceOptions] = Field(
-        default_factory=dict, description="what a finger's grams are worth, where it is known"
-    )
-    travel_time: Positive = Field(
-        0.3, description="time for the full travel at speed 1000 [s]; published: 0.18 to 0.30"
-    )
-    calibration: Path | None = Field(
-        None, description="file of a calibration (`rtee calibrate`): the forces of an idle hand"
-    )
-    reading: Literal["auto", "block", "separate"] = Field(
-        "auto", description="angles and the rest in one exchange, or in two; `auto` tries"
-    )
-    touch: Literal["off", "tips", "fingers", "all"] = Field(
-        "off",
-        description="taxels of a `dftp` that are read over Modbus TCP: those of the tips, of the "
-        "fingers, or all",
-    )
-    check_every: Annotated[int, Field(ge=1)] = Field(
-        50, description="set-points are read back every so many exchanges"
-    )
-    retries: Annotated[int, Field(ge=0, le=10)] = 1
-    turnaround: Annotated[float, Field(ge=0.0)] = Field(
-        TURNAROUND, description="time per answer that the bytes do not explain [s]"
-    )
+    model: Literal["dfx", "dfq", "bfx", "dftp"] = "dfx"
+    """``dftp`` has tactile sensors and force limits up to 3000 g, not 1000."""
+    fingers: dict[str, Finger] = field(default_factory=dict)
+    """The motor that drives each actuator; by default by its name."""
+    reverse: frozenset[Finger] = frozenset()
+    """Motors whose counts rise with the actuator's position."""
+    forces: dict[Finger, ForceOptions] = field(default_factory=dict)
+    """What a finger's grams are worth, where it is known."""
+    travel_time: Positive = 0.3
+    """Time for the full travel at speed 1000 [s]; published: 0.18 to 0.30."""
+    calibration: Path | None = None
+    """File of a calibration (``rtee calibrate``): the forces of an idle hand."""
+    reading: Literal["auto", "block", "separate"] = "auto"
+    """Angles and the rest in one exchange, or in two; ``auto`` tries."""
+    touch: Literal["off", "tips", "fingers", "all"] = "off"
+    """Taxels of a ``dftp`` that are read over Modbus TCP: those of the tips, of the fingers, or
+    all."""
+    check_every: Annotated[int, Meta(ge=1)] = 50
+    """Set-points are read back every so many exchanges."""
+    retries: Annotated[int, Meta(ge=0, le=10)] = 1
+    turnaround: Annotated[float, Meta(ge=0.0)] = TURNAROUND
+    """Time per answer that the bytes do not explain [s]."""
 
     @property
     def modbus(self) -> bool:
         """Whether it is connected by Modbus."""
         return self.protocol == "modbus" or self.port.startswith("tcp://")
 
-    @model_validator(mode="after")
-    def _has_taxels(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         if self.touch != "off" and not (self.model == "dftp" and self.port.startswith("tcp://")):
             raise ValueError("touch needs model dftp and Modbus TCP (port: tcp://HOST:6000)")
-        return self
 
     @property
     def areas(self) -> tuple[Area, ...]:
@@ -255,7 +237,7 @@ def scales_of(
             raise ConfigError(f"device '{spec.name}': actuator '{actuator.name}' has no limits")
         finger = FINGERS[motor]
         given = options.forces.get(finger)  # type: ignore[call-overload]
-        changes = {} if given is None else given.model_dump(exclude_none=True)
+        changes = {} if given is None else values_given(given)
         force = replace(FORCES[finger], **changes)
         scales.append(
             MotorScale(

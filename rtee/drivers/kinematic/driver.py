@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Interval
+from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.plain_options import read_plain_options
+from rtee.drivers.options import read_options
 from rtee.errors import (
     BusBroken,
     CommandRejected,
@@ -22,6 +22,7 @@ from rtee.errors import (
     NotConnected,
     suggestion,
 )
+from rtee.hand.validation import Section
 from rtee.sample import ActuatorState
 from rtee.types import ActuatorSpec, DeviceSpec, Reference, from_rest
 
@@ -122,8 +123,7 @@ class Plant:
 _MEASURES = frozenset({"position", "velocity", "effort"})
 
 
-@dataclass(frozen=True, slots=True)
-class KinematicOptions:
+class KinematicOptions(Section, frozen=True):
     """How the simulated hand moves and what is in its way.
 
     Attributes:
@@ -138,14 +138,14 @@ class KinematicOptions:
         thermal_time: Time constant of the temperature [s].
     """
 
-    time_constant: Annotated[float, Interval(gt=0, le=10.0)] = 0.03
+    time_constant: Annotated[float, Meta(gt=0, le=10.0)] = 0.03
     start: Mapping[str, float] = field(default_factory=dict)
     objects: Mapping[str, float] = field(default_factory=dict)
-    full_effort_at: Annotated[float, Gt(0)] = 0.1
+    full_effort_at: Annotated[float, Meta(gt=0)] = 0.1
     temperatures: bool = False
     ambient: float = 25.0
-    heating: Annotated[float, Ge(0)] = 60.0
-    thermal_time: Annotated[float, Gt(0)] = 60.0
+    heating: Annotated[float, Meta(ge=0)] = 60.0
+    thermal_time: Annotated[float, Meta(gt=0)] = 60.0
 
 
 class KinematicDriver(Driver):
@@ -161,7 +161,7 @@ class KinematicDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = monotonic.asked
-        self._options = read_plain_options(KinematicOptions, spec)
+        self._options = read_options(KinematicOptions, spec)
         self._check_names(self._options.start, fingers=False)
         self.plants = [
             Plant(

@@ -6,10 +6,10 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
@@ -60,48 +60,41 @@ _ROLLS = ("roll", "abduct", "spread")
 """Parts of names that identify motors which do not bend a finger."""
 
 
-class LinkerHandOptions(DeviceOptions):
+class LinkerHandOptions(DeviceOptions, frozen=True):
     """Options of a LinkerHand."""
 
-    model: Literal["o6", "l10"] = Field("o6", description="the kind of hand")
-    port: str = Field(
-        "/dev/ttyUSB0", description="RS-485: a tty, socket:// or rfc2217://; without `channel`"
-    )
-    channel: str | None = Field(None, description="CAN channel instead, for example can0")
-    interface: str = Field("socketcan", description="python-can interface of the channel")
-    bitrate: Annotated[int, Field(gt=0)] = Field(BITRATE, description="of CAN [bit/s]")
-    unit: Annotated[int, Field(ge=1, le=247)] = Field(
-        RIGHT, description="39 is a right, 40 a left hand; its identifier on CAN, too"
-    )
-    motors: dict[str, Motor] = Field(
-        default_factory=dict,
-        description="the motor that drives each actuator; by default by its name",
-    )
-    ranges: dict[Motor, tuple[float, float]] = Field(
-        default_factory=dict,
-        description="positions at 255 and at 0 of a motor [rad]; by default those of the SDK",
-    )
-    travel_time: Positive = Field(
-        1.0, description="time for the full travel at speed 255 [s]; an assumption"
-    )
-    check_model: bool = Field(
-        True, description="refuse a hand that tells another number of motors (RS-485)"
-    )
-    health_every: Annotated[int, Field(ge=1)] = Field(
-        10, description="faults and temperatures are read once in so many exchanges"
-    )
-    spacing: Annotated[float, Field(ge=0.0)] | None = Field(
-        None, description="pause between two frames [s]; by default 0.03 (O6), 0.005 (L10, CAN)"
-    )
-    retries: Annotated[int, Field(ge=0, le=10)] = 1
+    model: Literal["o6", "l10"] = "o6"
+    """The kind of hand."""
+    port: str = "/dev/ttyUSB0"
+    """RS-485: a tty, socket:// or rfc2217://; without ``channel``."""
+    channel: str | None = None
+    """CAN channel instead, for example can0."""
+    interface: str = "socketcan"
+    """Python-can interface of the channel."""
+    bitrate: Annotated[int, Meta(gt=0)] = BITRATE
+    """Of CAN [bit/s]."""
+    unit: Annotated[int, Meta(ge=1, le=247)] = RIGHT
+    """39 is a right, 40 a left hand; its identifier on CAN, too."""
+    motors: dict[str, Motor] = field(default_factory=dict)
+    """The motor that drives each actuator; by default by its name."""
+    ranges: dict[Motor, tuple[float, float]] = field(default_factory=dict)
+    """Positions at 255 and at 0 of a motor [rad]; by default those of the SDK."""
+    travel_time: Positive = 1.0
+    """Time for the full travel at speed 255 [s]; an assumption."""
+    check_model: bool = True
+    """Refuse a hand that tells another number of motors (RS-485)."""
+    health_every: Annotated[int, Meta(ge=1)] = 10
+    """Faults and temperatures are read once in so many exchanges."""
+    spacing: Annotated[float, Meta(ge=0.0)] | None = None
+    """Pause between two frames [s]; by default 0.03 (O6), 0.005 (L10, CAN)."""
+    retries: Annotated[int, Meta(ge=0, le=10)] = 1
 
-    @model_validator(mode="after")
-    def _motors_exist(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         known = self.kind.motors
         for name in (*self.motors.values(), *self.ranges):
             if name not in known:
                 raise ValueError(f"an {self.kind.name} has no motor '{name}': {', '.join(known)}")
-        return self
 
     @property
     def kind(self) -> Model:
@@ -174,7 +167,7 @@ class LinkerHandDriver(Driver):
     nor contacts: a motor that rests short of its set-point counts as holding something.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = LinkerHandOptions
+    Options = LinkerHandOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

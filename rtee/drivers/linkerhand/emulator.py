@@ -7,7 +7,6 @@ last set-points when the line falls silent, and answers wrong addresses with exc
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from rtee.buses.emulator import CanFrame
@@ -27,7 +26,8 @@ from rtee.drivers.linkerhand.codec import (
     Version,
 )
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Byte, Duration, Positive, read_properties
+from rtee.drivers.options import Byte, Duration, Positive, read_properties
+from rtee.hand.validation import Section
 
 _FAULTS = {
     "over_current": Fault.OVER_CURRENT,
@@ -44,8 +44,7 @@ _RATING = 0.01
 """Heating rate of a motor at its largest torque [K/s]: it becomes warm within minutes."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkerProperties:
+class LinkerProperties(Section, frozen=True):
     """Properties of the emulated hand.
 
     Attributes:

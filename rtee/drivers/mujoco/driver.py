@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import anyio
 import anyio.to_thread
@@ -33,8 +33,6 @@ from rtee.touch import TouchReading
 from rtee.types import DeviceSpec, Reference
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
     from rtee.buses.pool import BusPool
     from rtee.drivers.mujoco.simulation import Simulation
 
@@ -70,7 +68,7 @@ class MujocoDriver(Driver):
     makes up for them: simulated time would fall behind the references, which follow real time.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = SimOptions
+    Options = SimOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

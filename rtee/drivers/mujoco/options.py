@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from msgspec import Meta
 
 from rtee.hand.inertia import ARMATURE, BANDWIDTH, STIFFNESS
+from rtee.hand.validation import Section
 
 DENSITY = 1000.0
 """Density of links without mass [kg/m³]: that of water, near that of plastics and hollow metal."""
@@ -25,7 +26,7 @@ MISSING_EFFORT = 10.0
 """Effort limit of actuators that have none [N·m | 0.01 N]: more than any finger needs."""
 
 
-class SimOptions(BaseModel):
+class SimOptions(Section, frozen=True):
     """Options of the `mujoco` driver in hand.yaml.
 
     Attributes:
@@ -56,18 +57,16 @@ class SimOptions(BaseModel):
         touch_rate: Rate at which they measure [Hz].
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    timestep: float | None = Field(default=None, gt=0, le=0.01)
-    gravity: float = Field(default=-9.81, ge=-100, le=100)
-    friction: float | None = Field(default=None, ge=0, le=10)
-    stiffness: float = Field(default=STIFFNESS, gt=0, le=1)
-    bandwidth: float = Field(default=BANDWIDTH, gt=0, le=100)
-    armature: float = Field(default=ARMATURE, gt=0, le=1)
+    timestep: Annotated[float, Meta(gt=0, le=0.01)] | None = None
+    gravity: Annotated[float, Meta(ge=-100, le=100)] = -9.81
+    friction: Annotated[float, Meta(ge=0, le=10)] | None = None
+    stiffness: Annotated[float, Meta(gt=0, le=1)] = STIFFNESS
+    bandwidth: Annotated[float, Meta(gt=0, le=100)] = BANDWIDTH
+    armature: Annotated[float, Meta(gt=0, le=1)] = ARMATURE
     object: str = ""
-    object_mass: float = Field(default=0.1, gt=0, le=100)
-    object_scale: float = Field(default=1.0, ge=0.1, le=10)
+    object_mass: Annotated[float, Meta(gt=0, le=100)] = 0.1
+    object_scale: Annotated[float, Meta(ge=0.1, le=10)] = 1.0
     support: Literal["held", "table", "floating"] = "held"
     carrier: Literal["fixed", "lift", "arm"] = "fixed"
-    touch: str = Field(default="hand", pattern=r"^(hand|off|[1-9]\d?x[1-9]\d?)$")
-    touch_rate: float = Field(default=100.0, gt=0, le=2000)
+    touch: Annotated[str, Meta(pattern=r"^(hand|off|[1-9]\d?x[1-9]\d?)$")] = "hand"
+    touch_rate: Annotated[float, Meta(gt=0, le=2000)] = 100.0

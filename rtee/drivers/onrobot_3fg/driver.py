@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusBus
@@ -27,7 +26,7 @@ from rtee.drivers.onrobot_3fg.codec import (
 )
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
-from rtee.drivers.options import read_options
+from rtee.drivers.options import Positive, read_options
 from rtee.drivers.scale import FingerScale
 from rtee.errors import ConfigError, HandshakeError
 from rtee.sample import ActuatorState
@@ -49,22 +48,18 @@ _GRIP_POINTS = 33
 """Diameters at which the force is computed: linear interpolation between them is off by 1 %."""
 
 
-class OnRobot3FGOptions(OnRobotOptions):
+class OnRobot3FGOptions(OnRobotOptions, frozen=True):
     """Options of a 3FG15 or 3FG25."""
 
     grip: Literal["external", "internal"] = "external"
-    force: float = Field(240.0, gt=0.0, description="largest force of the model [N]")
-    smallest: float = Field(
-        0.0346, gt=0.0, description="raw diameter at the actuator's upper limit [m]"
-    )
-    largest: float | None = Field(
-        None, gt=0.0, description="raw diameter at its lower limit [m]; by default as it reports"
-    )
-    target: Literal["raw", "tips"] = Field(
-        "raw",
-        description="what the target diameter means: between the fingertips' centres, or their "
-        "surfaces",
-    )
+    force: Positive = 240.0
+    """Largest force of the model [N]."""
+    smallest: Positive = 0.0346
+    """Raw diameter at the actuator's upper limit [m]."""
+    largest: Positive | None = None
+    """Raw diameter at its lower limit [m]; by default as it reports."""
+    target: Literal["raw", "tips"] = "raw"
+    """What the target diameter means: between the fingertips' centres, or their surfaces."""
 
 
 class OnRobot3FGDriver(OnRobotDriver[Status]):
@@ -75,7 +70,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     limit at one that rests, as soon as the gripper is free.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
+    Options = OnRobot3FGOptions
 
     MODEL = "an OnRobot 3FG"
     STATUS = Status

@@ -7,7 +7,6 @@ what an unlisted register does, and how a missing tool answers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
@@ -21,7 +20,7 @@ from rtee.drivers.onrobot_emulator import (
     OnRobotProperties,
     identity,
 )
-from rtee.drivers.properties import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive, read_properties
 
 _SETTINGS = 0x0401
 """First register of the fingers' settings; the targets begin at 0."""
@@ -31,8 +30,7 @@ _FLEXIBLE_FORCE = 140.0
 """Greatest force of a flexible grip [N]; connectivity guide, register 3."""
 
 
-@dataclass(frozen=True, slots=True)
-class OnRobot3FGProperties(OnRobotProperties):
+class OnRobot3FGProperties(OnRobotProperties, frozen=True):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:

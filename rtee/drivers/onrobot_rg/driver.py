@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field
+from msgspec import Meta
 
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
@@ -22,7 +22,7 @@ from rtee.drivers.onrobot_rg.codec import (
     LinkageScale,
     Status,
 )
-from rtee.drivers.options import read_options
+from rtee.drivers.options import Positive, read_options
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
@@ -43,22 +43,15 @@ _EMPTY = 10
 """Fingertips within this distance of each other hold nothing [0.1 mm]: they press on each other."""
 
 
-class OnRobotRGOptions(OnRobotOptions):
+class OnRobotRGOptions(OnRobotOptions, frozen=True):
     """Options of an RG2 or RG6."""
 
     model: Literal["rg2", "rg6"] = "rg2"
-    fingertip_offset: float | None = Field(
-        None,
-        ge=0.0,
-        le=0.05,
-        description="thickness of the fingertips [m], set in the gripper when it is activated; by "
-        "default as it has it",
-    )
-    step: float = Field(
-        0.005,
-        gt=0.0,
-        description="a moving reference is followed in steps of at least this width [m]",
-    )
+    fingertip_offset: Annotated[float, Meta(ge=0.0, le=0.05)] | None = None
+    """Thickness of the fingertips [m], set in the gripper when it is activated; by default as it
+    has it."""
+    step: Positive = 0.005
+    """A moving reference is followed in steps of at least this width [m]."""
 
 
 class OnRobotRGDriver(OnRobotDriver[Status]):
@@ -68,7 +61,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     and takes no speed. So references are followed in steps: see `StepFollower`.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
+    Options = OnRobotRGOptions
     MODEL = "an OnRobot RG"
     STATUS = Status
     COMMAND = Command

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from rtee.drivers.axis import Axis
@@ -30,7 +29,7 @@ from rtee.drivers.onrobot_rg.codec import (
     Control,
     Status,
 )
-from rtee.drivers.properties import Duration, read_properties
+from rtee.drivers.options import Duration, read_properties
 
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
 _SAFETY_ERROR = "safety_error"
@@ -39,8 +38,7 @@ _NEAR = 1e-4
 reached [rad]."""
 
 
-@dataclass(frozen=True, slots=True)
-class OnRobotRGProperties(OnRobotProperties):
+class OnRobotRGProperties(OnRobotProperties, frozen=True):
     """Properties of the emulated gripper in addition to those of all OnRobot grippers.
 
     Attributes:

@@ -6,10 +6,10 @@ import asyncio
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field
+from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -55,18 +55,18 @@ _CONTENT: Mapping[str, Content] = {
 }
 
 
-class OrcaTouchOptions(DeviceOptions):
+class OrcaTouchOptions(DeviceOptions, frozen=True):
     """Options of the touch board."""
 
-    port: str = Field("/dev/ttyACM0", description="tty, socket:// or rfc2217://")
-    baudrate: Literal[921_600, 2_000_000] = Field(
-        921_600, description="921600 of the board's own adapter, 2000000 of the shared line"
-    )
-    content: Literal["taxels", "resultants", "both"] = Field(
-        "both", description="what the board sends: taxels, the force on each tip, or both"
-    )
-    touch_rate: Positive = Field(100.0, description="readings handed over, at most [Hz]")
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    port: str = "/dev/ttyACM0"
+    """Tty, socket:// or rfc2217://."""
+    baudrate: Literal[921_600, 2_000_000] = 921_600
+    """921600 of the board's own adapter, 2000000 of the shared line."""
+    content: Literal["taxels", "resultants", "both"] = "both"
+    """What the board sends: taxels, the force on each tip, or both."""
+    touch_rate: Positive = 100.0
+    """Readings handed over, at most [Hz]."""
+    retries: Annotated[int, Meta(ge=0, le=10)] = 2
 
 
 class OrcaTouchDriver(Driver):
@@ -77,7 +77,7 @@ class OrcaTouchDriver(Driver):
     joint encoders on the same line, are further channels.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = OrcaTouchOptions
+    Options = OrcaTouchOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

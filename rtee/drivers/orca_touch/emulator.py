@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from msgspec import Meta, field
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.timing import wire_time
+from rtee.drivers.options import Duration, read_properties
 from rtee.drivers.orca_touch import codec
 from rtee.drivers.orca_touch.codec import (
     FINGERS,
@@ -23,7 +23,7 @@ from rtee.drivers.orca_touch.codec import (
     RequestParser,
     Stream,
 )
-from rtee.drivers.properties import Duration, read_properties
+from rtee.hand.validation import Section
 from rtee.sample import FloatArray
 
 _PERIOD = 1e-3
@@ -34,14 +34,13 @@ _SPARE = 0.9
 
 
 _Finger = Literal["thumb", "index", "middle", "ring", "pinky"]
-_Taxels = Annotated[int, Field(ge=1, le=0xFFFF)]  # its count is a word of 16 bits
+_Taxels = Annotated[int, Meta(ge=1, le=0xFFFF)]  # its count is a word of 16 bits
 
 
 _TAXELS: dict[_Finger, _Taxels] = {"thumb": 51, "index": 87, "middle": 87, "ring": 87, "pinky": 51}
 
 
-@dataclass(frozen=True, slots=True)
-class OrcaTouchProperties:
+class OrcaTouchProperties(Section, frozen=True):
     """Properties of the emulated board.
 
     Attributes:

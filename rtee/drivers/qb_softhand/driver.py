@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
-from pydantic import Field
+from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -118,7 +118,7 @@ _BOTH = b"\x03"
 """Mask to activate both motors; published hosts send it to a hand with one motor, too."""
 
 
-class QbSoftHandOptions(DeviceOptions):
+class QbSoftHandOptions(DeviceOptions, frozen=True):
     """Options of a qb SoftHand.
 
     Attributes:
@@ -140,16 +140,16 @@ class QbSoftHandOptions(DeviceOptions):
 
     port: str = "/dev/ttyUSB0"
     # 0 is the broadcast number.
-    device: Annotated[int, Field(ge=1, le=127)] = 1
+    device: Annotated[int, Meta(ge=1, le=127)] = 1
     motors: Literal[1, 2] = 1
     baudrate: Literal[2_000_000, 460_800] = 2_000_000
-    closure_ticks: Annotated[int, Field(gt=0, le=32767)] | None = None
+    closure_ticks: Annotated[int, Meta(gt=0, le=32767)] | None = None
     effort_per_ampere: Positive | None = None
-    watchdog: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0
-    status_every: Annotated[int, Field(ge=1)] = 50
+    watchdog: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
+    status_every: Annotated[int, Meta(ge=1)] = 50
     deadline: Positive = 0.03
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = codec.TURNAROUND
+    retries: Annotated[int, Meta(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Meta(ge=0.0)] = codec.TURNAROUND
 
 
 class QbSoftHandDriver(Driver):

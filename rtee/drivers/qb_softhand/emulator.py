@@ -7,7 +7,6 @@ acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 from typing import Any, Literal, Self
@@ -15,10 +14,11 @@ from typing import Any, Literal, Self
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Byte, Duration, Positive, read_properties
+from rtee.drivers.options import Byte, Duration, Positive, read_properties
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
 from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
+from rtee.hand.validation import Section
 
 _LOWEST = -4_000
 """Lower limit of the motors of a hand with two [ticks]."""
@@ -27,8 +27,7 @@ _RATES = {13: 460_800}
 _TEXT_REQUEST = b"?\r\n"  # requests the information text without a frame
 
 
-@dataclass(frozen=True, slots=True)
-class QbOptions:
+class QbOptions(Section, frozen=True):
     """Properties of the emulated hand.
 
     Attributes:

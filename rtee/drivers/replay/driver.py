@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import anyio.to_thread
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -19,6 +19,7 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
+from rtee.hand.validation import Section
 from rtee.sample import MEASURED, NOTHING, ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchState
 from rtee.types import DeviceSpec, Reference
@@ -30,14 +31,15 @@ timeout."""
 _WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}  # recorded values of `grasped`
 
 
-class ReplayOptions(BaseModel):
+class ReplayOptions(Section, frozen=True):
     """Which recording is played back, and how."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    file: Path = Field(description="The recording, an MCAP file.")
-    speed: float = Field(1.0, gt=0, le=1000, description="How fast time passes in it.")
-    repeat: bool = Field(False, description="Begin again at its end; else it stays at the end.")
+    file: Path
+    """The recording, an MCAP file."""
+    speed: Annotated[float, Meta(gt=0, le=1000)] = 1.0
+    """How fast time passes in it."""
+    repeat: bool = False
+    """Begin again at its end; else it stays at the end."""
 
 
 class ReplayDriver(Driver):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field
+from msgspec import Meta
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
@@ -37,25 +37,24 @@ _LEAST_RANGE = 100
 """Smallest plausible travel [counts]; a gripper that moves freely has about 227."""
 
 
-class Robotiq2FOptions(RobotiqOptions):
+class Robotiq2FOptions(RobotiqOptions, frozen=True):
     """Options of a Robotiq two-finger gripper."""
 
-    unit: int = Field(9, ge=1, le=247, description="Modbus number of the gripper")
+    unit: Annotated[int, Meta(ge=1, le=247)] = 9
+    """Modbus number of the gripper."""
     model: Literal["2f_85", "2f_140", "hand_e", "hand_e_c10"] = "2f_85"
-    open_count: int = Field(3, ge=0, le=254, description="measured position when fully open")
-    closed_count: int = Field(230, ge=1, le=255, description="measured position when fully closed")
-    calibration: Path | None = Field(
-        None, description="file of a calibration (`rtee calibrate`); its counts replace these"
-    )
-    closed_position: float | None = Field(
-        None, description="actuator's position when fully closed; by default its upper limit"
-    )
-    register_base: int | None = Field(
-        None, description="first register of both blocks, 0 for the old universal controller"
-    )
-    function: Literal[3, 4] | None = Field(
-        None, description="Modbus function to read with; by default 3, or 4 with `register_base`"
-    )
+    open_count: Annotated[int, Meta(ge=0, le=254)] = 3
+    """Measured position when fully open."""
+    closed_count: Annotated[int, Meta(ge=1, le=255)] = 230
+    """Measured position when fully closed."""
+    calibration: Path | None = None
+    """File of a calibration (``rtee calibrate``); its counts replace these."""
+    closed_position: float | None = None
+    """Actuator's position when fully closed; by default its upper limit."""
+    register_base: int | None = None
+    """First register of both blocks, 0 for the old universal controller."""
+    function: Literal[3, 4] | None = None
+    """Modbus function to read with; by default 3, or 4 with ``register_base``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     A gripper that holds an object keeps its grip as long as the reference is the measured position.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
+    Options = Robotiq2FOptions
     MODEL = "Robotiq 2-finger gripper"
     STATUS = Status
     COMMAND = Command

@@ -7,12 +7,11 @@ release goes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
-from rtee.drivers.properties import Byte, Duration, read_properties
+from rtee.drivers.options import Byte, Duration, read_properties
 from rtee.drivers.robotiq_2f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_2f.codec import MODELS, Command, Grasp, Status
 from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
@@ -24,8 +23,7 @@ _HOTTEST = 85.0
 """Temperature of the motor above which it reports over temperature [°C]; no manual states it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Robotiq2FProperties(RobotiqProperties):
+class Robotiq2FProperties(RobotiqProperties, frozen=True):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:

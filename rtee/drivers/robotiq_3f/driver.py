@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Literal
 
-from pydantic import BaseModel, Field
+from msgspec import field
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
-from rtee.drivers.options import read_options
+from rtee.drivers.options import Positive, read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
     FAULTS,
@@ -39,26 +39,21 @@ from rtee.types import DeviceSpec, Reference
 Role = Literal["fingers", "a", "b", "c", "scissor"]
 
 
-class Robotiq3FOptions(RobotiqOptions):
+class Robotiq3FOptions(RobotiqOptions, frozen=True):
     """Options of Robotiq's three-finger gripper."""
 
-    mode: Literal["basic", "pinch", "wide", "scissor"] = Field(
-        "basic", description="arrangement of the fingers; changing it moves the scissor"
-    )
-    roles: dict[str, Role] = Field(
-        default_factory=dict,
-        description="what each actuator drives: fingers, a, b, c or scissor; guessed from names",
-    )
-    register_base: Literal[0, 1000] | None = Field(
-        None, description="where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://"
-    )
-    function: Literal[3, 4] | None = Field(
-        None, description="Modbus function to read with; by default 4 on tcp://, else 3"
-    )
-    current_per_count: float = Field(
-        0.01, gt=0.0, description="[A]; the manuals contradict each other about it"
-    )
-    activation_timeout: float = Field(30.0, gt=0.0, description="[s]")
+    mode: Literal["basic", "pinch", "wide", "scissor"] = "basic"
+    """Arrangement of the fingers; changing it moves the scissor."""
+    roles: dict[str, Role] = field(default_factory=dict)
+    """What each actuator drives: fingers, a, b, c or scissor; guessed from names."""
+    register_base: Literal[0, 1000] | None = None
+    """Where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://."""
+    function: Literal[3, 4] | None = None
+    """Modbus function to read with; by default 4 on tcp://, else 3."""
+    current_per_count: Positive = 0.01
+    """[A]; the manuals contradict each other about it."""
+    activation_timeout: Positive = 30.0
+    """Longest time [s]."""
 
 
 def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
@@ -103,7 +98,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     A motor that presses on an object keeps pressing while its reference is the measured position.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
+    Options = Robotiq3FOptions
     MODEL = "Robotiq 3-Finger"
     STATUS = Status
     COMMAND = Command

@@ -7,12 +7,11 @@ change of mode take. The blocks are served in both places that the editions name
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
-from rtee.drivers.properties import Duration, read_properties
+from rtee.drivers.options import Duration, read_properties
 from rtee.drivers.robotiq_3f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_3f.codec import (
     FINGERS,
@@ -47,8 +46,7 @@ _OPEN = 6
 _OBSTRUCTED, _MODE_FAILED = 0x0A, 0x0E  # gFLT: codes of the scissor
 
 
-@dataclass(frozen=True, slots=True)
-class Robotiq3FProperties(RobotiqProperties):
+class Robotiq3FProperties(RobotiqProperties, frozen=True):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:

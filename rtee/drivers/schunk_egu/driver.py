@@ -7,9 +7,9 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field
+from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
@@ -18,7 +18,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu.codec import (
@@ -203,30 +203,26 @@ _EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
 _BRAKE = 0x28  # error code of a failed brake test
 
 
-class SchunkEguOptions(DeviceOptions):
+class SchunkEguOptions(DeviceOptions, frozen=True):
     """Options of an EGU or EGK."""
 
-    port: str = Field("/dev/ttyUSB0", description="tty, socket:// or rfc2217://")
-    unit: int = Field(12, ge=1, le=247, description="Modbus number of the gripper")
-    baudrate: int = Field(115200, gt=0, description="of the line (8E1)")
-    opens: Literal["up", "down"] = Field(
-        "up", description="whether its position grows or falls while the fingers open"
-    )
-    speed: float = Field(
-        0.02, gt=0.0, description="speed of a motion whose reference has no limit, per finger [m/s]"
-    )
-    rate: float = Field(
-        25.0,
-        gt=0.0,
-        description="exchanges per second; below 20 the gripper may miss them and stop",
-    )
-    brake_test: bool = Field(False, description="test the brake whenever it is activated")
+    port: str = "/dev/ttyUSB0"
+    """Tty, socket:// or rfc2217://."""
+    unit: Annotated[int, Meta(ge=1, le=247)] = 12
+    """Modbus number of the gripper."""
+    baudrate: Annotated[int, Meta(gt=0)] = 115200
+    """Of the line (8E1)."""
+    opens: Literal["up", "down"] = "up"
+    """Whether its position grows or falls while the fingers open."""
+    speed: Positive = 0.02
+    """Speed of a motion whose reference has no limit, per finger [m/s]."""
+    rate: Positive = 25.0
+    """Exchanges per second; below 20 the gripper may miss them and stop."""
+    brake_test: bool = False
+    """Test the brake whenever it is activated."""
     settle: Settle = 0.1
-    step: float = Field(
-        0.003,
-        gt=0.0,
-        description="a moving reference is followed in steps of at least this, per finger [m]",
-    )
+    step: Positive = 0.003
+    """A moving reference is followed in steps of at least this, per finger [m]."""
 
 
 class SchunkEguDriver(Driver):
@@ -238,7 +234,7 @@ class SchunkEguDriver(Driver):
     position. A moving reference is followed in steps: see `StepFollower`.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = SchunkEguOptions
+    Options = SchunkEguOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -7,13 +7,12 @@ grip, and the time to build up its force.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
+from rtee.drivers.options import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.schunk_egu.codec import (
     COMMANDS,
     FAST_STOP,
@@ -31,6 +30,7 @@ from rtee.drivers.schunk_egu.codec import (
     float_registers,
     registers,
 )
+from rtee.hand.validation import Section
 
 _COMMANDS = (
     Control.STOP
@@ -66,8 +66,7 @@ _WRITTEN: Mapping[Parameter, int] = {
 _BLOCKED = 0xF4  # error: a motion met something
 
 
-@dataclass(frozen=True, slots=True)
-class SchunkEguProperties:
+class SchunkEguProperties(Section, frozen=True):
     """Properties of the emulated gripper.
 
     Attributes:

@@ -15,16 +15,16 @@ from typing import Any, Self
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive, read_properties
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import channels_for, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
+from rtee.hand.validation import Section
 
 _ASIDE = ("Thumb_Opposition", "Finger_Spread")  # channels that do not close on an object
 
 
-@dataclass(frozen=True, slots=True)
-class SvhOptions:
+class SvhOptions(Section, frozen=True):
     """Properties of the emulated hand.
 
     Attributes:

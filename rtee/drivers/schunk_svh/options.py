@@ -6,14 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from msgspec import Meta, field
 
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.schunk_svh.channels import CHANNELS, Channel
 from rtee.drivers.schunk_svh.codec import TURNAROUND
+from rtee.hand.validation import Misfit, Section, values_given
 
 
-class ChannelOptions(BaseModel):
+class ChannelOptions(Section, frozen=True):
     """Changes to the built-in table for one channel.
 
     Attributes:
@@ -25,18 +26,17 @@ class ChannelOptions(BaseModel):
         effort_per_ampere: Effort per current [N·m/A], if the table has none.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     min_offset: int | None = None
     max_offset: int | None = None
     idle_offset: int | None = None
-    reset_factor: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    reset_factor: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
     current_limit: Positive | None = None
     effort_per_ampere: Positive | None = None
 
     def applied_to(self, channel: Channel) -> Channel:
         """Return the changed channel; the current limit is a controller setting instead."""
-        changes = self.model_dump(exclude_none=True, exclude={"current_limit"})
+        changes = values_given(self)
+        changes.pop("current_limit", None)
         per_ampere = changes.pop("effort_per_ampere", None)
         if per_ampere is not None:
             # With a lever of 1 m, force and effort have the same value.
@@ -44,7 +44,7 @@ class ChannelOptions(BaseModel):
         return replace(channel, **changes)
 
 
-class SchunkSvhOptions(DeviceOptions):
+class SchunkSvhOptions(DeviceOptions, frozen=True):
     """Options of an SVH.
 
     Attributes:
@@ -68,11 +68,11 @@ class SchunkSvhOptions(DeviceOptions):
     stops_file: Path | None = None
     home_timeout: Positive = 10.0
     settings: Literal["auto", "library", "device"] = "auto"
-    channels: dict[str, ChannelOptions] = Field(default_factory=dict)
-    status_every: Annotated[int, Field(ge=1)] = 50
+    channels: dict[str, ChannelOptions] = field(default_factory=dict)
+    status_every: Annotated[int, Meta(ge=1)] = 50
     deadline: Positive = 0.05
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = TURNAROUND
+    retries: Annotated[int, Meta(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Meta(ge=0.0)] = TURNAROUND
 
     def applied_to(self, table: tuple[Channel, ...]) -> tuple[Channel, ...]:
         """Return the channels of the table with these changes."""
@@ -83,11 +83,10 @@ class SchunkSvhOptions(DeviceOptions):
             for channel in table
         )
 
-    @field_validator("channels")
-    @classmethod
-    def _known(cls, channels: dict[str, ChannelOptions]) -> dict[str, ChannelOptions]:
+    def __post_init__(self) -> None:
+        """Check the names of the channels."""
         names = [channel.name for channel in CHANNELS]
-        for name in channels:
+        for name in self.channels:
             if name not in names:
-                raise ValueError(f"there is no channel '{name}'; there are: {', '.join(names)}")
-        return channels
+                reason = f"there is no channel '{name}'; there are: {', '.join(names)}"
+                raise Misfit(reason, "channels")

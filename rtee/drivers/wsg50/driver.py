@@ -6,9 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Literal
-
-from pydantic import BaseModel, Field
+from typing import Literal
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -16,7 +14,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
@@ -75,24 +73,20 @@ _GRASP_MOVES = frozenset({Grasping.CLOSING, Grasping.RELEASING, Grasping.POSITIO
 """States of a grasp in which the gripper accepts no other motion."""
 
 
-class Wsg50Options(DeviceOptions):
+class Wsg50Options(DeviceOptions, frozen=True):
     """Options of a WSG 50."""
 
-    port: str = Field(
-        f"socket://192.168.1.20:{PORT}",
-        description="socket://host:port; the address is that from the factory",
-    )
-    home: Literal["on_demand", "on_connect"] = Field(
-        "on_demand", description="when a gripper that is not referenced is homed, which moves it"
-    )
-    home_timeout: float = Field(20.0, gt=0.0, description="[s]")
+    port: str = f"socket://192.168.1.20:{PORT}"
+    """Socket://host:port; the address is that from the factory."""
+    home: Literal["on_demand", "on_connect"] = "on_demand"
+    """When a gripper that is not referenced is homed, which moves it."""
+    home_timeout: Positive = 20.0
+    """Longest time [s]."""
     settle: Settle = 0.1
-    step: float = Field(
-        0.005,
-        gt=0.0,
-        description="a moving reference is followed in steps of at least this width [m]",
-    )
-    rate: float = Field(20.0, gt=0.0, description="exchanges per second; faster may upset it")
+    step: Positive = 0.005
+    """A moving reference is followed in steps of at least this width [m]."""
+    rate: Positive = 20.0
+    """Exchanges per second; faster may upset it."""
 
 
 class Wsg50Driver(Driver):
@@ -103,7 +97,7 @@ class Wsg50Driver(Driver):
     limit of the reference, and released before the fingers open. Connecting writes nothing.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = Wsg50Options
+    Options = Wsg50Options
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive, read_properties
 from rtee.drivers.wsg50.codec import (
     MOTIONS,
     Command,
@@ -29,6 +28,7 @@ from rtee.drivers.wsg50.codec import (
     answer,
     numbers,
 )
+from rtee.hand.validation import Section
 
 _HOMING_SPEED = 50.0
 """Speed of homing [mm/s]; no document states it."""
@@ -55,8 +55,7 @@ _ERRORS: Mapping[str, State] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Wsg50Properties:
+class Wsg50Properties(Section, frozen=True):
     """Properties of the emulated gripper.
 
     Attributes:

@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -27,13 +27,14 @@ from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import COMMAND_PORT, SERVICE_PORT, STATE_PORT, Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, RteeError, suggestion
+from rtee.hand.validation import Misfit, Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
-Port = Annotated[int, Field(gt=0, lt=65536)]
+Port = Annotated[int, Meta(gt=0, lt=65536)]
 
 
-class JointOptions(BaseModel):
+class JointOptions(Section, frozen=True):
     """Options of one joint.
 
     Positions are mapped linearly from the actuator's limits to the ends given here, separately for
@@ -46,22 +47,19 @@ class JointOptions(BaseModel):
         effort_sign: Sign of an effort that drives the actuator up.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     joint: str | None = None
     command: tuple[float, float] | None = None
     state: tuple[float, float] | None = None
     effort_sign: Literal[1, -1] = 1
 
-    @model_validator(mode="after")
-    def _distinct(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the options fit each other."""
         for pair in (self.command, self.state):
             if pair is not None and pair[0] == pair[1]:
                 raise ValueError("the ends of a range must differ")
-        return self
 
 
-class XBot2Options(DeviceOptions):
+class XBot2Options(DeviceOptions, frozen=True):
     """Options of joints behind XBot2.
 
     Attributes:
@@ -82,17 +80,16 @@ class XBot2Options(DeviceOptions):
     state_port: Port = STATE_PORT
     service_port: Port = SERVICE_PORT
     command_port: Port = COMMAND_PORT
-    joints: dict[str, JointOptions] = Field(default_factory=dict)
+    joints: dict[str, JointOptions] = field(default_factory=dict)
     control: Literal["position", "limited", "effort"] = "position"
     rate: Positive = 100.0
     deadline: Positive = 1.0
 
-    @field_validator("address")
-    @classmethod
-    def _an_address(cls, address: str) -> str:
-        if not (host := address.removeprefix("tcp://")) or host == address or ":" in host:
-            raise ValueError("an address is 'tcp://host'; ports are options of their own")
-        return address
+    def __post_init__(self) -> None:
+        """Check the address."""
+        host = self.address.removeprefix("tcp://")
+        if not host or host == self.address or ":" in host:
+            raise Misfit("an address is 'tcp://host'; ports are options of their own", "address")
 
 
 _STALE = 0.3

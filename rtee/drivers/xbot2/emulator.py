@@ -7,20 +7,19 @@ real server interpolates them; the sign of efforts is not known and an option of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import Positive, read_properties
+from rtee.drivers.options import Positive, read_properties
 from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
+from rtee.hand.validation import Section
 
 
-@dataclass(frozen=True, slots=True)
-class ServerProperties:
+class ServerProperties(Section, frozen=True):
     """Properties of the emulated server.
 
     Attributes:

@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 from rtee.drivers.feetech.joints import Curve, Differential, Joints
 from rtee.drivers.feetech.options import DifferentialOptions, FeetechOptions
 from rtee.errors import ConfigError
+from rtee.hand.validation import validated
 from rtee.running.run import RunOptions, prepare
 from rtee.testing import Session, actuator
 from rtee.types import DeviceSpec
 from tests.drivers.feetech.test_feetech_contract import CASE, DIFFERENTIAL, PAIRED
 
-PLAIN = Differential(DifferentialOptions.model_validate({"pairs": DIFFERENTIAL["pairs"]}))
+PLAIN = Differential(validated(DifferentialOptions, {"pairs": DIFFERENTIAL["pairs"]}))
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def amazing(repository: Path) -> DeviceSpec:
 
 def finger(spec: DeviceSpec, name: str, first: float, second: float) -> tuple[float, float]:
     """Return flexion and tilt of a finger at the angles of its servos [degrees]."""
-    joints = Joints(spec, FeetechOptions(**spec.options))
+    joints = Joints(spec, validated(FeetechOptions, dict(spec.options)))
     angles = np.zeros(len(spec.actuators))
     angles[joints.names.index(f"{name}_1")] = math.radians(first)
     angles[joints.names.index(f"{name}_2")] = math.radians(second)
@@ -65,7 +66,7 @@ def test_a_tilt_gives_way_to_the_flexion() -> None:
 
 @given(st.floats(0.0, 1.15), st.floats(-0.14, 0.14))
 def test_positions_come_back(flexion: float, tilt: float) -> None:
-    one = Differential(DifferentialOptions.model_validate(DIFFERENTIAL))
+    one = Differential(validated(DifferentialOptions, DIFFERENTIAL))
     servos = one.servos(flexion, tilt)
     assert max(abs(angle) for angle in servos) <= one.limit + 1e-9
     reached = one.joints(*servos)
@@ -78,7 +79,7 @@ def test_positions_come_back(flexion: float, tilt: float) -> None:
 
 @given(st.floats(-0.6, 1.2), st.floats(-0.3, 0.3))
 def test_the_derivative_is_that_of_the_map(bent: float, lean: float) -> None:
-    one = Differential(DifferentialOptions.model_validate(DIFFERENTIAL))
+    one = Differential(validated(DifferentialOptions, DIFFERENTIAL))
     angles = np.array([bent + lean, lean - bent])
     step = 1e-7
     # Points of the curves have a slope on either side.
@@ -134,7 +135,7 @@ def test_the_tilt_of_a_finger_shrinks_where_it_is_bent(
 def test_open_and_closed_are_those_of_its_programs(
     amazing: DeviceSpec, pose: list[float], positions: list[float]
 ) -> None:
-    joints = Joints(amazing, FeetechOptions(**amazing.options))
+    joints = Joints(amazing, validated(FeetechOptions, dict(amazing.options)))
     angles = joints.servos(np.array(pose))
     counts = {
         name: 511 + angle / math.radians(300.0) * 1024
@@ -145,7 +146,7 @@ def test_open_and_closed_are_those_of_its_programs(
 
 
 def test_every_corner_of_its_limits_can_be_reached(amazing: DeviceSpec) -> None:
-    joints = Joints(amazing, FeetechOptions(**amazing.options))
+    joints = Joints(amazing, validated(FeetechOptions, dict(amazing.options)))
     for flexion in (0, 1):
         for side in (0, 1):
             pose = np.array(
