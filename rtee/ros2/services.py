@@ -232,8 +232,24 @@ class Client:
         """
         with anyio.move_on_after(timeout) as scope:
             await self._participant.graph.wait_until(lambda: self.available)
+            await self._answerable()
         if scope.cancelled_caught:
             raise TimeoutError(f"nobody offers the service {self.name} ({self.type.name})")
+
+    async def _answerable(self) -> None:
+        """Wait for the queryable: before it, where its token came first, a call ends at once."""
+        loop, there = asyncio.get_running_loop(), asyncio.Event()
+
+        def note(status: Any) -> None:
+            if status.matching:
+                loop.call_soon_threadsafe(there.set)
+
+        with self._participant.session.declare_querier(
+            self._key, target=zenoh.QueryTarget.ALL_COMPLETE
+        ) as querier:
+            querier.declare_matching_listener(direct(note))
+            if not getattr(querier.matching_status, "matching", True):
+                await there.wait()
 
     async def call(self, request: Message, timeout: float = 5.0) -> Any:
         """Call the service and return its response.
