@@ -131,12 +131,11 @@ def _show(found: Comparison) -> None:
         for hand in found.hands:
             cell = found.cells[hand, part]
             if cell.best is None:
-                cells.append(cell.why or "no action of the planner")
+                cells.append(cell.missing)
                 continue
-            low, high = cell.interval
             cells.append(
-                f"{cell.best.trial.what}\n{cell.best.survived} of {cell.best.tries} "
-                f"({low:.0%} to {high:.0%})\n{cell.force:.1f} N, slip {cell.best.slip * 1e3:.1f} mm"
+                f"{cell.best.trial.what}\n{cell.rated}\n"
+                f"{cell.force:.1f} N, slip {cell.best.slip * 1e3:.1f} mm"
             )
         rows.append(Row(tuple(cells)))
     columns = (Column("part"), *(Column(name_of(hand)) for hand in found.hands))

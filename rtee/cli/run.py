@@ -106,7 +106,7 @@ def run(
         bool,
         typer.Option(
             "--no-log",
-            help="Write no recordings; a fault's last minute only to a folder given with --log or"
+            help="Write no recordings; what was before a fault only to a folder given with --log or"
             " in hand.yaml.",
         ),
     ] = False,

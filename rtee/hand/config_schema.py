@@ -298,7 +298,7 @@ class Recorded(StrEnum):
     GOALS = "goals"
     """What happens: from 5 s before a goal, command, stream or event to 5 s after it."""
     FAULTS = "faults"
-    """The last minute before something fails, as the flight recorder writes it."""
+    """The half minute before something fails, as the flight recorder writes it."""
 
 
 class Layout(StrEnum):
@@ -337,7 +337,7 @@ class LogSection(Section, frozen=True):
     reserve: NotNegative = 1e9
     """So much of the disk stays free [bytes]: the oldest recordings in the folder make room, and
     when there are none, recording pauses."""
-    flight_recorder: NotNegative = 60.0
+    flight_recorder: NotNegative = 30.0
     """This much is kept in memory and written when something fails [s]; 0: nothing."""
     decimation: Annotated[int, Meta(ge=1)] = 1
     """Record every n-th tick; only recordings of every tick can be recomputed."""

@@ -325,7 +325,7 @@ async def _rest(
 
 
 def _failure(error: Exception, hands: Sequence[_RunningHand]) -> RteeError:
-    """Log an error of the loop, write the last minute to a file, and return the error to raise."""
+    """Log an error of the loop, write what was before to a file, and return the error to raise."""
     # The task group wraps the error of a clock, which is worth more to the user by itself.
     while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         error = error.exceptions[0]
@@ -372,5 +372,5 @@ def _summary(hands: Sequence[_RunningHand]) -> list[str]:
         if status.trouble:
             lines.append(f"{hand.loop.name}: recording: {status.trouble}")
         for path in status.flight_files:
-            lines.append(f"{hand.loop.name}: the last minute before the fault is in {path}")
+            lines.append(f"{hand.loop.name}: what was before the fault is in {path}")
     return lines

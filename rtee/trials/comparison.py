@@ -58,6 +58,23 @@ class Cell:
         return interval(self.best.survived, self.best.tries) if self.best else (0.0, 0.0)
 
     @property
+    def rated(self) -> str:
+        """The rate of the best result in words; empty if nothing was held."""
+        if self.best is None:
+            return ""
+        if not self.best.tries:
+            return "held once, not varied"
+        low, high = (100.0 * each for each in self.interval)
+        return f"{self.best.survived} of {self.best.tries} ({low:.0f} to {high:.0f} %)"
+
+    @property
+    def missing(self) -> str:
+        """Why the object is not held, or is not yet; empty if it is."""
+        if self.why or self.best:
+            return self.why
+        return "no action of the planner" if self.done else "not tried yet"
+
+    @property
     def force(self) -> float:
         """The largest force on a finger after the grasp [N]."""
         return max((force for _, force in self.best.forces), default=0.0) if self.best else 0.0
@@ -142,7 +159,10 @@ class Comparison:
         best = cell.best
         if best is None:
             return
-        cell.why = "" if self.holds(cell) else f"held in {best.survived} of {best.tries} variations"
+        if self.holds(cell):
+            cell.why = ""
+        elif best.tries:  # else it stays why no variation was held
+            cell.why = f"held in {best.survived} of {best.tries} variations"
         if self._pictures:
             trial = best.trial
             once = Trial(trial.action, trial.elements, trial.object, mass=trial.mass)

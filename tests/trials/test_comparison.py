@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 from rtee.cli.main import main
 from rtee.planning.plan import grasp_plan
 from rtee.trials.answers import Answers
-from rtee.trials.comparison import Comparison
+from rtee.trials.comparison import Cell, Comparison
 from rtee.trials.sweep import Local, Sweep
 from rtee.trials.trial import Trial, TrialResult
 from rtee.trials.work import Answer, MadeWith, Picture, Planned, Planning, Portrait, Task
@@ -72,6 +72,11 @@ def test_first_answers_come_first_and_the_pair_that_holds_all_is_told(tmp_path: 
     cells = {(cell["hand"], cell["object"]): cell for cell in found.document()["cells"]}
     assert cells[LEFT, WIDE]["why"].endswith(": it fell")
     assert cells[RIGHT, THIN]["why"] == "held in 2 of 10 variations"
+    # Held once, and then in no variation.
+    cell = Cell(LEFT, THIN, TrialResult(Trial("Grasp", (), THIN), held=True), "Grasp: it fell")
+    found.cells[LEFT, WIDE] = cell
+    found._end(sweep, cell)
+    assert (cell.rated, cell.missing) == ("held once, not varied", "Grasp: it fell")
     page = found.page()
     assert page.count("data:image/png;base64,cGljdHVyZQ==") == 3
     assert "9 of 10 (60 to 98 %)" in page
