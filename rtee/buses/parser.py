@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import ClassVar, Generic, Protocol, TypeVar
+from abc import ABC
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 F = TypeVar("F")
 
@@ -28,12 +30,77 @@ class Parser(Protocol[F]):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Framing:
+    """The frames of a protocol: header, fields, length, body, check.
+
+    Attributes:
+        header: The first bytes.
+        fields: Bytes between header and length.
+        check: Returns the check of all bytes before it.
+        most: Largest length.
+        least: Smallest length.
+        extra: Bytes that the length counts beside the body.
+        size: Bytes of the length, the low one first.
+        tail: Bytes of the check.
+        error: What is raised for bytes that are no frame.
+    """
+
+    header: bytes
+    fields: int
+    check: Callable[[bytes], bytes]
+    most: int
+    least: int = 0
+    extra: int = 0
+    size: int = 1
+    tail: int = 1
+    error: type[ValueError] = ValueError
+
+    @property
+    def head(self) -> int:
+        """Bytes before the body."""
+        return len(self.header) + self.fields + self.size
+
+    @property
+    def around(self) -> int:
+        """Bytes of a frame that its length does not count."""
+        return self.head + self.tail - self.extra
+
+    def length(self, raw: bytes | bytearray, at: int = 0) -> int:
+        """Return the bytes of the frame that begins at an index; 0 if it is impossible."""
+        end = at + self.head
+        length = int.from_bytes(raw[end - self.size : end], "little")
+        return length + self.around if self.least <= length <= self.most else 0
+
+    def sealed(self, fields: Sequence[int], body: bytes) -> bytes:
+        """Return a frame as sent; raises `error` for one that is too long or short."""
+        length = len(body) + self.extra
+        if not self.least <= length <= self.most or not all(0 <= one <= 0xFF for one in fields):
+            raise self.error(f"no frame can carry {len(body)} bytes with {list(fields)}")
+        raw = self.header + bytes(fields) + length.to_bytes(self.size, "little") + body
+        return raw + self.check(raw)
+
+    def opened(self, raw: bytes) -> tuple[bytes, bytes]:
+        """Return the fields and the body of a frame; raises `error`."""
+        if len(raw) < self.head + self.tail or not raw.startswith(self.header):
+            start = self.header.hex(" ").upper()
+            raise self.error(f"a frame begins with {start} and has at least {self.around} bytes")
+        if len(raw) != self.length(raw):
+            length = raw[self.head - self.size : self.head].hex(" ")
+            raise self.error(f"a length of {length} does not fit {len(raw)} bytes")
+        if self.check(raw[: -self.tail]) != raw[-self.tail :]:
+            raise self.error("the checksum does not match")
+        return raw[len(self.header) : self.head - self.size], raw[self.head : -self.tail]
+
+
 class FramedParser(ABC, Generic[F]):
     """Finds frames that begin with a header and contain their length.
 
     A bad frame does not hide a good one.
 
     Attributes:
+        FRAMING: The frames, from which the next four follow; without one, a parser states them.
+        FRAME: Their class, with the method ``from_bytes``.
         HEADER: The first bytes of every frame.
         HEAD: Number of bytes from which the length can be read.
         PIECE: Most bytes examined at once: the longest frame.
@@ -43,23 +110,33 @@ class FramedParser(ABC, Generic[F]):
         errors: Number of frames dropped for a bad length, content or checksum.
     """
 
+    FRAMING: ClassVar[Framing]
+    FRAME: ClassVar[Any]
     HEADER: ClassVar[bytes]
     HEAD: ClassVar[int]
     PIECE: ClassVar[int]
     LIMIT: ClassVar[int]
     INSIDE: ClassVar[int] = 1
 
+    def __init_subclass__(cls) -> None:
+        """Derive what follows from `FRAMING`."""
+        if (framing := cls.__dict__.get("FRAMING")) is not None:
+            cls.HEADER, cls.HEAD = framing.header, framing.head
+            cls.PIECE = framing.most + framing.around
+            cls.LIMIT = 2 * cls.PIECE
+
     def __init__(self) -> None:
         self._buffer = bytearray()
         self.errors = 0
 
-    @abstractmethod
     def _length(self, at: int) -> int:
         """Return the frame's length according to the header at ``at``; 0 if it is impossible."""
+        return self.FRAMING.length(self._buffer, at)
 
-    @abstractmethod
     def _decode(self, raw: bytes) -> F:
         """Decode the bytes of a whole frame; raises `ValueError`."""
+        frame: F = self.FRAME.from_bytes(raw)
+        return frame
 
     @property
     def pending(self) -> int:

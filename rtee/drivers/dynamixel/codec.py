@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import FramedParser, Framing
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE  # the id that all servos listen to
@@ -19,10 +19,6 @@ STATUS = 0x55  # in an answer, where a request has its instruction
 LONGEST = 1024
 """Largest accepted length field [byte]: more than any table has, less than most garbage."""
 _STUFFED = b"\xff\xff\xfd"
-_AHEAD = 7
-"""Bytes that the length field does not count: header, id and the field itself."""
-_SHORTEST = 3
-"""Smallest length field: instruction and CRC."""
 _POLYNOMIAL = 0x8005
 """Polynomial of the CRC-16 (Robotis e-manual, protocol 2.0, CRC)."""
 
@@ -109,23 +105,11 @@ def unstuff(data: bytes) -> bytes:
     return data.replace(_STUFFED + b"\xfd", _STUFFED)
 
 
-def _sealed(device: int, body: bytes) -> bytes:
-    if len(body) + 2 > LONGEST or not 0 <= device <= BROADCAST:
-        raise DynamixelFrameError(f"no packet can carry {len(body)} bytes for id {device}")
-    packet = HEADER + struct.pack("<BH", device, len(body) + 2) + body
-    return packet + struct.pack("<H", crc16(packet))
-
-
-def _opened(raw: bytes) -> tuple[int, bytes]:
-    """Return the id and the body, still stuffed; raises `DynamixelFrameError`."""
-    if len(raw) < _SHORTEST + _AHEAD or raw[:4] != HEADER:
-        raise DynamixelFrameError("a packet begins with FF FF FD 00 and has at least ten bytes")
-    device, length = struct.unpack_from("<BH", raw, 4)
-    if not _SHORTEST <= length <= LONGEST or len(raw) != length + _AHEAD:
-        raise DynamixelFrameError(f"a length of {length} does not fit {len(raw)} bytes")
-    if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
-        raise DynamixelFrameError("the CRC does not match")
-    return device, raw[7:-2]
+_FRAMING = Framing(
+    HEADER, 1, lambda raw: crc16(raw).to_bytes(2, "little"), LONGEST, 3, 2, size=2, tail=2,
+    error=DynamixelFrameError,
+)  # fmt: skip
+"""The id, and a length of the body and its CRC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +128,12 @@ class InstructionPacket:
 
     def to_bytes(self) -> bytes:
         """Return the packet as sent."""
-        return _sealed(self.device, stuff(bytes([self.instruction]) + self.params))
+        return _FRAMING.sealed((self.device,), stuff(bytes([self.instruction]) + self.params))
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
         """Return the packet that ``raw`` is; raises `DynamixelFrameError`."""
-        device, body = _opened(raw)
+        [device], body = _FRAMING.opened(raw)
         # On a half-duplex line, a servo receives the answers of the others, too.
         if body[0] == STATUS:
             raise DynamixelFrameError("this is a status packet")
@@ -173,7 +157,7 @@ class StatusPacket:
 
     def to_bytes(self) -> bytes:
         """Return the packet as sent."""
-        return _sealed(self.device, stuff(bytes([STATUS, self.error]) + self.params))
+        return _FRAMING.sealed((self.device,), stuff(bytes([STATUS, self.error]) + self.params))
 
 
 def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = None) -> bytes:
@@ -202,25 +186,16 @@ class InstructionParser(FramedParser[InstructionPacket]):
             parser empties the list.
     """
 
-    HEADER = HEADER
-    HEAD = 7
-    PIECE = LONGEST
-    LIMIT = 2 * (LONGEST + 7)
+    FRAMING = _FRAMING
+    FRAME = InstructionPacket
 
     def __init__(self) -> None:
         super().__init__()
         self.damaged: list[tuple[int, int]] = []
 
-    def _length(self, at: int) -> int:
-        length = self._buffer[at + 5] | self._buffer[at + 6] << 8
-        return length + _AHEAD if _SHORTEST <= length <= LONGEST else 0
-
     def _inside(self) -> int:
         # Stuffing keeps headers out of packets: another header means that this packet is cut off.
         return max(0, self._buffer.find(HEADER, 1))
-
-    def _decode(self, raw: bytes) -> InstructionPacket:
-        return InstructionPacket.from_bytes(raw)
 
     def _tried(self, at: int, length: int) -> InstructionPacket | None:
         packet = super()._tried(at, length)

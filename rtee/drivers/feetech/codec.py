@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import FramedParser, Framing
 
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE  # the id that all servos listen to
@@ -55,9 +55,10 @@ class Status(IntFlag):
     OVERLOAD = 0x20
 
 
-def checksum(body: bytes) -> int:
-    """Return the checksum of the bytes between header and checksum."""
-    return ~sum(body) & 0xFF
+_FRAMING = Framing(
+    HEADER, 1, lambda raw: bytes([~sum(raw[2:]) & 0xFF]), LONGEST, 2, 1, error=FeetechFrameError
+)
+"""The servo's id, and a length of code, parameters and checksum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,24 +77,15 @@ class Frame:
 
     def to_bytes(self) -> bytes:
         """Return the frame as sent; raises `FeetechFrameError` if it is too long."""
-        length = len(self.params) + 2
-        if length > LONGEST:
-            raise FeetechFrameError(f"no frame can carry {len(self.params)} parameters")
-        body = bytes([self.device, length, self.code]) + self.params
-        return HEADER + body + bytes([checksum(body)])
+        return _FRAMING.sealed((self.device,), bytes([self.code]) + self.params)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
         """Return the frame that ``raw`` is; raises `FeetechFrameError`."""
-        if len(raw) < OVERHEAD or raw[:2] != HEADER or raw[2] > BROADCAST:
-            raise FeetechFrameError(
-                "a frame begins with FF FF and an id, and has at least six bytes"
-            )
-        if raw[3] > LONGEST or len(raw) != raw[3] + 4:
-            raise FeetechFrameError(f"a length of {raw[3]} does not fit {len(raw)} bytes")
-        if checksum(raw[2:-1]) != raw[-1]:
-            raise FeetechFrameError("the checksum does not match")
-        return cls(raw[2], raw[4], raw[5:-1])
+        if raw[2:3] > bytes([BROADCAST]):
+            raise FeetechFrameError("a frame begins with FF FF and an id")
+        [device], body = _FRAMING.opened(raw)
+        return cls(device, body[0], body[1:])
 
 
 def sync_read(address: int, size: int, ids: Collection[int]) -> bytes:
@@ -124,19 +116,13 @@ def sync_write(address: int, data: Mapping[int, bytes]) -> list[bytes]:
 
 
 class _Parser(FramedParser[Frame]):
-    HEADER = HEADER
-    HEAD = 4
-    PIECE = LONGEST + 4
-    LIMIT = 2 * PIECE
+    FRAMING = _FRAMING
+    FRAME = Frame
     LARGEST: ClassVar[int]
 
     def _length(self, at: int) -> int:
         # A byte above the largest id belongs to a header that begins later, or is noise.
-        device, length = self._buffer[at + 2], self._buffer[at + 3]
-        return length + 4 if device <= self.LARGEST and 2 <= length <= LONGEST else 0
-
-    def _decode(self, raw: bytes) -> Frame:
-        return Frame.from_bytes(raw)
+        return super()._length(at) if self._buffer[at + 2] <= self.LARGEST else 0
 
 
 class RequestParser(_Parser):

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import STRICT, IntEnum, IntFlag
 from typing import Self
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import FramedParser, Framing
 from rtee.drivers.packed import Packed, part
 
 BAUDRATES = (115_200, 57_600, 19_200, 921_600)
@@ -32,15 +32,11 @@ MOST_TACTILE = 3000
 """Largest force limit of a hand with tactile sensors [g]."""
 OVERHEAD = 8  # bytes of a frame beside its data
 
-_AROUND = 5
-"""Bytes of a frame that its length byte does not count: header, number, length and checksum."""
 _INSIDE = 3
-"""Bytes that it counts besides the data: command and address."""
+"""Bytes that a frame's length counts besides the data: command and address."""
 MOST_DATA = 0xFF - _INSIDE
 """Largest number of data bytes in a frame, which has one length byte."""
 
-_LONGEST = 0xFF + _AROUND
-"""Bytes of the longest frame."""
 _BELOW, _ABOVE = -100, 2000
 """Range of plausible angle counts: from a tenth of the travel below 0 to the value in an example
 frame of the manual."""
@@ -49,6 +45,19 @@ _TABLE = struct.Struct(f"<{COUNT}h")
 
 class Rh56FrameError(ValueError):
     """Bytes that are not a frame of an RH56, or not a table of its registers."""
+
+
+REQUEST = Framing(
+    b"\xeb\x90",
+    1,
+    lambda raw: bytes([sum(raw[2:]) & 0xFF]),
+    0xFF,
+    _INSIDE + 1,
+    error=Rh56FrameError,
+)
+"""Requests: the hand's number, and a length of command, address and data."""
+REPLY = replace(REQUEST, header=b"\x90\xeb")
+"""Replies, which differ by the header."""
 
 
 class Command(IntEnum):
@@ -147,45 +156,29 @@ class Frame:
     address: int
     data: bytes
 
-    def to_bytes(self, header: bytes) -> bytes:
-        """Return the frame as sent."""
-        length = len(self.data) + _INSIDE
-        if not (0 <= self.hand <= 0xFF and _INSIDE < length <= 0xFF):
-            raise Rh56FrameError(f"no frame can carry {self}")
-        body = bytes((self.hand, length, self.command)) + self.address.to_bytes(2, "little")
-        body += self.data
-        return header + body + bytes([sum(body) & 0xFF])
+    def to_bytes(self, framing: Framing) -> bytes:
+        """Return the frame as sent: a `REQUEST` or a `REPLY`."""
+        body = bytes([self.command]) + self.address.to_bytes(2, "little") + self.data
+        return framing.sealed((self.hand,), body)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` holds, with any header; raises `Rh56FrameError`."""
-        if len(raw) <= OVERHEAD or raw[3] <= _INSIDE or len(raw) != raw[3] + _AROUND:
-            raise Rh56FrameError(f"{len(raw)} bytes are not a frame")
-        if sum(raw[2:-1]) & 0xFF != raw[-1]:
-            raise Rh56FrameError("the checksum does not match")
-        return cls(raw[2], raw[4], int.from_bytes(raw[5:7], "little"), raw[7:-1])
+        """Return the frame that ``raw`` holds, a request or a reply; raises `Rh56FrameError`."""
+        [hand], body = (REQUEST if raw.startswith(REQUEST.header) else REPLY).opened(raw)
+        return cls(hand, body[0], int.from_bytes(body[1:3], "little"), body[3:])
 
 
 class RequestParser(FramedParser[Frame]):
     """Finds requests in a stream, for a hand."""
 
-    HEADER = b"\xeb\x90"
-    HEAD = 4
-    PIECE = _LONGEST
-    LIMIT = 2 * _LONGEST
-
-    def _length(self, at: int) -> int:
-        length = self._buffer[at + 3]
-        return length + _AROUND if length > _INSIDE else 0
-
-    def _decode(self, raw: bytes) -> Frame:
-        return Frame.from_bytes(raw)
+    FRAMING = REQUEST
+    FRAME = Frame
 
 
 class ReplyParser(RequestParser):
     """Finds replies in a stream, for a host."""
 
-    HEADER = b"\x90\xeb"
+    FRAMING = REPLY
 
 
 def words(data: bytes) -> tuple[int, ...]:

@@ -18,10 +18,10 @@ from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import (
     MOST_DATA,
     OPEN,
+    REPLY,
     Command,
     Frame,
     Register,
-    ReplyParser,
     RequestParser,
 )
 from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
@@ -134,7 +134,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
                 # Nothing, or more than a frame can carry, is not answered.
                 if answer and len(answer) <= MOST_DATA:
                     reply = Frame(frame.hand, frame.command, frame.address, answer)
-                    replies.append(reply.to_bytes(ReplyParser.HEADER))
+                    replies.append(reply.to_bytes(REPLY))
                     if (frame.command, frame.address) == (Command.WRITE, Register.SAVE):
                         self._saved = now + self.memory.properties.save_time, replies[-1]
                         self.period = _POLL

@@ -9,7 +9,7 @@ from rtee.buses.modbus import ModbusBus
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers.deadlines import RelaxedDeadline
-from rtee.drivers.inspire_rh56.codec import OVERHEAD, Command, Frame, ReplyParser, RequestParser
+from rtee.drivers.inspire_rh56.codec import OVERHEAD, REQUEST, Command, Frame, ReplyParser
 from rtee.errors import BusError
 
 
@@ -64,7 +64,7 @@ class FrameLink(_Link):
             wanted = (self._hand, command, address, size)
             return (reply.hand, reply.command, reply.address, len(reply.data)) == wanted
 
-        request = Frame(self._hand, command, address, data).to_bytes(RequestParser.HEADER)
+        request = Frame(self._hand, command, address, data).to_bytes(REQUEST)
         reply: Frame = await self._bus.transact(
             request,
             self._parser,

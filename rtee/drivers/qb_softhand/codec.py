@@ -9,7 +9,7 @@ from functools import reduce
 from operator import xor
 from typing import Self
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import FramedParser, Framing
 
 BAUDRATE = 2_000_000  # the setting from the factory [baud]
 BAUDRATES = (BAUDRATE, 460_800)
@@ -18,10 +18,6 @@ HEADER = b"\x3a\x3a"
 BROADCAST = 0  # every device answers it, with its own number
 LONGEST = 128
 """Largest length byte that a device accepts."""
-OVERHEAD = 4
-"""Bytes of a frame that its length byte does not count."""
-_SHORTEST = 2
-"""Smallest length byte: command and checksum."""
 TURNAROUND = 1e-3
 """Time from a request to its answer beside that on the wire: the latency of a USB adapter [s]."""
 
@@ -31,6 +27,12 @@ _INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
 
 class QbFrameError(ValueError):
     """Bytes that are not a frame, or a frame whose data does not fit its command."""
+
+
+_FRAMING = Framing(
+    HEADER, 1, lambda raw: bytes([reduce(xor, raw[4:])]), LONGEST, 2, extra=1, error=QbFrameError
+)
+"""The device's number, and a length of command, data and the check of both."""
 
 
 class Command(IntEnum):
@@ -69,39 +71,20 @@ class Frame:
 
     def to_bytes(self) -> bytes:
         """Return the frame as sent."""
-        length = len(self.data) + _SHORTEST
-        if length > LONGEST or not 0 <= self.device <= 0xFF:
-            raise QbFrameError(f"no frame can carry {self}")
-        check = reduce(xor, self.data, self.command)
-        return HEADER + bytes((self.device, length, self.command, *self.data, check))
+        return _FRAMING.sealed((self.device,), bytes([self.command]) + self.data)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
         """Return the frame that ``raw`` is, without other bytes; raises `QbFrameError`."""
-        if len(raw) < _SHORTEST + OVERHEAD or raw[:2] != HEADER:
-            raise QbFrameError("a frame begins with 3A 3A and has at least six bytes")
-        if not _SHORTEST <= raw[3] <= LONGEST or len(raw) != raw[3] + OVERHEAD:
-            raise QbFrameError(f"a length of {raw[3]} does not fit {len(raw)} bytes")
-        body = raw[4:-1]
-        if reduce(xor, body) != raw[-1]:
-            raise QbFrameError("the checksum does not match")
-        return cls(raw[2], body[0], body[1:])
+        [device], body = _FRAMING.opened(raw)
+        return cls(device, body[0], body[1:])
 
 
 class Parser(FramedParser[Frame]):
     """Finds frames in a stream; a damaged frame does not cost the one that follows."""
 
-    HEADER = HEADER
-    HEAD = 4
-    PIECE = LONGEST
-    LIMIT = 2 * (LONGEST + OVERHEAD)
-
-    def _length(self, at: int) -> int:
-        length = self._buffer[at + 3]
-        return length + OVERHEAD if _SHORTEST <= length <= LONGEST else 0
-
-    def _decode(self, raw: bytes) -> Frame:
-        return Frame.from_bytes(raw)
+    FRAMING = _FRAMING
+    FRAME = Frame
 
 
 def pack_int16(*values: float) -> bytes:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar, Self
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import FramedParser, Framing
 from rtee.drivers.packed import Packed, part, text
 
 BAUDRATE = 921_600  # [baud]; the hand has no other
@@ -24,8 +23,6 @@ GAP = 782e-6
 """Pause that the hand needs after each packet of the host [s]."""
 TURNAROUND = 5e-4
 """Time from a request to its reply beside that on the wire [s]; an assumption."""
-
-_HEADER = struct.Struct("<2sBBH")
 
 
 class SvhFrameError(ValueError):
@@ -58,6 +55,12 @@ def checksums(data: bytes | bytearray) -> tuple[int, int]:
     return sum(data) & 0xFF, folded & 0xFF
 
 
+_FRAMING = Framing(
+    SYNC, 2, lambda raw: bytes(checksums(raw[6:])), PAYLOAD, size=2, tail=2, error=SvhFrameError
+)
+"""Index and address, and the length of the data, of which the checksums are."""
+
+
 @dataclass(frozen=True, slots=True)
 class Packet:
     """A request or a reply.
@@ -74,25 +77,15 @@ class Packet:
 
     def to_bytes(self, *, pad: bool = True) -> bytes:
         """Return the packet as sent; the host always pads its data to 64 bytes."""
-        if len(self.data) > PAYLOAD or not 0 <= self.channel <= 0xF or not 0 <= self.index <= 0xFF:
+        if not 0 <= self.channel <= 0xF:
             raise SvhFrameError(f"no packet can carry {self}")
         data = self.data.ljust(PAYLOAD, b"\x00") if pad else self.data
-        address = self.command | self.channel << 4
-        return _HEADER.pack(SYNC, self.index, address, len(data)) + data + bytes(checksums(data))
+        return _FRAMING.sealed((self.index, self.command | self.channel << 4), data)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
         """Return the packet that ``raw`` is, without other bytes; raises `SvhFrameError`."""
-        if len(raw) < _OVERHEAD:
-            raise SvhFrameError(f"{len(raw)} bytes are too few for a packet")
-        sync, index, address, length = _HEADER.unpack_from(raw)
-        if sync != SYNC:
-            raise SvhFrameError("a packet begins with 4C AA")
-        if length > PAYLOAD or len(raw) != length + _OVERHEAD:
-            raise SvhFrameError(f"a data length of {length} does not fit {len(raw)} bytes")
-        data = raw[6:-2]
-        if bytes(checksums(data)) != raw[-2:]:
-            raise SvhFrameError("the checksums do not match")
+        (index, address), data = _FRAMING.opened(raw)
         # Three of the sixteen values are no command.
         command = address & 0xF
         if command > Command.GET_FIRMWARE_INFO:
@@ -103,18 +96,9 @@ class Packet:
 class Parser(FramedParser[Packet]):
     """Finds packets in a stream; a damaged packet does not cost the one that follows."""
 
-    HEADER = SYNC
-    HEAD = 6
-    PIECE = PACKET
-    LIMIT = 4 * PACKET
+    FRAMING = _FRAMING
+    FRAME = Packet
     INSIDE = 9
-
-    def _length(self, at: int) -> int:
-        length = self._buffer[at + 4] | self._buffer[at + 5] << 8
-        return length + 8 if length <= PAYLOAD else 0
-
-    def _decode(self, raw: bytes) -> Packet:
-        return Packet.from_bytes(raw)
 
 
 # --- data of the packets ---------------------------------------------------------------------

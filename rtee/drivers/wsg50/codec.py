@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import FramedParser, Framing
 from rtee.drivers.packed import Packed, part
 
 PREAMBLE = b"\xaa\xaa\xaa"
@@ -21,9 +21,6 @@ PREAMBLE = b"\xaa\xaa\xaa"
 PORT = 1000
 """TCP port from the factory."""
 
-_HEAD = struct.Struct("<3sBH")  # preamble, command, length of the payload
-_CRC = struct.Struct("<H")
-_OVERHEAD = _HEAD.size + _CRC.size
 _LONGEST = 256
 """Bytes of the longest payload that is accepted: the device's tag is a text of any length."""
 _STATUS = 2
@@ -158,6 +155,13 @@ def crc(data: bytes) -> int:
     return value
 
 
+_FRAMING = Framing(
+    PREAMBLE, 1, lambda raw: crc(raw).to_bytes(2, "little"), _LONGEST, size=2, tail=2,
+    error=WsgFrameError,
+)  # fmt: skip
+"""The command, and the length of the payload."""
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """A request or an answer.
@@ -172,21 +176,13 @@ class Frame:
 
     def to_bytes(self) -> bytes:
         """Return the bytes."""
-        body = _HEAD.pack(PREAMBLE, self.command, len(self.payload)) + self.payload
-        return body + _CRC.pack(crc(body))
+        return _FRAMING.sealed((self.command,), self.payload)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
         """Read a frame; raises `WsgFrameError` if it is none."""
-        if len(raw) < _OVERHEAD:
-            raise WsgFrameError(f"{len(raw)} bytes are not a frame")
-        preamble, command, length = _HEAD.unpack_from(raw)
-        if preamble != PREAMBLE or len(raw) != _OVERHEAD + length:
-            raise WsgFrameError("wrong beginning or length")
-        # Over the whole frame: with its own checksum appended, the result is 0.
-        if crc(raw) != 0:
-            raise WsgFrameError("wrong checksum")
-        return cls(command, raw[_HEAD.size : -_CRC.size])
+        [command], payload = _FRAMING.opened(raw)
+        return cls(command, payload)
 
     @property
     def status(self) -> Status:
@@ -202,17 +198,8 @@ class Frame:
 class FrameParser(FramedParser[Frame]):
     """Finds frames in a stream of bytes."""
 
-    HEADER = PREAMBLE
-    HEAD = _HEAD.size
-    PIECE = _LONGEST + _OVERHEAD
-    LIMIT = 2 * PIECE
-
-    def _length(self, at: int) -> int:
-        length = int.from_bytes(self._buffer[at + 4 : at + 6], "little")
-        return length + _OVERHEAD if length <= _LONGEST else 0
-
-    def _decode(self, raw: bytes) -> Frame:
-        return Frame.from_bytes(raw)
+    FRAMING = _FRAMING
+    FRAME = Frame
 
 
 # --- requests --------------------------------------------------------------------------------

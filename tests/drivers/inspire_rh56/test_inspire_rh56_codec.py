@@ -12,6 +12,8 @@ from rtee.buses.modbus_frames import rtu_frame
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import (
     KEEP,
+    REPLY,
+    REQUEST,
     Command,
     Error,
     Frame,
@@ -96,7 +98,7 @@ GOOD = bytes.fromhex(REPLIES[1][0])
 @pytest.mark.parametrize(("text", "command", "address", "data"), REQUESTS)
 def test_requests_of_the_sheet(text: str, command: int, address: int, data: bytes) -> None:
     raw, frame = bytes.fromhex(text), Frame(1, command, address, data)
-    assert frame.to_bytes(RequestParser.HEADER) == raw
+    assert frame.to_bytes(REQUEST) == raw
     assert RequestParser().feed(raw) == [frame]
     assert ReplyParser().feed(raw) == []
 
@@ -104,7 +106,7 @@ def test_requests_of_the_sheet(text: str, command: int, address: int, data: byte
 @pytest.mark.parametrize(("text", "command", "address", "data"), REPLIES)
 def test_replies_of_the_sheet(text: str, command: int, address: int, data: bytes) -> None:
     raw, frame = bytes.fromhex(text), Frame(1, command, address, data)
-    assert frame.to_bytes(ReplyParser.HEADER) == raw
+    assert frame.to_bytes(REPLY) == raw
     assert ReplyParser().feed(raw) == [frame]
 
 
@@ -125,7 +127,7 @@ def test_what_no_frame_can_be_is_refused() -> None:
             Frame.from_bytes(raw)
     for data in (b"", bytes(253)):
         with pytest.raises(Rh56FrameError, match="no frame can carry"):
-            Frame(1, READ, 1000, data).to_bytes(ReplyParser.HEADER)
+            Frame(1, READ, 1000, data).to_bytes(REPLY)
 
 
 def test_a_report_comes_back() -> None:
@@ -241,7 +243,7 @@ def test_one_finger_is_commanded_by_a_part_of_a_table() -> None:
     assert states == bytes([0xFF, 0xFF, 0xFF, State.CLOSING, 0xFF, 0xFF])
     assert asked(hand, "EB 90 01 05 12 D5 05 D0 03 C5").endswith("12 D5 05 00 F1"), "not a register"
     speeds = Frame(1, WRITE, Register.SPEED_SET + 8, (300).to_bytes(2, "little") * 2)
-    asked(hand, speeds.to_bytes(RequestParser.HEADER).hex())
+    asked(hand, speeds.to_bytes(REQUEST).hex())
     assert words_at(hand, Register.SPEED_SET) == (1000, 1000, 1000, 1000, 300, 300)
     modbus = InspireRh56Emulator(framing="tcp")
     assert asked(modbus, "00 01 00 00 00 06 01 06 05 D4 03 D0").endswith("01 06 05 D4 03 D0")
@@ -273,10 +275,10 @@ def test_it_is_silent_or_refuses_where_it_must() -> None:
     assert asked(hand, "EB 90 02 04 11 0A 06 0C 33") == "", "another hand"
     assert asked(hand, REQUESTS[7][0]) == "", "registers without meaning"
     for count in (0, 253, 255):
-        request = Frame(1, READ, Register.HAND_ID, bytes([count])).to_bytes(RequestParser.HEADER)
+        request = Frame(1, READ, Register.HAND_ID, bytes([count])).to_bytes(REQUEST)
         assert asked(hand, request.hex()) == "", "more than a frame can carry, or nothing"
     over = Frame(1, WRITE, Register.SPEED_SET, codec.table([1001] * 6))
-    assert asked(hand, over.to_bytes(RequestParser.HEADER).hex()).endswith("12 F2 05 00 0E")
+    assert asked(hand, over.to_bytes(REQUEST).hex()).endswith("12 F2 05 00 0E")
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def inspire_rh56(text: str) -> Mapping[str, Any]:
     if len(raw) == rh56.WORDS:
         return {"set_points": list(rh56.words(raw))}
     frame = rh56.Frame.from_bytes(raw)
-    assert frame.to_bytes(raw[:2]) == raw
+    assert frame.to_bytes(rh56.REQUEST if raw[0] == 0xEB else rh56.REPLY) == raw
     found: dict[str, Any] = {
         "hand": frame.hand,
         "command": rh56.Command(frame.command).name,
