@@ -51,7 +51,7 @@ class Quantity:
     default: float = math.nan
 
     def unit_for(self, kinds: Collection[str]) -> str:
-        """Return its unit for actuators or joints of some kinds; see `rtee.types.JointKind`."""
+        """Return the unit for actuators or joints of some kinds, see `rtee.types.JointKind`."""
         sliding_unit = self.sliding_unit or self.unit
         if sliding_unit == self.unit or "prismatic" not in kinds:
             return self.unit

@@ -80,7 +80,7 @@ def event(each: Event | EventInfo) -> dict[str, Any]:
 
 
 def status(each: HandStatus) -> dict[str, Any]:
-    """Return who moves the hand, and how its devices are."""
+    """Describe who moves the hand, and the state of its devices."""
     return {
         "does": outside(each.action),
         "held_by": outside(each.holder),

@@ -103,11 +103,11 @@ class Emulator(ABC):
         """Lose what the device loses when its supply is cut and comes back."""
 
     def motors(self) -> Sequence[Any]:
-        """Return its motors, which `wear_down` wears down, too, and ``stuck`` blocks."""
+        """Return the motors, which `wear_down` also affects and ``stuck`` blocks."""
         return list(self.axes)
 
     def wear_down(self, wear: Wear) -> None:
-        """Make it differ from its sheet."""
+        """Let the device differ from its data sheet."""
         self.wear = wear
         for motor in self.motors():
             motor.wear_down(wear)
@@ -145,7 +145,7 @@ class Emulator(ABC):
 
     @staticmethod
     def _given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
-        """Return those of the named options of a driver that are set."""
+        """Return the named options of a driver that are set."""
         return {name: options[name] for name in names if options.get(name) is not None}
 
 

@@ -138,7 +138,7 @@ async def open_link(
 
 
 def refuse_on_simulated_time(url: str) -> None:
-    """Raise `RteeError` on simulated time if there is such a port: nobody would wait for it."""
+    """Raise `RteeError` on simulated time if such a port exists: time would not wait for it."""
     if on_simulated_time() is not None and ("://" in url or os.path.exists(url)):
         raise RteeError(
             f"'{url}' is a real port, for which simulated time does not wait; "

@@ -39,7 +39,7 @@ class _Wait:
 
 
 class SimulatedTimeLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time stands still while anything computes, and then jumps.
+    """An event loop whose time stops while anything computes, and then jumps to the next timer.
 
     While it runs, `rtee.monotonic` gives its time. Worker threads are waited for: time passes only
     while all of them have ended or wait, too (`wait`, `rtee.monotonic.sleep`).
@@ -62,7 +62,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         return self._time
 
     def run_forever(self) -> None:
-        """Run until stopped; meanwhile, `rtee.monotonic` gives this loop's time."""
+        """Run until stopped, with this loop's time in `rtee.monotonic`."""
         before = monotonic.now, monotonic.now_ns, monotonic.sleep
         monotonic.now, monotonic.now_ns, monotonic.sleep = self.time, self._time_ns, self._sleep
         try:
@@ -127,7 +127,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
     def _select(
         self, timeout: float | None, select: _Select
     ) -> list[tuple[selectors.SelectorKey, int]]:
-        """Do what a selector does, but let time pass instead of waiting for it."""
+        """Select like a selector, but advance the time instead of waiting."""
         self._time += _TURN
         self._release()
         events = select(0)

@@ -86,7 +86,7 @@ class WornSensor:
         return cls(wear.backlash * travel, wear.offset * travel, wear.noise * travel)
 
     def read(self, position: float) -> float:
-        """Return what it measures at a position."""
+        """Return the measurement at a position."""
         half = self.backlash / 2.0
         if half > 0.0:
             held = position if self._held is None else self._held

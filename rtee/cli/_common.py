@@ -192,7 +192,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 
 
 class _Command(TyperCommand):
-    """A command that refuses NaN and infinity, and whose ``--wait`` may stand without a number.
+    """A command that refuses NaN and infinity, and whose ``--wait`` may have no number.
 
     A command that speaks to a running hand takes the hand as its first word, too.
     """
@@ -231,7 +231,7 @@ class _Command(TyperCommand):
         return [f"--hand={args[place]}", *args[:place], *args[place + 1 :]]
 
     def _first_word(self, args: list[str]) -> int | None:
-        """Return the index of the first argument that is no option and no option's value."""
+        """Return the index of the first argument that is neither an option nor its value."""
         valued = {
             name
             for option in self.params
@@ -352,7 +352,7 @@ def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]
 
 
 def hand_folder(name: str | None) -> Path:
-    """Return the folder of a hand given by name or path; ``None`` stands for the only hand.
+    """Return the folder of a hand given by name or path; ``None``: the only hand.
 
     Raises `ConfigError` if there is no such hand, or there are several and none is given.
     """

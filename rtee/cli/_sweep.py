@@ -1,4 +1,4 @@
-"""What commands that run sweeps share: who works, progress, and what is kept of an ended one."""
+"""What commands that run sweeps share: workers, progress, and results of an aborted sweep."""
 
 from __future__ import annotations
 

@@ -219,7 +219,7 @@ def _running(hand: str) -> str | None:
 
 
 async def _asked(name: str, only: str | None) -> dict[str, list[Check]]:
-    """Return what a running hand says of its devices, or of the one named."""
+    """Query a running hand for its devices, or the one named."""
     from rtee.drivers.diagnosis.checks import wrong
     from rtee.errors import ConfigError, RemoteError, suggestion
     from rtee.remote.client import connect

@@ -95,7 +95,7 @@ async def _say_if_absent(name: str, connect: str | None) -> None:
 
 
 def _settings(name: str) -> AgentSettings:
-    """Return what hand.yaml allows agents; nothing is said of a hand without files here."""
+    """Return the limits of agents in hand.yaml; defaults for a hand without files here."""
     from rtee.hand.catalog import hand_names
     from rtee.hand.load import hand_folder, load_configured
 

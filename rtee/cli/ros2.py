@@ -474,7 +474,7 @@ def router(
         typer.Option("--insecure", help="Let others in the network come without certificates."),
     ] = False,
 ) -> None:
-    """Be the router of a ROS graph, until Ctrl-C: a stand-in for rmw_zenohd."""
+    """Run a router of a ROS graph until Ctrl-C: a replacement for rmw_zenohd."""
     from rtee.ros2.session import open_router
 
     async def main() -> None:

@@ -428,7 +428,7 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
 
 
 def _rate(result: TrialResult) -> str:
-    """Return in words in how many variations an object was held; ``""`` without variations."""
+    """Return in how many variations an object was held, as text; ``""`` without variations."""
     from rtee.trials.variation import interval
 
     tries = result.tries

@@ -99,7 +99,7 @@ class Installation:
         return self.root == Path("/")
 
     def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, FileState]:
-        """Return what `install` would do to each file, without changing anything.
+        """Return the change that `install` would make to each file, without making it.
 
         Raises `ConfigError` if a file exists that rtee did not write, or a folder of the system
         leads out of it.
@@ -258,7 +258,7 @@ class Installation:
         return self._place(f"{WANTS}/rtee@{hand}.service")
 
     def _state(self, path: str, content: bytes) -> FileState | None:
-        """Return what to do with a file; ``None`` if rtee did not write it."""
+        """Return the state of a file; ``None`` if rtee did not write it."""
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
             return FileState.NEW

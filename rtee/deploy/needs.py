@@ -76,7 +76,7 @@ class Port:
 
     @property
     def has_own_name(self) -> bool:
-        """Whether a rule must make the name, which is neither the kernel's nor udev's."""
+        """Whether a rule must create the name: neither the kernel nor udev does."""
         return bool(_OWN_NAME.match(self.path))
 
 

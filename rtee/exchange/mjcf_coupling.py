@@ -51,7 +51,7 @@ class _Group(ModelConstraints):
 
 
 def motion_of(model: mujoco.MjModel) -> ModelMotion:
-    """Return how the joints of a model move, which are hinges and slides.
+    """Return the motion of a model's hinge and slide joints.
 
     Raises:
         ModelError: The couplings leave a number of degrees of freedom other than that of the

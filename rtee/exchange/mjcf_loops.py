@@ -152,7 +152,7 @@ class Linkage:
         return data.efc_pos[own].copy(), jacobian[:, [self.joint, *self.others]]
 
     def _springs(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what the springs lack to their rest ``(s,)`` and their pull ``(s, 1 + n)``.
+        """Return the deflections of the springs ``(s,)`` and their gradients ``(s, 1 + n)``.
 
         Both are scaled by the root of the stiffness, so that half the square of the first is the
         energy [J]. The second is the change of the springs' lengths by all joints.
@@ -315,7 +315,7 @@ def horner(coefficients: Sequence[float], variable: str = "x") -> str:
 
 
 def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str) -> Solved:
-    """Return how the joints of a closed linkage follow one of them.
+    """Solve a closed linkage: how its joints follow one of them.
 
     Args:
         linkage: The linkage.

@@ -218,7 +218,7 @@ class Access:
     # --- checks of a request
 
     def judge(self, request: Request, port: int) -> PageRole | Response:
-        """Return the role of who sends a request to a port, or the response that refuses it."""
+        """Return the role of the sender of a request to a port, or the response that refuses it."""
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_reached_by(hosts[0]):
             return _refusal(
@@ -332,5 +332,5 @@ def page_of(text: str) -> Response:
 
 
 def only_operators() -> Response:
-    """Return the refusal of what moves the hand to who only watches."""
+    """Return the refusal that observers get for commands that move the hand."""
     return _refusal(http.HTTPStatus.FORBIDDEN, "View only. STOP works.")

@@ -194,7 +194,7 @@ class App:
                 await anyio.sleep(AGAIN)
 
     def _attended(self) -> bool:
-        """Whether somebody is there who may answer."""
+        """Whether a window is open whose user may answer."""
         if self._visitors is None:
             return bool(self.server.get_clients())
         return self._visitors.attended
@@ -226,7 +226,7 @@ class App:
     # --- hands
 
     def watch(self, name: str | None = None) -> Watch:
-        """Return what watches a hand; by default, the one that was asked for or runs."""
+        """Return the watch of a hand; by default, of the one asked for, or the running one."""
         name = name or self._wanted or ""
         if name not in self._watches:
             assert self._group is not None  # noqa: S101
@@ -251,7 +251,7 @@ class App:
         return next((page for page in pages if page.key == key), None)
 
     def words(self, key: str) -> dict[str, object]:
-        """Return what the bar of the window with this key says."""
+        """Return the text of the bar of the window with this key."""
         page = self._page(key)
         truth = Truth() if page is None else page.watch.truth
         sessions = {p.key: p.session for p in tuple(self.pages.values())}
@@ -273,7 +273,7 @@ class App:
         }
 
     def press(self, button: str, key: str) -> None:
-        """Do what a button of a window's bar says; from any thread."""
+        """Execute the command of a button of a window's bar; from any thread."""
         page = self._page(key)
         if button == "stop":
             self._bridge.call(lambda: self._stop(page))

@@ -42,11 +42,11 @@ class Desk(Protocol):
     """What the bar shows, and what its STOP does; called in the server's thread."""
 
     def words(self, key: str) -> dict[str, object]:
-        """Return what the bar of the window with this key says; it may have none yet."""
+        """Return the text of the bar of the window with this key; it may have none yet."""
         ...
 
     def press(self, button: str, key: str) -> None:
-        """Do what a page says: ``stop`` the hand, show it ``live`` or a ``time``; ``narrow``."""
+        """Execute a page's command: ``stop`` the hand, show it ``live`` or a ``time``; ``narrow``."""
         ...
 
 

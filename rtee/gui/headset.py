@@ -24,7 +24,7 @@ Follow = Callable[[AsyncIterable[str], str], Awaitable[None]]
 
 
 async def handle(connection: ServerConnection, follow: Follow) -> None:
-    """Let the frames of a page move the hand, and tell the page why that ended."""
+    """Let the frames of a page move the hand; report to the page why that ended."""
     path = "" if connection.request is None else connection.request.path
     side = parse_qs(path.partition("?")[2]).get("side", ["right"])[0]
     try:

@@ -44,7 +44,7 @@ class PlotSource(Protocol):
         """Return times and the columns of a quantity, thinned for display."""
 
     def measured(self, name: str) -> BoolArray:
-        """Return of which columns of a quantity a value is known at any time."""
+        """Return which columns of a quantity have a value at some time."""
 
     def spans(self, length: float) -> Sequence[Span]:
         """Return the actions in the window of a length [s]."""
@@ -56,7 +56,7 @@ def stride(count: int) -> int:
 
 
 class StateHistory:
-    """Ring buffer of the newest states, and the actions meanwhile; times are relative to now."""
+    """Ring buffer of the newest states and their actions; times are relative to now."""
 
     pose: float | None = None
 
@@ -90,11 +90,11 @@ class StateHistory:
         self._count += 1
 
     def measured(self, name: str) -> BoolArray:
-        """Return of which columns of a quantity a value was ever known."""
+        """Return which columns of a quantity ever had a value."""
         return self._measured[name]
 
     def on_goal(self, goal_id: str, action: str) -> None:
-        """Take the goal that runs now; an empty one stands for none."""
+        """Set the running goal; an empty one means none."""
         if not goal_id or any(span.goal_id == goal_id for span in self._spans):
             self._running = None
         elif self._running is None or self._running.goal_id != goal_id:

@@ -68,7 +68,7 @@ class Playback:
         return self.time
 
     def measured(self, name: str) -> BoolArray:
-        """Return of which columns of a quantity a value is known in the recording."""
+        """Return which columns of a quantity have a value in the recording."""
         if name not in self._measured:
             columns = range(len(self._hand.joints if name in JOINT_QUANTITIES else self._order))
             step = max(1, len(self.recording.actuator_states) // _LOOKED_AT)

@@ -354,7 +354,7 @@ class HandSession:
 
 
 def _remark(hand: Hand, action: Action) -> str:
-    """Return what people should know of an action before they start it, or ``""``."""
+    """Return the remark to show before an action is started, or ``""``."""
     if isinstance(action, Primitive) and (deeper := deeper_text(action)):
         return deeper
     return abduction_sentence(hand, action)

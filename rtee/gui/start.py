@@ -55,7 +55,7 @@ class Cards:
         self.chosen: HandAddress | None = None
 
     def words(self, key: str) -> dict[str, object]:
-        """Return what the bar says."""
+        """Return the text of the bar."""
         count = sum(bool(place.hand) for place in self.cards)
         held = Words(f"{count} hand{'s' * (count != 1)}: STOP stops all")
         rest = {"link": Words(""), "mode": Words(""), "old": False, "recorded": False}

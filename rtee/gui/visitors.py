@@ -240,7 +240,7 @@ class Visitors:
         return bool(self._operators)
 
     def tell(self, come: Come, gone: Gone) -> None:
-        """Tell of the windows that are open, that open, and that close; in viser's thread."""
+        """Report the windows that are open, that open, and that close; in viser's thread."""
         self._come, self._gone = come, gone
         for client in tuple(self._server.get_clients().values()) if self._server else ():
             come(client)

@@ -110,7 +110,7 @@ class Angles:
     degrees = False
 
     def factor(self, quantity: str, kind: str) -> float:
-        """Return by what a quantity of an actuator or joint of a kind is multiplied."""
+        """Return the factor from SI to the displayed unit of a quantity of an actuator or joint."""
         turns = units(quantity, (kind,)).startswith("rad")
         return 180.0 / math.pi if self.degrees and turns else 1.0
 

@@ -189,7 +189,7 @@ class OneMotor:
 
 
 def one_motor(hand: Hand) -> OneMotor | None:
-    """Return how the two jaws of a gripper may be driven by one motor, if they mirror each other.
+    """Return how one motor may drive the two jaws of a gripper, if they mirror each other.
 
     Each has one actuator; both have the same limits, or opposite ones, and move the tips towards
     each other.

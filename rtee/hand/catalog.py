@@ -92,7 +92,7 @@ def fingerprint(folder: Path) -> str:
 
 
 def model_fingerprint(folder: Path) -> str:
-    """Return the same of the model and the configuration, without actions."""
+    """Return the fingerprint of the model and the configuration, without actions."""
     return _digest(folder, _model(folder))
 
 

@@ -209,7 +209,7 @@ def _joints_in(groups: Sequence[SrdfGroup], urdf: Urdf) -> frozenset[str]:
 
 
 def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup, str] | None:
-    """Return the group of the hand, and how it was chosen; ``None`` if there is none."""
+    """Return the hand's group and how it was chosen, or ``None``."""
     collections = [group for group in srdf.groups.values() if group.subgroups]
     for effector in srdf.end_effectors:
         group = srdf.groups.get(effector.group)

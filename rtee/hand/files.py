@@ -215,7 +215,7 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
 
 
 def is_trusted(status: os.stat_result, *owners: int) -> bool:
-    """Return whether a file or folder belongs to one of some users, and nobody else can write it.
+    """Return whether a file or folder belongs to one of some users, and only they can write it.
 
     Only then, no other user of this computer has made it.
     """
@@ -245,7 +245,7 @@ def files_below(folder: Path, limit: int = MAX_SIZE) -> Iterator[tuple[Path, byt
 
 
 def _regular(path: Path, folder: int, owner: int, limit: int) -> bytes | None:
-    """Return the content of a file in an open folder; ``None`` if it is no regular file."""
+    """Return the content of a file in an open folder; ``None`` if it is not a regular file."""
     try:
         # Without blocking, since a named pipe may have taken the file's place.
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC

@@ -366,7 +366,7 @@ def _outside(
 def _movers(
     joints: Sequence[Joint], specs: Sequence[ActuatorSpec], transmission: Transmission
 ) -> dict[str, Mover]:
-    """Return what moves each joint, at mid-range; joints that nothing moves are missing."""
+    """Return the actuators that move each joint, at mid-range; joints without any are missing."""
     middle = [0.5 * (s.lower + s.upper) if math.isfinite(s.upper - s.lower) else 0.0 for s in specs]
     slopes = transmission.jacobian(np.array(middle))
     moves = [transmission.moves(i) for i in range(len(joints))]

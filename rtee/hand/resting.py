@@ -80,7 +80,7 @@ class ClosedRest:
 
 
 def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
-    """Return how the rest posture of a hand is a pinch; ``None`` if it is none or cannot be opened.
+    """Return the pinch that the rest posture is; ``None`` if it is not one, or cannot be opened.
 
     Two tips pinch at rest if they touch or nearly touch, and their largest relative motion moves
     them apart. Tips side by side, which bend next to each other, do not.
@@ -264,7 +264,7 @@ class _GapSearch:
 
 
 def closed_rest_of(hand: Hand, *, narrow: bool = False) -> ClosedRest | None:
-    """Return how a hand's rest posture is a pinch, or with ``narrow`` not its widest one.
+    """Return the pinch of the rest posture; ``narrow``: or one that a wider posture would open.
 
     See `closed_rest` and `widest_rest`.
 

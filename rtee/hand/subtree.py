@@ -76,7 +76,7 @@ class Subtree:
 
 
 def _fixed(element: Element, joint: UrdfJoint, *, turned: bool) -> Element:
-    """Return a joint that stands at 0; ``turned``: with its parent below its child."""
+    """Return a joint fixed at 0; ``turned``: with parent and child exchanged."""
     pose, ends = origin(joint.xyz, joint.rpy), (joint.parent, joint.child)
     if turned:
         pose, ends = np.asarray(np.linalg.inv(pose), dtype=np.float64), ends[::-1]
@@ -115,7 +115,7 @@ def _is_outside(
 
 
 def srdf_within(srdf: Srdf, urdf: Urdf) -> Srdf:
-    """Return what an SRDF of a whole robot says of the hand alone."""
+    """Return the part of a whole robot's SRDF that concerns the hand."""
     links, joints = urdf.links, urdf.joints
     groups = {}
     for group in srdf.groups.values():

@@ -74,7 +74,7 @@ def binary_stl(corners: FloatArray) -> bytes:
 
 
 def stl_corners(data: bytes) -> FloatArray | None:
-    """Return the corners ``(3 t, 3)`` of a binary STL file; ``None`` if it is none, or text."""
+    """Return the corners ``(3 t, 3)`` of a binary STL file; ``None`` if it is not one."""
     count = int.from_bytes(data[_HEADER - 4 : _HEADER], "little")
     # Binary files may begin with "solid", too, but their length tells them apart.
     if len(data) != _HEADER + count * _RECORD.itemsize:

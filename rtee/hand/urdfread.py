@@ -333,7 +333,7 @@ def _greatest(element: Element, name: str, quantity: str) -> float:
 
 
 def _smaller(first: float, second: float) -> float:
-    """Return the smaller limit; 0 stands for none."""
+    """Return the smaller limit; 0 means unlimited."""
     return min(first or second, second or first)
 
 

@@ -29,7 +29,7 @@ class Known:
     foreign: bool = False
 
     def inside(self, tag: str) -> Known | None:
-        """Return what is known of an element inside it; ``None``: it is not read."""
+        """Return the vocabulary of a child element; ``None``: it is not read."""
         # A prefix is a program's, such as drake:capsule for what URDF 1.1 calls capsule.
         plain = tag.rpartition(":")[2]
         return self.children.get(plain, _FOREIGN if self.foreign else None)
@@ -40,7 +40,7 @@ def _words(text: str) -> frozenset[str]:
 
 
 def _known(attributes: str = "", **children: Known) -> Known:
-    """Return what is known: attributes that are read, then, after a bar, harmless ones."""
+    """Parse a vocabulary: attributes that are read, then, after a bar, harmless ones."""
     return Known(_words(attributes.replace("|", " ")), children)
 
 

@@ -66,7 +66,7 @@ class Brief:
     notes: tuple[str, ...] = ()
 
     def of(self, kind: str) -> Iterator[Sequence[Any]]:
-        """Yield what was told of a kind, without it."""
+        """Yield the entries of a kind, without the kind itself."""
         return (each[1:] for each in self.told if each[0] == kind)
 
 
@@ -112,7 +112,7 @@ def brief(path: Path) -> Brief | None:
 
 
 def metadata_of(path: Path, name: str) -> dict[str, str] | None:
-    """Return a record of metadata among a file's first; ``None``: there is none that is sound.
+    """Return a metadata record among a file's first; ``None`` without an intact one.
 
     Raises `OSError` if the file cannot be read.
     """

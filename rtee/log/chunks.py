@@ -147,7 +147,7 @@ class _Room:
 
     @contextmanager
     def taken(self) -> Iterator[memoryview]:
-        """Give a view, not a copy, of what was collected; then it begins anew."""
+        """Return a view of the collected bytes, not a copy, and begin a new collection."""
         size, self.size = self.size, 0
         with memoryview(self._memory) as whole, whole[:size] as view:
             yield view
@@ -212,7 +212,7 @@ class ChunkBuilder:
         self._ticks.append(block)
 
     def pack(self) -> PackedChunk | None:
-        """Return the collected messages as a chunk, ``None`` if there are none, and start anew."""
+        """Return the collected messages as a chunk, or ``None``, and begin a new collection."""
         if self._columns is not None and self._block_times:
             self._turn(self._columns)
         if not self._room.size:

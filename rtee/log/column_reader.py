@@ -182,7 +182,7 @@ class MessageColumns:
         self.skipped = 0
 
     def clear(self) -> None:
-        """Begin anew with the same layout; arrays that were returned stay as they are."""
+        """Start over with the same layout; arrays returned before do not change."""
         self._times, self._count, self.skipped = np.empty_like(self._times), 0, 0
         self._columns = {name: np.empty_like(each) for name, each in self._columns.items()}
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def line_of(item: object, wall: int) -> list[Any]:
-    """Return what a digest tells of a recorded item of a time [ns since 1970]; empty: nothing."""
+    """Return a digest's line for a recorded item at a time [ns since 1970], or ``""``."""
     match item:
         case Goal():
             what = item.what
@@ -34,7 +34,7 @@ def line_of(item: object, wall: int) -> list[Any]:
 
 
 def lines_of(recording: Recording) -> Iterable[list[Any]]:
-    """Yield what a digest tells of a recording."""
+    """Yield the lines of a recording's digest."""
     topics = (
         recording.goals,
         recording.plans,

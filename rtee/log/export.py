@@ -316,7 +316,7 @@ def _touch(recording: Recording) -> Table:
 
 
 def _described(topic: str) -> Callable[[Recording], Table]:
-    """Return what makes the table of a topic by the fields of its messages, a row for each item."""
+    """Return a function that makes the table of a topic: a column per field, a row per item."""
 
     def flat(fields: Mapping[str, Any], path: str = "") -> dict[str, Any]:
         found: dict[str, Any] = {}

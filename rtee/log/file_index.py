@@ -141,7 +141,7 @@ def index_file(path: Path | str) -> FileIndex:
 
 
 def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
-    """Return whether the checksum of the summary and the footer is right, or 0: there is none."""
+    """Return whether the checksum of the summary and the footer is right, or absent (0)."""
     start, _, checksum = _FOOTER.unpack(footer.read(stream))
     if not checksum:
         return True
@@ -353,7 +353,7 @@ class Damage:
 
 
 def _gap(record: Record, chunks: int, times: Sequence[tuple[int, int]]) -> str:
-    """Return what damaged bytes behind so many chunks have cost."""
+    """Describe the data lost after the given number of chunks."""
     damaged = f"{record.length} bytes from byte {record.offset} on are damaged"
     if record.length < _SHORTEST_CHUNK:
         return damaged

@@ -246,7 +246,7 @@ class McapFile:
         )
 
     def _own(self) -> dict[str, Any]:
-        """Return the fields of `rtee.log.brief.Brief` that the file itself tells."""
+        """Return the fields of `rtee.log.brief.Brief` that the file itself contains."""
         types = {schema.id: schema.name for schema in self._preamble.schemas}
         values = self._preamble.metadata.get("rtee", {})
         return {

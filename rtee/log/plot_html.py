@@ -97,7 +97,7 @@ def _trace(go: Any, line: PlotLine, *, named: bool) -> Any:
 
 
 def _shapes(figure: Figure) -> Iterator[dict[str, Any]]:
-    """Yield what shades the spans over all panels, for the two columns.
+    """Yield the shapes that shade the spans in all panels of both columns.
 
     All go into the layout at once: one by one, each would be compared with those before.
     """

@@ -88,7 +88,7 @@ class RecordingFile:
 
 
 def parse_name(path: Path) -> RecordingFile | None:
-    """Return the recording at a path, ``None`` if its name is no recording's or it is gone."""
+    """Return the recording at a path; ``None`` if it is not named as one, or is gone."""
     match = _NAME.fullmatch(path.name)
     if match is None:
         return None
@@ -144,7 +144,7 @@ def next_run(folder: Path) -> int:
 
 
 def free_space(folder: Path) -> int:
-    """Return what is free on the disk of a folder [bytes]."""
+    """Return the free space on the disk of a folder [bytes]."""
     status = os.statvfs(folder)
     return status.f_bavail * status.f_frsize
 

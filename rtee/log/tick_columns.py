@@ -75,7 +75,7 @@ def _folded(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _orders(values: NDArray[np.uint64]) -> NDArray[np.uint8]:
-    """Return how often the differences of each row are taken, so that they are smallest."""
+    """Return the order of differences of each row that makes them smallest."""
     begins = np.linspace(0, max(0, values.shape[1] - _FEW), _PLACES).astype(np.intp)
     some = values[:, (begins[:, np.newaxis] + np.arange(_FEW)).clip(max=values.shape[1] - 1)]
     bits = []

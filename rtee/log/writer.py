@@ -214,7 +214,7 @@ class LogWriter:
         self._add(topics.CHANNELS, wall, _CHANNELS.encode(fields))
 
     def _add_touch(self, states: Mapping[str, TouchState], wall: int) -> None:
-        """Record those of the devices' touch sensors that were measured anew, or became stale."""
+        """Record the touch sensors that have new measurements, or became stale."""
         known, self._touch = self._touch, states
         new = [state for name, state in states.items() if known.get(name) is not state]
         if any(s.device not in known or known[s.device].sensors is not s.sensors for s in new):

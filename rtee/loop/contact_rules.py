@@ -190,7 +190,7 @@ def lost(
 
 
 def settled(*, steady: float, least: float, building: bool) -> bool:
-    """Return whether a grasp has come to rest, so that a result may tell of it.
+    """Return whether a grasp has come to rest, so that a result may report it.
 
     Args:
         steady: How long all actuators have been where they are, or blocked [s].

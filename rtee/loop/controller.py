@@ -197,11 +197,11 @@ class Controller:
         )
 
     def heat(self, indices: Iterable[int]) -> str:
-        """Return in words which of some actuators are warm, or whose temperature is not valid."""
+        """Describe those of some actuators that are warm or have an invalid temperature."""
         return self._thermal.words({i: self.hand.actuators[i].name for i in indices})
 
     def doubts(self, indices: Iterable[int]) -> str:
-        """Return in words which of some actuators have an implausible measured position."""
+        """Describe those of some actuators that have an implausible measured position."""
         return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
     def accept(self, plan: Plan, stamp: float) -> None:

@@ -769,7 +769,7 @@ class ContactMonitor:
         return approach.over >= _CONFIRMED and led >= _STEP_WAYS * stretch.count
 
     def _surges(self, approach: _EffortApproach, current: float, *, moves: bool) -> bool:
-        """Return whether an actuator that stands still needs more current than its free motion.
+        """Return whether an actuator at standstill needs more current than its free motion.
 
         Args:
             approach: Its approach.

@@ -137,7 +137,7 @@ class FreeMotion:
         threshold: float,
         recent: float = 0.0,
     ) -> float:
-        """Return by which share of what counts an effort exceeds that of free motion; 1: it counts.
+        """Return the excess of an effort over that of free motion, relative to the threshold.
 
         Args:
             effort: Measured effort [N·m | N], or current [A].
@@ -191,7 +191,7 @@ class FreeMotion:
         self._count += 1
 
     def state(self) -> LearnedMotion:
-        """Return what was learned."""
+        """Return the learned free motion."""
         first, second, third = map(tuple, self._matrix)
         return LearnedMotion(
             tuple(self._parameters), first + second + third,

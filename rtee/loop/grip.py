@@ -270,7 +270,7 @@ class Grip:
         return [a + share * (b - a) for a, b in zip(self.lever[k], self.lever[k + 1], strict=True)]
 
     def moving_mass(self, intensity: float) -> float:
-        """Return what moves with the fingers, as a mass at the opening [kg]; ``NaN``: not known.
+        """Return the mass that moves with the fingers, referred to the opening [kg], or ``NaN``.
 
         A force on the tips accelerates each actuator by its lever and inertia.
         """

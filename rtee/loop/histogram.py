@@ -58,7 +58,7 @@ class Histogram:
         return [min(_upper(min(k, self._last)), self.maximum) * 1e-9 for k in buckets]
 
     def at_most(self, bounds: Sequence[float]) -> list[int]:
-        """Return how many durations are at most each bound [s], to the width of a bucket."""
+        """Return the number of durations up to each bound [s], to the width of a bucket."""
         seen = list(accumulate(self._counts))
         return [seen[min(_bucket(int(bound * 1e9)), self._last)] for bound in bounds]
 

@@ -50,7 +50,7 @@ class Service:
 
     @classmethod
     def of(cls, environ: MutableMapping[str, str] = os.environ) -> Self | None:
-        """Return the service that the environment describes; ``None``: this process is no service.
+        """Return the service that the environment describes; ``None`` outside of a service.
 
         Removes the variables, since programs started by this process are not the service.
         """

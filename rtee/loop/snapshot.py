@@ -85,7 +85,7 @@ def _names(value: object) -> Iterator[str]:
 
 
 def encode(snapshot: Snapshot) -> list[Any]:
-    """Return a state as lists for JSON, one for each object; `TypeError` if there is no way to."""
+    """Return a state as lists for JSON, one for each object; raises `TypeError` if it cannot."""
     places = {key: place for place, key in enumerate(snapshot.nodes)}
 
     def part(value: Any) -> Any:
@@ -118,7 +118,7 @@ def _node(value: Any, parts: list[Any], given: str | None) -> list[Any]:
 
 
 def restore(controller: Controller, nodes: list[Any]) -> None:
-    """Give a new controller a state; raises `LogError` if the lists are none of its states."""
+    """Set the state of a new controller; raises `LogError` if the lists do not describe one."""
     try:
         _Restoring(controller, nodes).value([0], controller)
         controller.restored()

@@ -98,7 +98,7 @@ class Request:
     role: Role
 
     def key(self, hand: str) -> str:
-        """Return the key on the network; the hand ``*`` stands for all hands."""
+        """Return the key on the network; the hand ``*`` matches all hands."""
         return f"{PREFIX}/{hand}/{self.group}/{self.name}"
 
 

@@ -509,7 +509,7 @@ def recorded_type(name: str, schema: str) -> MessageType:
 
 
 def _readable(recorded: MessageType) -> bool:
-    """Return whether values of a recorded type can stand for those of the known one."""
+    """Return whether values of a recorded type can be read as the known type."""
     notations = {field.name: field.notation for field in recorded.fields}
     known = message_type(recorded.name).fields if recorded.name in DEFINITIONS else ()
     # A field may be missing or new, but not of another type, and a name that occurs twice would

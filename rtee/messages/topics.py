@@ -99,5 +99,5 @@ def log_topic(hand: str, name: str) -> str:
 
 
 def network_key(hand: str, name: str) -> str:
-    """Return the key of a topic on the network; the hand ``*`` stands for all hands."""
+    """Return the key of a topic on the network; the hand ``*`` matches all hands."""
     return f"{PREFIX}/{hand}/{name}"

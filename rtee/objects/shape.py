@@ -248,7 +248,7 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
 
 
 def refuse_paths(text: str) -> None:
-    """Refuse what is no shape, for requests from outside: no file that they name is opened.
+    """Refuse anything but a shape in requests from outside: files that they name are not opened.
 
     Raises:
         ConfigError: if it is no shape.

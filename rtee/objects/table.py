@@ -1,4 +1,4 @@
-"""The table on which an object stands, as users write it."""
+"""The table under an object, as users write it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TABLE: Final = f"X,Y,Z or X,Y,Z,HEIGHT [m], its upward normal in the object's fr
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table on which an object stands, in the object's frame.
+    """The table under an object, in the object's frame.
 
     Attributes:
         up: Its upward normal ``(3,)``; against the weight unless given.

@@ -1,4 +1,4 @@
-"""Where a hand meets itself or the object in a posture that a planner's grasp comes to."""
+"""Collisions of a hand with itself or the object, in the postures of a planner's grasp."""
 
 from __future__ import annotations
 

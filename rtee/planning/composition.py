@@ -70,7 +70,7 @@ def _draft(library: ActionLibrary, parts: tuple[ActionReference, ...]) -> Compos
 
 
 def _combinations(library: ActionLibrary) -> Iterator[tuple[ActionReference, ...]]:
-    """Yield what may be combined: all fingers first, then fewer; pinches with other fingers."""
+    """Yield combinations: of all fingers first, then fewer; of pinches with other fingers."""
     primitives = [a for a in library.all("primitive") if isinstance(a, Primitive)]
     trigs = [a for a in primitives if a.kind is PrimitiveKind.TRIG]
     if len(trigs) < 2:

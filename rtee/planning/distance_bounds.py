@@ -115,7 +115,7 @@ class DistanceBounds:
         return list(touches.values())
 
     def touch(self, row: int, shape: int, at: Placed) -> Touch:
-        """Return how near a shape is to the object, and where if they touch."""
+        """Return the distance from a shape to the object, and the contact if they touch."""
         first = (row * self._shapes + shape) * self._pieces
         bounds = self._bounds[row, shape].tolist()
         least: Measured | None = None
@@ -195,7 +195,7 @@ class DistanceBounds:
         return capped
 
     def _moved(self, rows: Slots | None) -> Slots:
-        """Return some rows, whose distances are no longer known."""
+        """Mark the distances of some rows as unknown; return the rows."""
         rows = self._rows if rows is None else rows
         for row in rows.tolist():
             self._known[row].clear()

@@ -109,12 +109,12 @@ class GraspSolution(Value):
 
 
 def to_document(solution: GraspSolution) -> dict[str, Any]:
-    """Return it as plain data, ready for JSON."""
+    """Return the solution as plain data, ready for JSON."""
     return asdict(solution)
 
 
 def from_document(document: Mapping[str, Any]) -> GraspSolution:
-    """Return it from plain data.
+    """Return the solution from plain data.
 
     Raises:
         Invalid: If it is not a grasp solution; the error names all mistakes.

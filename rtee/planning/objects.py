@@ -68,7 +68,7 @@ class Piece:
     radius: float = 0.0
 
     def support(self, directions: FloatArray) -> FloatArray:
-        """Return how far it reaches along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
+        """Return the extents along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
         reach: FloatArray = (self.points @ directions.T).max(axis=0) + self.radius
         return reach
 
@@ -90,7 +90,7 @@ class GraspObject:
     notes: tuple[str, ...] = ()
 
     def support(self, directions: FloatArray) -> FloatArray:
-        """Return how far it reaches along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
+        """Return the extents along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
         farthest: FloatArray = np.max([p.support(directions) for p in self.pieces], axis=0)
         return farthest
 

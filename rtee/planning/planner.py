@@ -285,7 +285,7 @@ class Planner:
     def _efforts(
         self, closure: Closure, contacts: Sequence[Contact], found: FloatArray
     ) -> FloatArray:
-        """Return what wrenches take of the actuators' efforts, as shares of their limits."""
+        """Return the efforts that wrenches take of the actuators, as shares of their limits."""
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
         # An actuator without a known limit does not limit the load; the notes say so.
         limited: BoolArray = np.isfinite(limits)
@@ -296,7 +296,7 @@ class Planner:
         return efforts
 
     def _judged(self, grasp: FoundGrasp, least: float) -> GraspPlan | None:
-        """Return what a grasp comes to, or ``None`` where its score is certainly below the least.
+        """Evaluate a grasp; ``None`` if its score is certainly below ``least``.
 
         What it carries takes longest to work out, and can only lower the score.
         """
@@ -414,7 +414,7 @@ class Planner:
         return 0.0, float(gaps.max()), 0.0
 
     def _part(self, link: str) -> str:
-        """Return how a link is called that is of no finger alone: the palm, or by its name."""
+        """Name a link that does not belong to one finger alone: the palm, or its own name."""
         return link if self.scene.geometry.kinematics.body(link) else "palm"
 
     def _reasons(
@@ -467,7 +467,7 @@ def _inverse(pose: FloatArray) -> FloatArray:
 
 
 def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
-    """Return what grasps are sorted by: the best score first, then the name."""
+    """Return the sort key of grasps: the best score first, then the name."""
     lead = 0.0 if plan.action in _ALONE else _OPPOSED
     return (-plan.score - lead, plan.action, plan.elements)
 

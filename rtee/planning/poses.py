@@ -178,7 +178,7 @@ class Poses:
         return tuple(f.name for f in chosen)
 
     def _outermost(self, shapes: list[int]) -> list[int]:
-        """Return those shapes of a fingertip's link that reach out the farthest.
+        """Return the outermost shapes of a fingertip's link.
 
         The link of a jaw may be all of the gripper's body.
         """
@@ -281,7 +281,7 @@ class Poses:
     def _free(
         self, at: HandPose, tips: list[int], middle: FloatArray, towards: FloatArray
     ) -> float:
-        """Return how far a probe comes from the middle before it meets a fingertip [m].
+        """Return the distance from the grasp centre at which a probe meets a fingertip [m].
 
         One that passes by the fingertip comes as far as the fingertip's middle.
         """
@@ -291,7 +291,7 @@ class Poses:
     def _met(
         self, at: HandPose, tips: list[int], middle: FloatArray, towards: FloatArray
     ) -> float | None:
-        """Return where a probe from the middle meets a fingertip [m]; none if nowhere."""
+        """Return where a probe from the grasp centre meets a fingertip [m], or ``None``."""
         far = self._far(at, tips, middle, towards)
         gone = 0.0
         # A step of the free distance cannot jump over a fingertip.
@@ -306,7 +306,7 @@ class Poses:
 
     @staticmethod
     def _far(at: HandPose, tips: list[int], middle: FloatArray, towards: FloatArray) -> float:
-        """Return how far beyond the middle a fingertip's own middle is [m]."""
+        """Return the distance from the grasp centre to the fingertip's centre [m]."""
         return float(np.max((at.middles[tips] - middle) @ towards))
 
     @cached_property
@@ -364,7 +364,7 @@ class Poses:
             yield from at_most(placed, _share(most, len(fitting)))
 
     def _aside(self, wide: int, step: int) -> float:
-        """Return how far across the reach the middle moves between two steps [m].
+        """Return the motion of the grasp centre across the reach between two steps [m].
 
         It moves where one of two jaws is fixed: the wider they are open, the farther from that one.
         """
@@ -385,7 +385,7 @@ class Poses:
             yield from at_most(placed, _share(most, len(sized)))
 
     def _from_above(self, turn: FloatArray) -> bool:
-        """Return whether the hand comes to a turned object from no place below the table."""
+        """Return whether a turned object can be approached from above the table."""
         up = None if self._ground is None else self._ground.up
         if up is None:
             return True

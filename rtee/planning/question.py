@@ -63,7 +63,7 @@ class Question:
     table: Table | None = None
 
     def check(self) -> None:
-        """Raise `ConfigError` unless it can be asked; what only the object tells is left out."""
+        """Validate the question; raises `ConfigError`. Checks that need the object come later."""
         numbers = (self.mass, self.friction, self.scale, *self.weight_axis)
         if not all(map(math.isfinite, numbers)) or min(numbers[:3]) <= 0.0:
             raise ConfigError("mass, friction and scale of an object are finite and above 0")
@@ -82,7 +82,7 @@ class Question:
             raise ConfigError("which object? write its shape, such as sphere:0.03")
 
     def words(self) -> dict[str, Any]:
-        """Return it as plain data, ready for JSON."""
+        """Return the question as plain data, ready for JSON."""
         return asdict(self) | {"mesh": base64.b64encode(self.mesh).decode("ascii")}
 
 
@@ -115,7 +115,7 @@ class ReachQuestion:
     object_pose: tuple[float, ...] = ()
 
     def check(self) -> None:
-        """Raise `ConfigError` unless it can be asked; what only the hand tells is left out."""
+        """Validate the question; raises `ConfigError`. Checks that need the hand come later."""
         numbers = (*self.points, *self.normals, *self.pose, *self.approach, *self.object_pose)
         if not all(map(math.isfinite, (*numbers, self.width, self.retreat, self.tolerance))):
             raise ConfigError("a grasp to reach consists of finite numbers")
@@ -136,7 +136,7 @@ class ReachQuestion:
             raise ConfigError("the object is a shape, such as box:0.04x0.04x0.1")
 
     def words(self) -> dict[str, Any]:
-        """Return it as plain data, ready for JSON."""
+        """Return the question as plain data, ready for JSON."""
         return {"reach": asdict(self)}
 
 

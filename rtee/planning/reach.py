@@ -306,13 +306,13 @@ class _PostureSearch:
         return np.append((normal - contact.normal) / _ANGLE, distance / _LENGTH)
 
     def _probed(self, contact: _Contact, finger: str) -> tuple[float, FloatArray, FloatArray]:
-        """Return how far a tip is from a contact, its nearest point and its normal there."""
+        """Return the distance of a tip from a contact, its nearest point and its normal there."""
         inside = contact.point + _PROBE * contact.normal
         distance, point, normal = self._tips.near(finger, inside)
         return distance - _PROBE, point, normal
 
     def residual(self, u: FloatArray, contact: _Contact, finger: str) -> Residual:
-        """Return what is left at a contact, in the base link's frame."""
+        """Return the residual at a contact, in the base link's frame."""
         self._tips.go(u)
         distance, point, normal = self._probed(contact, finger)
         # By rounding, the product of unit vectors may exceed 1, which acos refuses.

@@ -108,7 +108,7 @@ class GraspScene:
     def measured(
         self, shape: int, piece: int, there: coal.Transform3s, here: coal.Transform3s
     ) -> Measured:
-        """Return how near a shape is to a piece of the object.
+        """Return the distance between a shape and a piece of the object.
 
         Args:
             shape: The shape.

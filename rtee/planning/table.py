@@ -1,4 +1,4 @@
-"""The table on which the object stands: what a hand keeps clear of as it comes, closes and opens.
+"""The table under the object, from which a hand keeps clear as it approaches, closes and opens.
 
 The table goes with the object, so that it is elsewhere in the hand's base frame for each pose of
 the object. It fills all that is below its top; where a grasp needs room below the object, up to an

@@ -51,7 +51,7 @@ class Fingertips:
         pin.forwardKinematics(robot.model, robot.data, self.hand.transmission.joints(u))
 
     def near(self, finger: str, point: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return how a tip is placed to a point, both in the hand's base frame.
+        """Return the placement of a tip relative to a point, both in the hand's base frame.
 
         Meshes count as their convex hulls, whose distance is negative inside.
 

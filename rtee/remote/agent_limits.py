@@ -97,7 +97,7 @@ class AgentLimits:
 
 
 def _narrowed(name: str, file: T | None, asked: T | None, default: T) -> T:
-    """Return what is asked for, else what the file gives; refuse what is more than the file's."""
+    """Return the limit asked for, by default the file's; refuse one above the file's."""
     if file is not None and asked is not None and _rank(asked) > _rank(file):
         raise ConfigError(f"--{name} {asked} is more than hand.yaml allows an agent: {file}")
     return asked if asked is not None else default if file is None else file

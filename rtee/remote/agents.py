@@ -46,7 +46,7 @@ class Agents:
         self._met = False
 
     def meet(self, client: str) -> None:
-        """Note that a client has come: only where agents have been is told that they are out."""
+        """Record a client: `told` is empty until an agent has connected."""
         self._met |= is_agent(client)
 
     @property

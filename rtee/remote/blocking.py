@@ -454,7 +454,7 @@ def opened(
     wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> tuple[BlockingPortal, RemoteHand, contextlib.ExitStack]:
-    """Return what a `BlockingHand` is made of; arguments and errors are those of `connect`."""
+    """Return the parts of a `BlockingHand`; arguments and errors are those of `connect`."""
     with contextlib.ExitStack() as stack:
         portal = stack.enter_context(_portal())
         connection = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)

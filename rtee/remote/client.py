@@ -305,7 +305,7 @@ async def _stopped(
     client: str,
     otherwise: Callable[[], Awaitable[dict[str, bool]]],
 ) -> dict[str, bool]:
-    """Stop a hand by its socket for stops, or otherwise where there is none.
+    """Stop a hand through its stop socket, or through the network if it has none.
 
     A device that has not confirmed is stopped again: its answer was lost, or it had to wait.
     """
@@ -345,7 +345,7 @@ async def _asked_to_stop(link: Link) -> dict[str, bool]:
 async def stop_hand(
     hand: str | None = None, *, endpoint: str | None = None, client: str = "python"
 ) -> tuple[str, dict[str, bool]]:
-    """Stop a hand without connecting to it first; return its name and who has confirmed.
+    """Stop a hand without connecting first; return its name and which devices confirmed.
 
     On this computer the stop goes through a socket of its own. Elsewhere it is sent without
     ``hello``, so that no limit of clients and requests stands before it. The arguments and errors

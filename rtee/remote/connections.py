@@ -141,7 +141,7 @@ def vouching(token: str) -> Iterator[None]:
 
 
 def user_of(token: str) -> int:
-    """Return the user whose process is `vouching` for a token; -1: nobody, so it is not known."""
+    """Return the user whose process is `vouching` for a token; -1 if no process is."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as link:
         link.setblocking(False)
         link.connect(_voucher(token))

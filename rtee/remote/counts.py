@@ -1,4 +1,4 @@
-"""What a hand counts for those who watch many: clients, goals by outcome, stops, lateness."""
+"""Counters of a hand for monitoring a fleet: clients, goals by outcome, stops, lateness."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ class Credentials:
             return False
 
     def forget(self) -> None:
-        """Admit nobody until the list can be read."""
+        """Admit no client until the list can be read."""
         # Without the stamp, the list counts as changed as soon as it can be read again.
         self.people, self._stamp = (), (-1, -1)
 

@@ -1,4 +1,4 @@
-"""The door of a hand: a process of its own through which all come who bring a certificate.
+"""The door of a hand: a separate process that accepts all connections with certificates.
 
 Whoever reaches a port can open connections there as fast as they like. Here they cost the hand's
 process nothing: no handshake, no descriptor, and no time of its interpreter. Zenoh's own listener
@@ -118,7 +118,7 @@ class Door:
         self._watcher.start()
 
     def admit(self, people: Collection[str]) -> None:
-        """Admit people by the common names of their certificates, and nobody else from now on."""
+        """Admit clients by the common names of their certificates, and no others from now on."""
         with self._writing:
             self._people = sorted(people)
             self._say(self._process)
@@ -158,7 +158,7 @@ class Door:
         return process
 
     def _say(self, process: subprocess.Popen[str]) -> None:
-        """Tell the process who is admitted."""
+        """Send the process the list of admitted clients."""
         assert process.stdin is not None  # noqa: S101
         with contextlib.suppress(OSError):  # it has ended; the next one is told at its start
             process.stdin.write(json.dumps(self._people) + "\n")
@@ -417,7 +417,7 @@ async def _serve(first: Mapping[str, Any], folder: Path) -> None:
 
 
 def main() -> None:
-    """Open a door as the first line of the input says; the following ones say who is admitted.
+    """Open the door described by the first line of the input; later lines list the admitted.
 
     Ends with the input: when the hand's process ends, however it does.
     """

@@ -1,4 +1,4 @@
-"""The hands of a computer and of a site: found, followed and looked at together.
+"""The hands of a computer and of a site: discovery and common monitoring.
 
 Hands come and go. A `Fleet` searches for them every two seconds, introduces itself to each, and
 asks all at once when somebody wants to know. What is reached through one endpoint shares a session.
@@ -112,7 +112,7 @@ class Fleet:
             await anyio.sleep(_POLL)
 
     async def look(self) -> list[Look]:
-        """Return what all hands that are known answer now, by name."""
+        """Query all known hands at once, and return their answers by name."""
         looks = {place: Look(place, trouble=why) for place, why in self._troubles.items()}
 
         async def ask(place: HandAddress, monitor: Monitoring) -> None:

@@ -171,7 +171,7 @@ def numbers(values: object, what: str) -> dict[str, float]:
 
 
 def share_of(effort: object) -> float | None:
-    """Return an effort that is one share of all limits; ``None`` if it is none, or by actuator."""
+    """Return the effort if it is one share of all limits; ``None`` if unset or by actuator."""
     if effort is None or isinstance(effort, Mapping):
         return None
     try:
@@ -213,7 +213,7 @@ def shares(
 def action_goal(
     action: ActionReference | str, *elements: str, **options: Unpack[GoalOptions]
 ) -> Goal:
-    """Return the goal to do an action; its effort is none or by actuator.
+    """Return the goal to do an action; the effort is unset or given by actuator.
 
     Args:
         action: Its name, or the name with elements and scale, such as ``trig:ring*0.8``.

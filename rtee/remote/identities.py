@@ -258,7 +258,7 @@ class Identities:
         return client.name
 
     def _together(self, share: tuple[str, int]) -> Rates:
-        """Return what limits all clients on an access path, of one user there, together.
+        """Return the limiter that the clients of one user on an access path share.
 
         A flood on one path, or by one user, keeps nobody else out.
         """

@@ -64,7 +64,7 @@ def refusal(error: Exception) -> bytes:
 
 
 def _details(error: Exception) -> str:
-    """Return what a client makes the same error of, beside its reason."""
+    """Return the fields from which a client rebuilds the error, beside its reason."""
     if isinstance(error, LeaseHeld):
         return error.holder
     if isinstance(error, GoalRejected):

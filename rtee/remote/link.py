@@ -119,7 +119,7 @@ class Link:
             self._call_soon(self._on_gone)
 
     def lost(self) -> NoHand:
-        """Return the error for whoever still waits for the hand, or asks it once more."""
+        """Return the error for pending and further requests after the hand was lost."""
         if self._left:
             return NoHand(f"this client has left the hand '{self.hand}'; connect again")
         return NoHand(f"the hand '{self.hand}' has gone")
@@ -341,7 +341,7 @@ async def introduced(
 
 
 def _details(text: str) -> dict[str, Any]:
-    """Return what the hand says of a refused goal; a hand of an earlier version says nothing."""
+    """Return the details that the hand sent with a refused goal."""
     with contextlib.suppress(ValueError, TypeError):
         said = json.loads(text)
         return {

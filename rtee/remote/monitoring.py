@@ -325,7 +325,7 @@ class Monitoring:
 
 
 def _trouble(device: DeviceStatus) -> str:
-    """Return in words why a device is not active."""
+    """Describe why a device is not active."""
     fault = f"fault {device.fault_code} ({device.fault_name})" if device.fault_name else ""
     why = "; ".join(text for text in (fault or device.message, device.hint) if text)
     return f"device '{device.name}' is {device.lifecycle}" + (f": {why}" if why else "")

@@ -1,4 +1,4 @@
-"""The goals of a client that run in the hand: their feedback and results, and who misses one."""
+"""The running goals of a client: their feedback and results, and recovery of missed ones."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ class RunningGoals:
         )
 
     async def give_up(self, goal_id: str) -> None:
-        """Cancel a goal for which nobody waits any more.
+        """Cancel a goal whose caller no longer waits.
 
         Returns once the hand has confirmed that, or after `ANSWER_WITHIN`; then goes on in the
         background.

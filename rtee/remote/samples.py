@@ -1,4 +1,4 @@
-"""The samples of streams: published, since nobody waits for an answer to them."""
+"""The samples of streams, which are published: they need no answer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CONNECT_WITHIN = 5.0
 
 
 class Samples:
-    """Publishes samples of streams to one hand, and tells of those that it refuses.
+    """Publishes samples of streams to one hand, and reports those that it refuses.
 
     All methods must be called in the event loop's thread. ``access_path``: see
     `rtee.messages.requests.HELLO`; ``call_soon`` calls a function in the event loop's thread, from

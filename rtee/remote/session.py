@@ -284,7 +284,7 @@ def close_session(session: zenoh.Session) -> None:
 
 
 def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.Session:
-    """Open a session that connects to a hand and listens nowhere; blocks for some milliseconds.
+    """Open a session that connects to a hand and does not listen; blocks for milliseconds.
 
     Raises `NoHand` if nobody answers there within the time [s], by default 10 s, and `ConfigError`
     if an endpoint is malformed.
@@ -322,7 +322,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
 
 
 def _probe(endpoint: str) -> None:
-    """Raise `OSError` if nobody listens on an endpoint of TCP, TLS or a Unix socket."""
+    """Raise `OSError` if an endpoint of TCP, TLS or a Unix socket has no listener."""
     if match := _TCP.fullmatch(endpoint):
         socket.create_connection((match[1].strip("[]"), int(match[2])), _PROBE_WITHIN).close()
     elif match := _SOCKET.fullmatch(endpoint):

@@ -148,7 +148,7 @@ def _bound(path: Path) -> socket.socket:
 
 
 def _words(client: str, passed: Sequence[tuple[int, int, bytes]]) -> str:
-    """Return in words who has sent a stop: what it calls itself, and what the kernel knows."""
+    """Describe the sender of a stop: by its own name, and by what the kernel knows."""
     name = safe_name(client, "a client")
     for level, _, data in passed:
         if level == socket.SOL_SOCKET and len(data) >= _CREDENTIALS.size:
@@ -182,7 +182,7 @@ def stop_at(path: Path, hand: str, client: str, within: float = ANSWER_WITHIN) -
 
 
 def silent(hand: str) -> NoHand:
-    """Return the error of a stop that nobody has answered."""
+    """Return the error of a stop that was not answered."""
     return NoHand(f"the hand '{hand}' does not answer the stop: use the emergency stop")
 
 

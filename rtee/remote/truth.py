@@ -31,7 +31,7 @@ _OLD: Final = "use the emergency stop"
 
 
 class Tone(StrEnum):
-    """What a statement means for the person who reads it; pages colour it."""
+    """The severity of a statement for the reader; pages show it as a colour."""
 
     GOOD = "good"
     PLAIN = "plain"
@@ -177,7 +177,7 @@ class Truth:
                 self.stopped = Words(f"{clock()} {words}", tone)
 
     def on_gone(self, why: str) -> None:
-        """Take it that the hand cannot be reached; what was known of it is kept, as old."""
+        """Mark the hand as unreachable; what was known of it is kept, as old."""
         if not self.trouble:
             self._turn("not connected")
         self.trouble = why
@@ -277,7 +277,7 @@ class Truth:
         return Words(f"{self.hand}: connected", Tone.GOOD)
 
     def control(self, own: str = "", others: Sequence[str] = ()) -> Words:
-        """Say who controls the hand: this window's client, another window's, or anybody else."""
+        """Describe who controls the hand: this window's client, another window's, or any other."""
         holder = "" if self.status is None else self.status.holder
         if not holder:
             return Words("control: free")
@@ -286,7 +286,7 @@ class Truth:
         return Words(f"control: {who}", Tone.PLAIN if holder == own else Tone.WARN)
 
     def doing(self) -> Words:
-        """Say what runs, what is recorded, what was stopped, and what limits the hand."""
+        """Describe what runs, what is recorded, what was stopped, and what limits the hand."""
         status = self.status
         if status is None or self.stale:
             return self.stopped

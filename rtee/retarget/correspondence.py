@@ -110,7 +110,7 @@ class Correspondence(Section, frozen=True):
 
 
 def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
-    """Return what a hand's folder says, or ``None`` if it has no such file.
+    """Read the correspondence of a hand's folder; ``None`` if it has no such file.
 
     Raises:
         ConfigError: The file cannot be read, or is for another model.

@@ -43,7 +43,7 @@ _PINCHING: Final = 0.5
 
 
 def fit(library: ActionLibrary) -> Correspondence:
-    """Find how a person's hand moves a hand, from its model and its primitives alone.
+    """Derive the correspondence of a hand to a human hand from its model and primitives alone.
 
     Raises:
         ConfigError: The hand has less than two fingertips.

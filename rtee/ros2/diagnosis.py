@@ -50,7 +50,7 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
 
 
 def _gripper(row: Listed, settings: Ros2Settings, hand: str | None) -> list[Check]:
-    """Return whether those who command a gripper and the hand mean the same by a position."""
+    """Return whether the clients of a gripper and the hand use the same unit of position."""
     if hand is None or not row.used or not row.name.endswith(f"/{ros_name(hand)}/gripper_cmd"):
         return []
     users = ", ".join(row.used)

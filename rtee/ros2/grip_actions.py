@@ -303,7 +303,7 @@ def joint_of(settings: Ros2Settings, actuators: Sequence[str]) -> str:
 
 
 def is_stalled(state: State, limits: Sequence[float]) -> bool:
-    """Return whether an object blocks the hand and all actuators stand still.
+    """Return whether an object blocks the hand and no actuator moves.
 
     An actuator whose velocity is not measured counts as still. The limits are those of the
     velocities ``(n,)`` [rad/s | m/s].

@@ -76,7 +76,7 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
 
 
 def unheard(rows: Iterable[Listed]) -> list[str]:
-    """Return a sentence for each topic, service or action used with a type that nobody offers."""
+    """Return a sentence for each topic, service or action used with a type that no node offers."""
     rows = list(rows)
     offered: dict[tuple[Sort, str], list[Listed]] = {}
     for row in rows:

@@ -115,7 +115,7 @@ class Player:
                 failed.failed(str(error))
 
     async def _follow(self, stream: Stream) -> None:
-        """Send set-points until there are none for `LINGER`."""
+        """Send set-points until none have come for `LINGER`."""
         period = 1.0 / self._served.number(STREAM_RATE)
         while True:
             # A new event before anything is awaited, so that no later motion is missed.

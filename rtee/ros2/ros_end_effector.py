@@ -187,7 +187,7 @@ def _same(action: Action, name: str) -> bool:
 
 
 def _filtered(actions: Iterable[Action], request: Any) -> Iterable[Primitive]:
-    """Yield the primitives that match a request, whose number 0 stands for all kinds."""
+    """Yield the primitives that match a request; number 0 matches all kinds."""
     for action in actions:
         if not isinstance(action, Primitive):
             continue

@@ -21,7 +21,7 @@ from rtee.ros2.parameters import Parameter, Parameters
 
 @dataclass(eq=False)
 class ServedHand:
-    """A running hand and its node; made anew each time the hand starts.
+    """A running hand and its node; created each time the hand starts.
 
     Attributes:
         model: Model of the hand: names, limits and the transmission of all joints.

@@ -427,7 +427,7 @@ def _outside(
 
 
 def _moving(stopped: Mapping[str, float], actual: _Joints) -> str:
-    """Return a sentence about a joint that moves; a speed that is not measured is none."""
+    """Return a sentence about a joint that moves; unmeasured speeds count as 0."""
     for name, limit in stopped.items():
         speed = abs(actual[name][1])
         if speed > limit:

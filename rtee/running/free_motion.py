@@ -36,7 +36,7 @@ def _file_of(hand: str) -> Path | None:
 
 
 def _key(device: DeviceSettings) -> str:
-    """Return what tells a device from the others of a hand, and from its emulator."""
+    """Return the key that distinguishes a device from the hand's others and from its emulator."""
     spec = device.spec
     return f"{spec.name}: {spec.driver}{' (emulated)' if spec.emulated else ''}"
 
@@ -56,7 +56,7 @@ def _kept(hand: str) -> _Stored:
 
 
 def recall(hand: str, devices: Sequence[DeviceSettings]) -> dict[str, LearnedMotion]:
-    """Return what was learned of a hand with these devices, by actuator."""
+    """Return the learned free motion of a hand with these devices, by actuator."""
     kept = _kept(hand).devices
     known: dict[str, LearnedMotion] = {}
     for device in devices:
@@ -68,7 +68,7 @@ def recall(hand: str, devices: Sequence[DeviceSettings]) -> dict[str, LearnedMot
 
 
 def keep(hand: str, devices: Sequence[DeviceSettings], known: Mapping[str, LearnedMotion]) -> None:
-    """Keep what was learned of a hand, by actuator, beside what is known of its other devices."""
+    """Store the learned free motion by actuator; that of the hand's other devices is kept."""
     file = _file_of(hand)
     if file is None or not known:
         return

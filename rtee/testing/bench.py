@@ -1,4 +1,4 @@
-"""The devices of a hand under test: cables, objects and faults, told from the test.
+"""The devices of a hand under test: the test controls cables, objects and faults.
 
 `main` is the process that `rtee.testing.running.running_hand` starts: it runs the hand, and obeys
 the lines that come over a socket, one after the other. When the socket is closed, the hand comes to

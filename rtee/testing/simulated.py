@@ -91,7 +91,7 @@ class SimulatedHand(Observer):
         self._life: asyncio.Task[None] | None = None
 
     def on_event(self, event: Event) -> None:
-        """Keep what happened."""
+        """Store the event."""
         self.events.append(event)
 
     # --- its life
@@ -209,7 +209,7 @@ class SimulatedHand(Observer):
         self._run(asyncio.sleep(seconds))
 
     def state(self) -> TickRecord:
-        """Return what was measured at the last tick."""
+        """Return the state measured at the last tick."""
         return self._loop.snapshot()
 
     def status(self) -> list[DeviceStatus]:

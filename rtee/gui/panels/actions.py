@@ -107,7 +107,7 @@ class ActionsPanel:
         return actions
 
     def _rank(self, action: Action) -> tuple[bool, float]:
-        """Return what actions are ordered by: the pinch, and then what held most in trials."""
+        """Return the sort key of actions: the pinch first, then the most successful in trials."""
         results = [
             result
             for key, found in self._tried.results.items()

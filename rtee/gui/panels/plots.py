@@ -86,7 +86,7 @@ def chart(
 
 
 def _times(pose: float | None, spans: Sequence[tuple[float, float, str, str]]) -> str:
-    """Return what the page draws into all plots: the time of the pose, and actions."""
+    """Return the marks in all plots: the time of the pose, and actions."""
     return f'<i data-rtee-times="{escape(json.dumps({"pose": pose, "spans": spans}))}"></i>'
 
 
@@ -156,7 +156,7 @@ class PlotsPanel:
         return boxes
 
     def follow(self, source: PlotSource | None) -> None:
-        """Plot another source; ``None`` stands for the live hand."""
+        """Plot another source; ``None``: the live hand."""
         self._source = self._live if source is None else source
 
     def _wanted(self) -> dict[str, list[int]]:

@@ -19,7 +19,7 @@ END, DISCARD = "end", "discard"
 
 
 class By(StrEnum):
-    """What episodes are told by."""
+    """How episodes are delimited."""
 
     MARKS = "marks"
     GOALS = "goals"

@@ -152,7 +152,7 @@ class DatasetFiles:
         return pixels
 
     def finish(self) -> None:
-        """Write what is told of all episodes."""
+        """Write the metadata of all episodes."""
         import pyarrow as pa
         from pyarrow import parquet
 

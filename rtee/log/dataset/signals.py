@@ -69,13 +69,13 @@ class Signal:
 
 
 def lasting(wall: Times) -> float:
-    """Return how long a value that is measured at such times is the present one [s]."""
+    """Return how long a value that is measured at such times counts as current [s]."""
     typical = float(np.median(np.diff(wall))) / SECOND if len(wall) > 1 else 0.0
     return max(_PERIODS * typical, _AT_LEAST)
 
 
 def observed(recording: Recording) -> Iterator[tuple[ObservedQuantity, Signal]]:
-    """Yield what was measured, in the order and by the names of `rtee.messages.features`."""
+    """Yield the measurements, in the order and by the names of `rtee.messages.features`."""
     states, joints = recording.actuator_states, recording.joint_states
 
     def of_series(quantity: ObservedQuantity, series: JointSeries, names: Sequence[str]) -> Signal:
@@ -141,14 +141,14 @@ def _fingers(recording: Recording, count: int) -> Sequence[str]:
 
 
 def sent(recording: Recording) -> Signal:
-    """Return what the devices were sent: the references of the actuators [rad | m]."""
+    """Return the references sent to the devices, by actuator [rad | m]."""
     series = recording.reference
     names = tuple(feature(ObservedQuantity.POSITION, name) for name in series.names)
     return Signal(names, series.wall, series.position, lasting(series.wall))
 
 
 def asked(recording: Recording) -> Signal:
-    """Return what was asked of the actuators by streams and jogs [rad | m].
+    """Return the set-points of streams and jogs, by actuator [rad | m].
 
     ``NaN``: nothing, or by a goal, whose way is the loop's own: what was sent.
     """

@@ -106,7 +106,7 @@ class Profile(ABC):
         """
 
     def restored(self) -> None:  # noqa: B027 - most profiles have all of their state in attributes
-        """Compute what is not in attributes anew, after those were set."""
+        """Recompute derived values after the attributes were set."""
 
     @abstractmethod
     def advance(self) -> None:

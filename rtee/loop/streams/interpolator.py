@@ -279,7 +279,7 @@ class Interpolator:
             self._error[place] = ((error, slope, bend), now, min(time, _LONGEST))
 
     def _error_at(self, place: int, now: float) -> Motion:
-        """Return what is left of an actuator's error at a time by the hand's clock [s]."""
+        """Return the remaining error of an actuator at a time of the hand's clock [s]."""
         (error, slope, bend), since, time = self._error[place]
         s = (now - since) / time if time > 0.0 else 1.0
         if s >= 1.0:
