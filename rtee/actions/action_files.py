@@ -83,7 +83,7 @@ class ActionFiles:
         if self._seen and not os.path.isdir(self.folder):
             # A running hand keeps its actions even if its files are deleted.
             if not self._gone:
-                log.warning("%s is gone; the actions stay as they were read", self.folder)
+                log.warning("%s is gone; the actions stay as they were last read", self.folder)
             self._gone = True
             return False
         self._gone = False
@@ -265,7 +265,7 @@ def _refuse_twins(primitives: Iterable[Primitive], folder: Path) -> None:
         key = (primitive.name, frozenset(primitive.elements))
         if key in seen:
             raise ActionError(
-                f"{primitive.name} of {', '.join(primitive.elements)} is there twice",
+                f"{primitive.name} of {', '.join(primitive.elements)} occurs twice",
                 path=_primitive_path(folder, primitive.name),
             )
         seen.add(key)

@@ -84,7 +84,7 @@ class Index:
         group = self._named.setdefault(normalise(primitive.name), {})
         if key in group:
             what = label(primitive.name, primitive.elements)
-            raise ActionError(f"the primitive {what} is there twice")
+            raise ActionError(f"the primitive {what} occurs twice")
         group[key] = primitive
         # Also under the name without its count, which follows from the elements.
         if primitive.kind.counted:
@@ -133,7 +133,7 @@ class Index:
         if normalise(which) != DEEPEST:
             raise ActionError(f"'{name}': only '{plain}@{DEEPEST}' asks for another posture")
         if not isinstance(action, Primitive) or not action.evidence:
-            raise ActionError(f"'{action.name}' is no pinch, and has no deepest posture")
+            raise ActionError(f"'{action.name}' is not a pinch and has no deepest posture")
         return action.deepest
 
     def _names_of(self, kind: ActionKind | None) -> list[str]:

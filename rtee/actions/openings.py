@@ -178,7 +178,7 @@ class Opening:
         if len(keep) < 2:
             raise ActionError(
                 f"the openings of {self.label} measured in hand.yaml do not fall with its "
-                "intensity; mend or delete them there: each is [intensity, opening in metres]"
+                "intensity; correct or delete them there: each is [intensity, opening in metres]"
             )
         lever = np.array([np.interp(grid[keep], self.intensity, c) for c in self.lever.T]).T
         return replace(

@@ -198,7 +198,7 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
         return BusBusy(name, "another program has it open; `rtee doctor` names it")
     # First, since the numbers of its errors are not those of `errno`.
     if isinstance(error, socket.gaierror):
-        return BusBroken(name, "nobody knows this name; use the IP address")
+        return BusBroken(name, "the host name is unknown; use the IP address")
     return BusBroken(name, _CAUSES.get(code, f"cannot be opened: {error}"))
 
 

@@ -223,7 +223,7 @@ def export(
         # Likely a file of some other kind is wanted; "run.2" or an existing "run.d" is a folder.
         if output.suffix[1:].isalpha() and output.suffix != ".npz" and not output.is_dir():
             raise LogError(
-                f"OUT ends with '{output.suffix}', which is none of csv, parquet and npz; give a "
+                f"OUT ends with '{output.suffix}', which is not csv, parquet or npz; give a "
                 "file that ends with .npz, or a folder with --format csv or parquet"
             )
         kind = "npz" if output.suffix == ".npz" else "csv"

@@ -145,4 +145,4 @@ async def _admit(remote: RemoteHand) -> str:
 def _check_terminal(what: str) -> None:
     """Refuse to answer for a person: programs, and so agents, have no terminal."""
     if not sys.stdin.isatty():
-        raise ConfigError(f"'rtee agent {what}' wants a person at a terminal, not a script")
+        raise ConfigError(f"'rtee agent {what}' needs a person at a terminal, not a script")

@@ -154,5 +154,5 @@ def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
     from rtee.hand.subtree import Subtree
 
     if root is None and outside is not Outside.ABSENT:
-        raise ConfigError("--outside says what becomes of what is not below --root LINK; give both")
+        raise ConfigError("--outside decides about links that are not below --root LINK; give both")
     return None if root is None else Subtree(root, outside)

@@ -69,7 +69,7 @@ def retarget(
     if show:
         _open_page(folder, landmarks, port)
     elif landmarks is not None:
-        raise ConfigError("--landmarks says what --show shows")
+        raise ConfigError("--show needs --landmarks")
 
 
 def _open_page(folder: Path, file: Path | None, port: int) -> None:

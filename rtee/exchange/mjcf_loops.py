@@ -406,7 +406,7 @@ def _fitted(
     if error > _FAR:
         raise ModelError(
             f"{what}: joint '{joint_name(model, other)}' follows '{joint_name(model, joint)}' "
-            f"along a way that no polynomial meets within {_FAR:g}"
+            f"along a path that no polynomial fits within {_FAR:g}"
         )
     powers = fit.convert(kind=np.polynomial.Polynomial).coef
     if len(powers) <= 2:

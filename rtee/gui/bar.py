@@ -46,7 +46,7 @@ class Desk(Protocol):
         ...
 
     def press(self, button: str, key: str) -> None:
-        """Execute a page's command: ``stop``, show the hand ``live`` or at a ``time``; ``narrow``."""
+        """Execute a command: ``stop``; show the hand ``live`` or at a ``time``; ``narrow``."""
         ...
 
 

@@ -299,7 +299,7 @@ class _Reader:
             self.seen[id(node)] = _UNDER_WAY
             self.seen[id(node)] = self._read(node, location, line)
         elif self.seen[id(node)] is _UNDER_WAY:
-            raise self._error(line, "an alias stands inside what it stands for")
+            raise self._error(line, "an alias contains itself")
         return self.seen[id(node)]
 
     def _read(self, node: Any, location: Location, line: int) -> Any:

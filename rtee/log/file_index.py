@@ -275,10 +275,10 @@ class _Indexer:
             case Opcode.CHUNK:
                 times = record.read(stream, _CHUNK_TIMES.size)
                 if len(times) < _CHUNK_TIMES.size:
-                    raise DamagedRecordError("a chunk is shorter than any")
+                    raise DamagedRecordError("a chunk is shorter than the shortest possible")
                 start, end = _CHUNK_TIMES.unpack(times)
                 if not start <= end <= LATEST:
-                    raise DamagedRecordError("a chunk says impossible times")
+                    raise DamagedRecordError("a chunk declares impossible times")
                 self._chunks.append(ChunkPlace(record, start, end))
                 self._indexing = True
             case Opcode.MESSAGE_INDEX:

@@ -176,7 +176,7 @@ class Devices:
             return
         for device in self._all:
             if (why := device.guarded.capabilities.refuses.get("position")) is not None:
-                raise GoalRejected(f"'{device.name}' takes no set-points: {why}")
+                raise GoalRejected(f"'{device.name}' does not accept set-points: {why}")
         doing = [f"; {d.name} is {d.guarded.doing}" for d in self._all if d.guarded.doing]
         hint = "".join(doing) or "; see `rtee status`, then recover"
         raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")

@@ -187,7 +187,7 @@ def _class(name: str) -> type[Any]:
     for each in inside.split("."):
         found = vars(found)[each]
     if not isinstance(found, type) or found.__module__ != module:
-        raise ValueError(f"{name} is no class of a controller")
+        raise ValueError(f"{name} is not a class of the controller")
     return found
 
 

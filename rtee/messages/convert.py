@@ -180,7 +180,7 @@ def plain(command: Command) -> Plain:
         case EndStream(stream, reason):
             return "end", f"{stream} {reason}", {}
         case StreamSample():
-            raise MessageError("a sample of a stream is held by a message of its own")
+            raise MessageError("a sample of a stream has its own message type")
 
 
 def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:

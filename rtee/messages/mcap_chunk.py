@@ -31,10 +31,10 @@ def decompressed(chunk: Chunk) -> bytes:
     """Return the records in a chunk; raises `DamagedChunkError`."""
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK or size > _SPARE + _MOST_RATIO * len(chunk.data):
-        raise DamagedChunkError("a chunk is larger than any")
+        raise DamagedChunkError("a chunk is larger than the largest allowed")
     data = _expanded(chunk, size)
     if len(data) != size:
-        raise DamagedChunkError("a chunk has not the size it says")
+        raise DamagedChunkError("a chunk does not have the size it declares")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise DamagedChunkError("a chunk fails its checksum")
     return data
@@ -47,7 +47,7 @@ def _expanded(chunk: Chunk, size: int) -> bytes:
         if chunk.compression == "zstd":
             # Checked before decompressing, since a small frame may expand to any size.
             if zstandard.frame_content_size(chunk.data) > size:
-                raise DamagedChunkError("a chunk has not the size it says")
+                raise DamagedChunkError("a chunk does not have the size it declares")
             return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
         if chunk.compression == "lz4":
             import lz4.frame

@@ -433,12 +433,12 @@ def parse(
             continue
         match = _FIELD.fullmatch(code)
         if match is None:
-            raise MessageError(f"{name}: no field definition: '{line}'")
+            raise MessageError(f"{name}: not a field definition: '{line}'")
         kind, value = match["kind"], match["value"]
         try:
             given = _value(value, kind) if value else None
         except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
-            raise MessageError(f"{name}: no value: '{line}'") from error
+            raise MessageError(f"{name}: not a value: '{line}'") from error
         if match["constant"]:
             constants.append((match["name"], given))
             continue

@@ -83,7 +83,7 @@ class AgentLimits:
             )
         if not self.allows(name):
             raise GoalRejected(
-                f"'{name}' is not among what a person allows: {', '.join(sorted(self.actions))}"
+                f"'{name}' is not among the allowed actions: {', '.join(sorted(self.actions))}"
             )
         if goal.force is not None and goal.force.value > self.force:
             raise GoalRejected(

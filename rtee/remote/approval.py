@@ -48,13 +48,13 @@ async def approve(question: str) -> None:
                 answer = await stream.receive(_LONGEST)
     except (OSError, anyio.EndOfStream, anyio.BrokenResourceError):
         raise GoalRejected(
-            "the gate is 'approve', and nobody is there to approve; a person opens the GUI, or "
+            "the gate is 'approve', and no one is available to approve; open the GUI, or "
             "types 'rtee agent approve' in a terminal"
         ) from None
     except TimeoutError:
-        raise GoalRejected(f"nobody has approved it within {WITHIN:g} s") from None
+        raise GoalRejected(f"no one has approved it within {WITHIN:g} s") from None
     if answer != b"yes\n":
-        raise GoalRejected("a person has said no")
+        raise GoalRejected("a person has refused")
 
 
 @contextlib.asynccontextmanager

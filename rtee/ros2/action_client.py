@@ -104,7 +104,7 @@ class ActionClient:
         with anyio.move_on_after(timeout) as scope:
             await self._graph.wait_until(lambda: self.available)
         if scope.cancelled_caught:
-            raise TimeoutError(f"nobody offers the action {self.name} ({self.type.name})")
+            raise TimeoutError(f"no node offers the action {self.name} ({self.type.name})")
 
     async def send_goal(
         self,

@@ -48,7 +48,7 @@ class WarningLog:
         # Outside the lock, for which Zenoh's threads wait, since a log handler may block.
         if not before:
             self._log.warning(
-                "%s%s; further ones are not told", what, f": {detail}" if detail else ""
+                "%s%s; further ones are not logged", what, f": {detail}" if detail else ""
             )
 
 

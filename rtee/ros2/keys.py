@@ -89,7 +89,7 @@ def node_name(name: str, namespace: str = "") -> NodeName:
         checked(namespace, f"the namespace '{namespace}'")
     full = NodeName(name, namespace)
     if "/" in name:
-        raise ConfigError(f"the node's name '{name}' has a slash: its namespace is given apart")
+        raise ConfigError(f"the node's name '{name}' has a slash: give its namespace separately")
     checked(full.full, f"the node's name '{name}'")
     return full
 

@@ -93,6 +93,6 @@ def goal_of(command: Any) -> Goal:
     elif command.action_type == command.TIMED:
         what, share = Named(name, kind=ActionKind.TIMED), 1.0
     else:
-        raise GoalRejected(f"action_type {command.action_type} is none: there are 0 to 3")
+        raise GoalRejected(f"action_type {command.action_type} is unknown; it must be 0 to 3")
     to = Intensity(share, tolerance=command.error_norm or _TOLERANCE)
     return Goal(what, to, effort=effort)

@@ -132,7 +132,7 @@ class Service:
             payload = query.payload
             if payload is None or not 0 < len(payload) <= LONGEST:
                 length = 0 if payload is None else len(payload)
-                raise MessageError(f"{length} bytes are no {self.type.request.STRUCTURE.name}")
+                raise MessageError(f"{length} bytes are not a {self.type.request.STRUCTURE.name}")
         except MessageError as error:
             self._drop(str(error))
             return
@@ -234,7 +234,7 @@ class Client:
             await self._participant.graph.wait_until(lambda: self.available)
             await self._answerable()
         if scope.cancelled_caught:
-            raise TimeoutError(f"nobody offers the service {self.name} ({self.type.name})")
+            raise TimeoutError(f"no node offers the service {self.name} ({self.type.name})")
 
     async def _answerable(self) -> None:
         """Wait for the queryable: before it, where its token came first, a call ends at once."""

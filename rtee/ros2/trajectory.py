@@ -245,7 +245,9 @@ def trajectory_of(
     if not given and any(velocities):
         raise MessageError("some of its points have velocities and others none")
     if any(abs(value) > _STILL for value in velocities[-1]):
-        raise MessageError("its last point has a velocity, and a hand stays where it ends")
+        raise MessageError(
+            "its last point has a velocity, and it must have none: the hand stops there"
+        )
     # Begin at rest at the present position, and move from there to the first point in the future.
     first = next((k for k, time in enumerate(times) if begin + time > now), len(times) - 1)
     start = max(begin, now)

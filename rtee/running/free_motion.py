@@ -51,7 +51,7 @@ def _kept(hand: str) -> _Stored:
         return _Stored()
     except (OSError, RteeError) as error:
         # Nothing is lost but a slow closing, which learns it again.
-        log.warning("%s: what free motion takes is learned anew: %s", file, error)
+        log.warning("%s: free motion is learned again: %s", file, error)
         return _Stored()
 
 
@@ -80,4 +80,4 @@ def keep(hand: str, devices: Sequence[DeviceSettings], known: Mapping[str, Learn
         make_folder(file.parent)
         write_atomically(file, to_json(_Stored({**_kept(hand).devices, **now})) + "\n")
     except RteeError as error:
-        log.warning("what free motion takes is not kept: %s", error)
+        log.warning("the learned free motion is not stored: %s", error)

@@ -63,7 +63,7 @@ def test_the_deepest_posture_of_a_pinch_is_asked_for_by_name(
     assert deeper_text(found) == ""
     with pytest.raises(ActionError, match="only 'PinchTight@deepest' asks for another posture"):
         other.find("PinchTight@second", ("index", "thumb"))
-    with pytest.raises(ActionError, match="is no pinch"):
+    with pytest.raises(ActionError, match="is not a pinch"):
         other.find("Trig@deepest", ("index",))
 
 
@@ -281,7 +281,7 @@ def test_a_folder_that_is_gone_empties_nothing(
     assert not library.reload()
     assert [*library] == before
     assert [record.getMessage() for record in caplog.records] == [
-        f"{tmp_path / 'actions'} is gone; the actions stay as they were read"
+        f"{tmp_path / 'actions'} is gone; the actions stay as they were last read"
     ]
 
 

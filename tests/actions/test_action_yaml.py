@@ -214,7 +214,7 @@ def test_mistakes_name_file_and_line(library: ActionLibrary, tmp_path: Path, cas
         ("timed/drill", "after: 0.2", "after: -1", r":13: .*after: should be .*, not -1"),
         ("timed/drill", "alias: pinch", "alias: schunkgrasp", r"two inner actions"),
         ("primitives/Trig", "[index]", "[ring]", r":4: unknown finger 'ring'"),
-        ("primitives/Trig", "[index]", "[middle]", r"Trig of middle is there twice"),
+        ("primitives/Trig", "[index]", "[middle]", r"Trig of middle occurs twice"),
         ("primitives/Trig", "kind: Trig", "kind: Trigger", r":2: unknown kind 'Trigger'"),
         ("primitives/PinchTight", "[index, thumb]", "[index]", r"takes 2 different elements"),
         ("primitives/PinchTight", "depth: 0.001234568", "depth: -1", r"depth: .*, not -1"),

@@ -141,7 +141,7 @@ async def test_hostile_calls_move_nothing(hand: Hand, library: ActionLibrary) ->
 
 async def test_only_allowed_actions_are_done(hand: Hand, library: ActionLibrary) -> None:
     async with both(hand, library, Gate.ACT, actions=frozenset({"open"})) as (served, agent):
-        assert "'Trig' is not among what a person allows: open" in await agent.refused("do", **TRIG)
+        assert "'Trig' is not among the allowed actions: open" in await agent.refused("do", **TRIG)
         assert "'grasp' is not" in await agent.refused("grasp", width=0.02, force=1)
         assert (await agent.done("open"))["outcome"] == "reached"
         assert [goal.what.action for goal in served.watcher.goals] == ["open"]
@@ -207,7 +207,7 @@ async def test_a_person_approves(hand: Hand, library: ActionLibrary, yes: bool) 
         return yes
 
     async with both(hand, library, Gate.APPROVE) as (served, agent):
-        assert "nobody is there to approve" in await agent.refused("do", **TRIG)
+        assert "no one is available to approve" in await agent.refused("do", **TRIG)
         async with listening() as listener, anyio.create_task_group() as group:
             group.start_soon(answer_all, listener, answer)
             refused, text = await agent.call("do", **TRIG, intensity=0.5)
@@ -266,8 +266,8 @@ def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
         ("mcp clew", "the hand 'clew' does not run on this computer; there are none"),
         ("mcp claw --force 21", "--force 21.0 is more than hand.yaml allows an agent: 20.0"),
         ("mcp claw --gate act", "--gate act is more than hand.yaml allows an agent: approve"),
-        ("agent admit claw", "'rtee agent admit' wants a person at a terminal, not a script"),
-        ("agent approve", "'rtee agent approve' wants a person at a terminal, not a script"),
+        ("agent admit claw", "'rtee agent admit' needs a person at a terminal, not a script"),
+        ("agent approve", "'rtee agent approve' needs a person at a terminal, not a script"),
     ],
 )
 def test_what_the_command_line_refuses(

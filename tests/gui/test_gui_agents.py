@@ -68,7 +68,7 @@ async def test_a_person_answers_in_the_page(
         await until(lambda: button(server, "Do it") is None)
         group.cancel_scope.cancel()
     assert "nobody is there to approve" in asked[0]
-    assert asked[1:] == ["yes", "a person has said no"]
+    assert asked[1:] == ["yes", "a person has refused"]
 
 
 async def pressed_when_shown(server: viser.ViserServer, scope: anyio.CancelScope) -> None:

@@ -73,7 +73,7 @@ def test_the_latest_time_there_is_stops_nobody(
     assert info([path]).as_dict()["duration"] < 10.0
     assert export(recording, tmp_path / "late", Format.CSV)
     done = recover(path, tmp_path / "whole.mcap")
-    assert done.damage == (("a chunk says impossible times",) if chunk_too else ())
+    assert done.damage == (("a chunk declares impossible times",) if chunk_too else ())
     assert read(tmp_path / "whole.mcap").duration < 10.0
 
 

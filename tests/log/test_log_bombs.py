@@ -61,7 +61,7 @@ def test_zeros_without_end_are_not_unpacked(bomb: Path, tmp_path: Path) -> None:
         lambda: recover(bomb, tmp_path / "whole.mcap"),
     ):
         assert peak(do) < SIZE / 2
-    with pytest.raises(LogError, match="a chunk is larger than any"):
+    with pytest.raises(LogError, match="a chunk is larger than the largest allowed"):
         RecordedStates(bomb, "claw", ("a",))
 
 

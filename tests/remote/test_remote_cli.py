@@ -151,7 +151,7 @@ def test_what_takes_no_set_points_says_why(served: Served) -> None:
     device.driver.capabilities = Capabilities(
         accepts=frozenset(), refuses={"position": "it plays x.mcap"}
     )
-    with pytest.raises(RequestRejected, match="'sim' takes no set-points: it plays"):
+    with pytest.raises(RequestRejected, match="'sim' does not accept set-points: it plays"):
         run(do, "fist")
 
 

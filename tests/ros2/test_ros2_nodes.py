@@ -116,7 +116,7 @@ async def test_services_answer_and_errors_are_empty_answers(settings: Ros2Settin
         failed = await asking.client("/hand/fail", trigger).call(trigger.request(), 300)
         assert (failed.success, failed.message) == (False, "")
         assert "a request of /hand/fail fails" in hand.warning_log.count
-        with pytest.raises(TimeoutError, match="nobody offers the service /nothing"):
+        with pytest.raises(TimeoutError, match="no node offers the service /nothing"):
             await asking.client("/nothing", trigger).wait(0.05)
         with pytest.raises(MessageError, match="Trigger_Request expected"):
             await client.call(trigger.response())

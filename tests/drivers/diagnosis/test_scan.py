@@ -296,7 +296,7 @@ async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
     async with BusPool() as pool:
         file, name, channel, interface = [one.problem for one in await scan(plans, pool)]
     assert file.startswith("is not a serial port")
-    assert name == "nobody knows this name; use the IP address"
+    assert name == "the host name is unknown; use the IP address"
     assert "SocketCAN" in channel or "no such CAN interface" in channel
     assert "no_such_interface" in interface
 
