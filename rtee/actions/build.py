@@ -263,7 +263,7 @@ def is_primitive_name(name: str) -> bool:
 def check_custom_name(name: str) -> None:
     """Raise `UserError` unless a name is valid for a composed, timed or generic action."""
     check_name(name, "action")
-    # Names are compared without underscores and hyphens, so that these alone are no name.
+    # Names are compared without underscores and hyphens, so a name needs other characters.
     if not normalise(name):
         raise ActionError(f"the name '{name}' has no letter or digit")
     if is_primitive_name(name):

@@ -105,7 +105,7 @@ class ActionLibrary:
         try:
             stamp: int | None = os.stat(home / FILE_NAME).st_mtime_ns
         except OSError:
-            # A missing file has a stamp, too, so that a file that appears later is read.
+            # A missing file also has a stamp, so that a file that appears later is read.
             stamp = None
         if self._openings is None or self._openings[0] != stamp:
             self._openings = stamp, read_openings(home, self.hand)

@@ -37,7 +37,7 @@ _PLANS: Final = 5
 _RECORDINGS: Final = 20
 """Recordings that are listed, the newest ones."""
 
-# Strict: a text is no number, and neither is true.
+# Strict: neither a text nor true is a number.
 _text = partial(Field, strict=True, max_length=100)
 _number = partial(Field, strict=True, allow_inf_nan=False)
 _share = partial(_number, gt=0, le=1)
@@ -142,7 +142,7 @@ class Tools:
             raise GoalRejected(
                 f"an effort of {share:g} is more than the {limits.effort:g} that a person allows"
             )
-        # All of the effort is no limit, for devices that take none.
+        # Full effort is not a limit, for devices that accept none.
         efforts = {} if share == 1.0 else await remote.effort_limits(share)
         fast = limits.speed if speed is None else speed
         name = found[0].name
@@ -178,7 +178,7 @@ class Tools:
     async def stop(self, hand: HandName = "") -> dict[str, Any]:
         """Stop the hand at once; afterwards only a person lets you move it again."""
         agent = self._agent(hand)
-        # On its own way, whatever has become of the connection.
+        # By its own socket, whatever the state of the connection.
         _, confirmed = await stop_hand(agent.name, endpoint=agent.endpoint, client=AGENT)
         return {"confirmed": confirmed}
 

@@ -67,7 +67,7 @@ class Unechoed:
         if message is None:
             return None
         now = monotonic.now()
-        # A frame that was lost on its way back must not hide a later one of another node.
+        # A frame lost in transit must not hide a later one of another node.
         while self._sent and now - self._sent[0][0] > _RETURNS:
             self._sent.popleft()
         frame = frame_of(message)

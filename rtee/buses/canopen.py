@@ -89,8 +89,7 @@ class CanopenBus(CanBus):
         self.network.bus = _Outlet(self)
 
     async def _close(self) -> None:
-        # First the worker: frames of a call still running are refused, since the bus is no longer
-        # connected.
+        # First the worker: frames of a running call are refused, since the bus is disconnected.
         await self._worker.close()
         await super()._close()
 

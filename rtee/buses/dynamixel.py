@@ -127,8 +127,8 @@ class DynamixelBus(Bus):
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
         except (OSError, TypeError, termios.error) as error:
-            # pyserial raises a TypeError if its port is closed meanwhile, and a termios.error,
-            # which is not an OSError, if the port vanishes.
+            # pyserial raises a TypeError if its port is closed during the call, and a
+            # termios.error, which is not an OSError, if the port vanishes.
             self._broke(str(error))
             raise BusBroken(self.name, f"the link broke: {error}") from error
 

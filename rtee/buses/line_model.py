@@ -51,7 +51,7 @@ class _Schedule(ABC, Generic[M]):
         out: list[M] = []
         while self._events and self._events[0][0] <= now:
             when, _, inward, message = heapq.heappop(self._events)
-            # Answers that are due by now, too, are put into the heap and found by this loop.
+            # Answers that are already due are also put into the heap and found by this loop.
             if inward:
                 self._arrive(message, when)
             else:

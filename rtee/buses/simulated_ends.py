@@ -88,7 +88,7 @@ class Pty:
 
     def unplug(self) -> None:
         """Remove the port."""
-        # Another emulator may have replaced the link meanwhile.
+        # Another emulator may have replaced the link since.
         if self._link is not None and self.open and self._leads_to() == self._name:
             self._link.unlink()
         if self._changes is not None:

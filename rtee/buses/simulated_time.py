@@ -140,7 +140,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         if timeout is not None:
             due.append(self._time + timeout)
         if not due:
-            return select(None)  # for a signal, or a thread that nobody knows of
+            return select(None)  # for a signal, or an unknown thread
         self._time = max(self._time, min(due))
         self._release()
         return []

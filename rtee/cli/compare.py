@@ -86,7 +86,7 @@ def compare(
 
     names = list(dict.fromkeys(resolved(hand) for hand in hands))
     parts = list(dict.fromkeys(meshes_in(objects, MESHES)))
-    # Every mistake is told before the first task.
+    # Report every mistake before the first task.
     for name in names:
         bench(name)
     for part in parts:
@@ -101,7 +101,7 @@ def compare(
         known.write()
         write_atomically(page, found.page())
 
-    if not page.exists():  # so that a place where it cannot be written is told at once
+    if not page.exists():  # so that an unwritable place is reported at once
         keep()
     sweep = Sweep(workers_for(names, parts, jobs, cluster, len(found.cells)), known)
     found.begin(sweep)

@@ -140,9 +140,9 @@ def doctor(
             results["ROS 2"] = await _graph(hand)
         name = _running(hand) if hand and not emulated else None
         if name is not None:
-            # It owns its ports: a second program there would only be in its way.
+            # It owns its ports: a second program would only disturb it.
             results |= await _asked(name, device)
-        # A hand without devices is no mistake, unless the user names one of them.
+        # A hand without devices is not a mistake, unless the user names one of them.
         elif hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated, ideal):
@@ -173,7 +173,7 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
         try:
             # In a thread: the driver goes on reading while a person thinks.
             return await asyncio.to_thread(input, f"\n{question.text}{tail}")
-        except EOFError:  # nobody is there
+        except EOFError:  # nothing listens there
             return "q"
 
     async def execute() -> bool:

@@ -100,7 +100,7 @@ async def _drive(
     from rtee.retarget.retargeter import Retargeter
 
     info = await remote.info()
-    # It reads meshes: in a thread, since others may be served meanwhile.
+    # It reads meshes: in a thread, so that others are served at the same time.
     retargeter = await anyio.to_thread.run_sync(partial(Retargeter.of, info.name, side=side))
     _check(retargeter, [actuator.name for actuator in info.actuators])
     retargeter.begin((await remote.state()).positions)

@@ -189,7 +189,7 @@ def _write_pictures(recording: Recording, path: Path) -> None:
         with needing_extra("a picture of the object", "extract"):
             from rtee.trials.recorded_pictures import write_pictures
         write_pictures(recording, path)
-    # The plots are already written, so that a missing picture is no failure.
+    # The plots are already written, so a missing picture is not a failure.
     except ConfigError as error:
         print(f"note: {error}")
     else:

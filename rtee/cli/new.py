@@ -90,7 +90,7 @@ def new(
     from rtee.exchange.reading import XACRO, as_srdf, as_urdf
 
     words, folders = arguments or [], package_dir or []
-    # A model that is no xacro file has no arguments; those given are the SRDF's then.
+    # Only xacro files have arguments; with any other model, those given are the SRDF's.
     own = words if srdf is None or srdf.suffix != XACRO or _is_xacro(urdf) else []
     with (
         as_urdf(urdf, mjcf, own, folders, root, angle) as model,

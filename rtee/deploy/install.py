@@ -303,7 +303,7 @@ class Installation:
                     raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
                 states[path] = FileState.REMOVED
             elif state is FileState.KEPT:
-                # A changed file leaves the manifest, too, and from now on belongs to its author.
+                # A changed file also leaves the manifest: from now on it belongs to its author.
                 states[path] = state
             del manifest.hands[path], manifest.files[path]
         self._tidy()

@@ -122,7 +122,7 @@ def _hold(constraints: ModelConstraints) -> None:
 
 def _peel(model: mujoco.MjModel, constraints: ModelConstraints, motion: ModelMotion) -> None:
     """Remove the joints that only follow another one, from the ends of chains on."""
-    # A tendon with a spring may pull such a joint, too, but the rigid coupling decides.
+    # A tendon with a spring may also pull such a joint, but the rigid coupling decides.
     while True:
         used = [joint for curve in constraints.curves for joint in (curve.joint, curve.of)]
         for line in (*constraints.lines, *_sums(constraints.springs)):
@@ -408,7 +408,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: ModelMotion
     numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
     linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs, group.cords)
     solved = solve_loop(linkage, (lower, upper), what) if others else None
-    # A tendon's force is no effort of one joint: its lever is not known here.
+    # A tendon's force is not the effort of one joint: its lever is not known here.
     effort = 0.0 if motor.tendon is not None else motor.effort
     if solved is None:
         motion.driven[joint] = Driven(lower, upper, effort)

@@ -72,7 +72,7 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
     _add_touch(spec, hand)
     # The steps above find the bodies by rtee's names.
     names = _own_names(spec, hand)
-    # The keyframe, which is written, too, needs the compiled model.
+    # The keyframe, which is also written, needs the compiled model.
     model = spec.compile()
     spec.add_key(
         name=REST,

@@ -159,7 +159,7 @@ def _check_numbers(element: Element) -> None:
             try:
                 value = float(word)
             except ValueError:
-                break  # a word, so that the attribute is no list of numbers
+                break  # a word: the attribute is not a list of numbers
             if not abs(value) < _GREATEST:
                 raise element.error(
                     f'{attribute}="{text[:80]}" has a number that is not finite or beyond '

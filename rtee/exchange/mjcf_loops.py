@@ -253,7 +253,7 @@ class Linkage:
         for _ in range(_ROUNDS):
             residual, jacobian = self._held(x, q)
             size = float(np.abs(residual).max(initial=0.0))
-            # With springs, the residual may grow on the way to their equilibrium.
+            # With springs, the residual may grow before they reach equilibrium.
             if size < least or self._by_springs:
                 best, least = q, size
             if size < _CLOSED and not self._by_springs:

@@ -93,7 +93,7 @@ def expand(
     except subprocess.TimeoutExpired:
         raise ModelError(f"xacro does not end within {_TIME:g} s", path=path) from None
     finally:
-        # On Ctrl-C, too, whose signal does not reach a process in another session.
+        # Also on Ctrl-C, whose signal does not reach a process in another session.
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()

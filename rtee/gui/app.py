@@ -247,7 +247,7 @@ class App:
     # --- what the bar says and does
 
     def _page(self, key: str) -> Page | None:
-        pages = tuple(self.pages.values())  # others come and go meanwhile
+        pages = tuple(self.pages.values())  # windows open and close in the meantime
         return next((page for page in pages if page.key == key), None)
 
     def words(self, key: str) -> dict[str, object]:
@@ -345,7 +345,7 @@ async def serve(
     # imports, it does so every few minutes instead of hours, and has fewer to examine.
     gc.collect()
     gc.freeze()
-    # What was begun in a window goes on when it has gone, and what that tells goes nowhere.
+    # Work begun in a window continues after it has closed; its messages are discarded.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     give_memory_back()
     for role, link in access.links(server.get_port()).items():

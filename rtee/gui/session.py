@@ -164,7 +164,7 @@ class HandSession:
         if plan is None:
             self._show(None, 0.0, None)
             return
-        # A grasp composed for the object is no action of the hand yet, and has no ghost.
+        # A grasp composed for the object is not an action of the hand yet, and has no ghost.
         matches = [a for a in self._known if key_of(a) == (plan.action, plan.elements)]
         target = self._target(matches[0].waypoints[-1], plan.intensity) if matches else None
         self._scene.show_preview(target)

@@ -50,7 +50,7 @@ class Cards:
         self.cards: dict[HandAddress, viser.GuiHtmlHandle] = {}
         self._folders: dict[HandAddress, viser.GuiFolderHandle] = {}
         self._clicked = anyio.Event()
-        self._run = os.urandom(4).hex()  # the page that follows has another, and is loaded anew
+        self._run = os.urandom(4).hex()  # the page that follows has another one, and is reloaded
         self._stopped = Words("")
         self.chosen: HandAddress | None = None
 

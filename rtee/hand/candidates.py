@@ -120,7 +120,7 @@ def _undriven(hand: Hand, root: Element) -> dict[str, str]:
         for joint in element.all("joint")
     }
     left = [name for name in hand.actuator_names if name not in driven]
-    # Many URDFs have no transmissions at all, which is no evidence.
+    # Many URDFs have no transmissions at all, which proves nothing.
     if len(left) == len(hand.actuators):
         return {}
     return dict.fromkeys(left, "has no <transmission>, as others have")

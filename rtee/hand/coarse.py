@@ -39,7 +39,7 @@ def coarsened(points: FloatArray, faces: Faces, kept: FloatArray) -> FloatArray:
     low = points.min(axis=0)
     few = kept if len(kept) <= MOST // 4 else kept[:0]
     own = np.isin(_number(points), _number(few))
-    # First, since the first corner of a cell stands for it.
+    # First, since the first corner of a cell represents it.
     order = np.argsort(~own, kind="stable")
     points, faces, count = points[order], np.argsort(order)[faces], int(own.sum())
     a, b, c = (points[faces[:, i]] for i in range(3))

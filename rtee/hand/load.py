@@ -316,7 +316,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         disabled_collisions=tuple(
             (pair.link1, pair.link2, pair.reason)
             for pair in (srdf.disabled if srdf else ())
-            # Others are noted; whoever uses the pairs may rely on their links.
+            # Others are noted; users of the pairs may rely on their links.
             if pair.link1 in urdf.links and pair.link2 in urdf.links
         ),
         notes=tuple(notes + found),
@@ -432,7 +432,7 @@ def _check_actuators(
             ignored = name in overrides.ignore or name in apart
             if name in actuators or (ignored and section == "rest"):
                 continue
-            # Without a hand.yaml there is no line to point at.
+            # Without a hand.yaml there is no line to name.
             if overrides.error is None:
                 raise UnknownActuator(name, actuators, path=urdf.path)
             hint = "the actuator is ignored" if ignored else "unknown actuator; "

@@ -210,7 +210,7 @@ def why_no_mesh(data: bytes, suffix: str) -> str | None:
 
 
 def _why_no_stl(data: bytes) -> str | None:
-    # Binary files may begin with "solid", too, but a text file soon has its first "facet".
+    # Binary files may also begin with "solid", but a text file soon has its first "facet".
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
         return None
     if len(data) < 84:

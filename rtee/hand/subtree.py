@@ -130,7 +130,7 @@ def srdf_within(srdf: Srdf, urdf: Urdf) -> Srdf:
             links=_kept(group.links, links),
             joints=_kept(group.joints, joints),
         )
-    # Groups of groups of which nothing is left go, too, however deeply they are nested.
+    # Groups that consist of empty groups go, too, however deeply they are nested.
     while True:
         left = {
             name: replace(group, subgroups=_kept(group.subgroups, groups))

@@ -76,7 +76,7 @@ def binary_stl(corners: FloatArray) -> bytes:
 def stl_corners(data: bytes) -> FloatArray | None:
     """Return the corners ``(3 t, 3)`` of a binary STL file; ``None`` if it is not one."""
     count = int.from_bytes(data[_HEADER - 4 : _HEADER], "little")
-    # Binary files may begin with "solid", too, but their length tells them apart.
+    # Binary files may also begin with "solid", but their length identifies them.
     if len(data) != _HEADER + count * _RECORD.itemsize:
         return None
     triangles = np.frombuffer(data, _RECORD, count, _HEADER)

@@ -263,7 +263,7 @@ def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
         upper=upper,
         soft=_soft_limits(element, lower, upper) if kind in _LIMITED else None,
         velocity=_greatest(element, name, "velocity"),
-        # URDF 1.2 tells braking from speeding up; the smaller one holds for both.
+        # URDF 1.2 distinguishes deceleration from acceleration; the smaller limit holds for both.
         acceleration=_smaller(
             _greatest(element, name, "acceleration"), _greatest(element, name, "deceleration")
         ),

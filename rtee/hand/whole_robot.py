@@ -83,7 +83,7 @@ def arm_joints(
         return ()
     end = branches[0].links[-1]
     path = [joint for joint in urdf.path_to(end) if joint.name in movers]
-    # A jaw without geometry is no finger, but the links above it are those of the arm.
+    # A jaw without geometry is not a finger, but the links above it belong to the arm.
     jaw = any(joint.name in movers for joint in _all_below(end, urdf))
     fingers = (i for i, j in enumerate(path) if _FINGER.search(f"{j.name} {j.child}".lower()))
     above = path if jaw else path[: next(fingers, len(path) - 1)]

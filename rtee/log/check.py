@@ -237,7 +237,8 @@ class _Checker:
                     path=self.path,
                 )
             restore(self._controller, state["nodes"])
-            # It was captured before its tick's results were told: they belong to what was before.
+            # It was captured before its tick's results were reported: they belong to the state
+            # before.
             self._controller.outbox.items.clear()
             # As in the live loop: a command may look at what this tick has measured.
             self._measured = self._controller.measured

@@ -199,7 +199,7 @@ def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> I
     """Read what `figure` needs of a recording, piece by piece."""
     only = [*_TOPICS]
     briefs = [brief(path) for path in paths]
-    # There is much of it, of which that of timed actions alone tells more than goals and results.
+    # There is much feedback, and only that of timed actions adds to goals and results.
     simple = {plan[1] for each in briefs if each for plan in each.of("plan") if not plan[-1]}
     if any(each is None or any(g[1] not in simple for g in each.of("goal")) for each in briefs):
         only.append(topics.FEEDBACK)

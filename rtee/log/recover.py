@@ -184,4 +184,4 @@ def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
             compression=chunk.compression,
             digest=digest,
         )
-        digest = digest and []  # told with the first
+        digest = digest and []  # reported with the first

@@ -91,7 +91,7 @@ def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) ->
         left: What is left of the reference's way [rad | m].
         tolerance: Position error that counts as none [rad | m].
     """
-    # At rest a reference has no pace, though what gives way to the finger creeps on.
+    # At rest a reference has no speed, though a yielding object creeps on.
     if left <= tolerance:
         return False
     return moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
@@ -181,7 +181,7 @@ def lost(
         return True
     if word is not None:
         return not word
-    # Further than noise, but no more than half of the way that is left to close.
+    # Further than noise, but at most half of the remaining closing travel.
     enough = max(3.0 * tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
     if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * tolerance:
         return False

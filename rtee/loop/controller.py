@@ -270,7 +270,8 @@ class Controller:
                     self._end_stream(stamp, reason or "the hand has stopped")
                 if not actuators or (plan and not plan.involved.isdisjoint(frozen)):
                     self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
-                # Before contacts are forgotten: they tell a blocked finger from a broken encoder.
+                # Before contacts are cleared: they distinguish a blocked finger from a broken
+                # encoder.
                 self.starts.brake(frozen)
                 self._leave_hold(frozen)
             case Jog():

@@ -649,7 +649,7 @@ class ContactMonitor:
             sides: The fingers of each side of the opening, of which one is enough then.
         """
         felt = self._felt_now(i, measured, every, sides)
-        # Where forces are measured, efforts are not looked at, and nothing is learned from them.
+        # Where forces are measured, efforts are not used, and nothing is learned from them.
         pushes = felt is None and self._pushes(i, stamp, measured, reference, velocity)
         blocked = self.blocked(i) and self._watched[i].pressed
         return rules.touches(felt, pushes=pushes, blocked=blocked)
@@ -737,7 +737,7 @@ class ContactMonitor:
         moves = (here - approach.was) * approach.ahead > 0.0
         approach.was = here
         if dt > _SILENCE * self._usual[i]:
-            # What a device did meanwhile, it did by itself: it sets out anew.
+            # In the meantime the device moved by itself: start over.
             approach.began = math.nan
             self._stretches[i].restart()
         if approach.began != approach.began:

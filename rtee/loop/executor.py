@@ -403,7 +403,7 @@ class Executor:
         if not held and self._settled(run) and self._bears(run, stamp, measured):
             if stamp - run.bears < _STEADY:
                 return
-            # It is thinner than the tolerance of a stall: the effort tells it from nothing.
+            # It is thinner than the tolerance of a stall: only the effort shows that it is there.
             held = True
         if arrived and not held:
             if self._plausible.leaping(targets, stamp):

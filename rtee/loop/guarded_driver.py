@@ -284,5 +284,5 @@ def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[A
     finally:
         try:
             work.close()
-        except BaseException:  # it ignores even this; nobody resumes it any more
+        except BaseException:  # it ignores even this, and is never resumed
             driver.abandoned = False

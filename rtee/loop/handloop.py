@@ -410,7 +410,7 @@ class HandLoop:
         try:
             return await self._devices.confirm(reason, request)
         finally:
-            # Again: the hand may have moved meanwhile.
+            # Again: the hand may have moved in the meantime.
             self._pending.append(Freeze(reason))
             self._devices.mute(False)
 

@@ -52,7 +52,7 @@ def _lock_programs(library: ctypes.CDLL) -> None:
     """Load all of the programs' files and lock them: the first use must not wait for a disk."""
     library.mlock.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
     for access, first, size in _files():
-        # Not what is shared or written: it is no program, or would be copied.
+        # Neither shared memory, which is not a program, nor writable memory, which would be copied.
         if access.startswith("r-") and access.endswith("p"):
             # One that cannot be locked now, such as a device's, is locked where it is used.
             library.mlock(first, size)

@@ -357,7 +357,7 @@ class Pressing:
             if abs(share - 1.0) > _NEAR:
                 self._off = stamp
             if share < _TOUCHES:
-                self._began = stamp  # the contact was none: on to the object, or the end
+                self._began = stamp  # it was not a contact: continue to the object, or to the end
             if stamp - self._off >= _SETTLE or stamp - self._began >= _LONGEST or self._at_end:
                 self._arrive(stamp, share, measured)
         return changed

@@ -104,7 +104,7 @@ def _favour_helpers(priority: int) -> list[str]:
     for thread in map(int, os.listdir("/proc/self/task")):
         if thread == own:
             continue
-        with contextlib.suppress(ProcessLookupError):  # it may have ended meanwhile
+        with contextlib.suppress(ProcessLookupError):  # it may have ended in the meantime
             try:
                 if priority > 0:
                     # RESET_ON_FORK, here and for the loop: a program started from it must not

@@ -225,7 +225,7 @@ class Reflexes:
         opens = isinstance(plan.to, Around) and leg + 1 < len(plan.legs)
         together = self._together(plan, measured)
         if opens and together is not None:
-            # The force is none of this way, on which the fingers must keep clear of one another.
+            # Not on this path, where the fingers must keep clear of one another.
             self._allow(ceilings(self._hand, {}, plan.effort))
             self.active = True
         if not (plan.on_contact or touch or usual):
@@ -298,8 +298,8 @@ class Reflexes:
             return
         for i, each in watched.items():
             if each.mode is OnContact.SQUEEZE or touch:
-                # A device with forces in its data sheet builds up the force by itself; for a touch
-                # there is none to build up.
+                # A device with forces in its data sheet builds up the force by itself; a touch
+                # needs none.
                 sheet = None if touch or plan.grip is None else plan.grip.sheet
                 if sheet is None:
                     self._begin_lightly(i, each, measured.position[i])

@@ -180,7 +180,7 @@ class Squeeze:
             return False
         if stamp < self._settled:
             for held in self.held.values():
-                # Measurements while the force changes are no reference for slips.
+                # Measurements while the force changes cannot serve as a reference for slips.
                 held.position = math.nan
             return False
         for i, held in self.held.items():

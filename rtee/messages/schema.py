@@ -304,7 +304,7 @@ def writer_of(field: Field) -> Write:
         return write_one
 
     def write_all(writer: Writer, values: Any) -> None:
-        # These are sequences, too, whose elements would be written one by one.
+        # These are also sequences, whose elements would be written one by one.
         if isinstance(values, (str, bytes)):
             raise TypeError(f"a list of {kind}s expected")
         _check_count(field, len(values))

@@ -48,7 +48,7 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
         obj = read_object(str(file) if mesh else text, mass, scale)
     axis = question["weight_axis"] or None
     table = validated(Table, question["table"]) if question["table"] else None
-    # The temporary file's path means nothing to whoever asked.
+    # The temporary file's path means nothing to the client.
     obj = dataclasses.replace(obj, name=text)
     ranking = plan_grasps(
         hand, library, obj, friction=question["friction"], weight_axis=axis, table=table

@@ -216,7 +216,7 @@ class _HandBatch:
         """Close the hands until just before a moving link touches (conservative advancement)."""
         rows, pace = np.arange(len(self._closings)), self._fastest / TICKS
         while len(rows):
-            # No farther than needed: what is far away is looked at when it comes near.
+            # No farther than needed: distant shapes are checked when they come near.
             least = self._near.least(self._at, _SOON, rows, paces=pace[rows], below=1.0)
             rows, least = rows[least >= 1.0], least[least >= 1.0]
             # Rounded down, so that the hand stops before it touches.

@@ -261,7 +261,7 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
         raise ModelError(f"the mesh cannot be read: {wrong}", path=path)
     stl = stl_corners(data) if path.suffix.lower() == ".stl" else None
     if stl is not None and len(stl) > 3 * _MOST_TRIANGLES and np.isfinite(stl).all():
-        # Coal would take 1 kB a triangle, for bounding volumes that nobody asks.
+        # Coal would take 1 kB a triangle, for bounding volumes that are not used.
         return welded(stl * scale)
     loader = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)
     try:

@@ -235,7 +235,7 @@ class Poses:
         """Return how wide the fingers open, at a distance from the tips' middle [m]."""
         self._shift = shift
         # Beyond the ends of open jaws all is free, and nothing is between them. Hands with further
-        # fingers compare places between other ones, too, and need no such care.
+        # fingers also compare places between others, and do not need this.
         if shift and len(self._scene.hand.fingers) < _SEVERAL and self._beyond():
             return 0.0
         return max(self._gap(0), self._gap(STEP_MIDDLE))
@@ -432,7 +432,7 @@ class Poses:
             # The deepest first: the turn's share of poses may be used up before the others.
             depths = [max(least, d) for d in (deepest, 0.0, 0.5 * deepest, out_of_reach)]
             if self._ground is not None and self._ground.edge:
-                # Only what stands out over the edge is free.
+                # Only the part beyond the edge is free.
                 depths = [out_of_reach - more * _TIPS for more in (-0.5, 0.5, 1.5)]
             taken: list[float] = []
             for depth in depths:

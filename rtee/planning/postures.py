@@ -44,7 +44,7 @@ class HandPose:
     def where(self, slot: int) -> coal.Transform3s:
         """Return a shape's pose for Coal."""
         shape = slot % len(self.places)
-        # Kept, since one posture is compared with many poses of the object.
+        # Cached: one posture is compared with many poses of the object.
         if shape not in self._transforms:
             self._transforms[shape] = coal.Transform3s(self.turns[shape], self.places[shape])
         return self._transforms[shape]

@@ -70,7 +70,7 @@ class GraspScene:
         self._convex = [shape.convex for shape in self.geometry.shapes]
         self._pieces = [piece.shape for piece in obj.pieces]
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
-        # Kept, since every action asks for those of the same few turns.
+        # Cached: every action needs those of the same few orientations.
         self._sizes: dict[bytes, tuple[float, float, float]] = {}
         # A box around each piece, along the axes of the object's box.
         high = np.array([piece.support(obj.frame.T) for piece in obj.pieces])
@@ -92,7 +92,7 @@ class GraspScene:
             Widths ``(n, pieces)`` of gaps between two parallel planes, lower bounds of the
             distances [m], and their unit normals ``(n, pieces, 3)``, from the shape to the piece.
         """
-        # Boxes hold shapes and pieces, and boxes around these boxes tell how far those are apart:
+        # Boxes enclose shapes and pieces, and boxes around these boxes bound their distances:
         # in the axes of the pieces' boxes and in those of the shapes' ones.
         axes = pose[:3, :3] @ self.object.frame
         turns, halves = axes.T @ at.turns, self.postures.halves

@@ -350,7 +350,7 @@ def load(
             target = np.concatenate([-times * weights[k] / heavy, np.ones(limits)])
             starts[k], residual = least_squares(system, target, starts[k])
             if residual >= _CLOSED * 1e2 * max(1.0, times):
-                # What was too heavy once is likely to be it again, and is looked at first.
+                # What was too heavy once is likely to be so again, and is checked first.
                 order.insert(0, order.pop(place))
                 return False
         return True

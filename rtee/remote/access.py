@@ -202,7 +202,7 @@ def _requests(hand: str, role: Role, path: str) -> Iterable[dict[str, Any]]:
     ]
     # The access path is part of the key: a client cannot say hello with another's certificate.
     names = [f"{request.group}/{request.name}" for request in allowed]
-    if role is max(Role):  # who may send all is told which there are
+    if role is max(Role):  # a client that may send all requests is told which exist
         names = [f"{group}/*" for group in sorted({request.group for request in allowed})]
     keys = [f"{HELLO}/{path}", *names]
     yield _rule(f"{role.name.lower()} {path}", "ingress", ["query"], hand, keys)

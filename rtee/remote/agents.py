@@ -26,7 +26,7 @@ _FLAGS: Final = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 def is_agent(client: str) -> bool:
     """Return whether a client is an agent, by its name."""
-    # The person of a certificate stands before a dot, which clients' own names do not have.
+    # A certificate's person precedes a dot, which clients' own names do not contain.
     return client.rpartition(".")[2].startswith(f"{AGENT}-")
 
 

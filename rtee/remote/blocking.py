@@ -336,7 +336,7 @@ class _Call(Generic[T]):
                 if self._given_up:
                     self._scope.cancel()
                 return await self._function()
-            raise CancelledError  # nobody waits for a result any more
+            raise CancelledError  # no caller waits for a result any more
         finally:
             self._ended.set()
 

@@ -324,8 +324,8 @@ async def _stopped_once(
     otherwise: Callable[[], Awaitable[dict[str, bool]]],
 ) -> dict[str, bool]:
     if stops is not None:
-        # A program that cleans temporary files may have removed it. A hand that has it and is
-        # silent would not answer in another way either, and whoever waits should know soon.
+        # A program that cleans temporary files may have removed it. A hand that has it but is
+        # silent would not answer otherwise either, and the caller should know soon.
         with contextlib.suppress(OSError):
             return await anyio.to_thread.run_sync(
                 partial(stop_at, stops, hand, client),

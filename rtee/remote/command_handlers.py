@@ -143,7 +143,7 @@ class CommandHandlers:
     async def _stop_all(self) -> None:
         while True:
             with self._stop_lock:
-                # Read before the devices stop: a motion meanwhile needs another stop.
+                # Read before the devices stop: a motion in between needs another stop.
                 asked, moves = len(self._stopping), self._moves
                 client = self._stopping[0][0] or "a client"
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))

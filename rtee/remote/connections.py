@@ -45,7 +45,7 @@ def _connected() -> Iterator[tuple[socket.socket, Any]]:
     """
     folder = Path("/dev/fd")
     for name in os.listdir(folder) if folder.is_dir() else ():
-        with contextlib.suppress(OSError):  # closed meanwhile, no socket, or not connected
+        with contextlib.suppress(OSError):  # closed since, not a socket, or not connected
             if not (folder / name).is_socket():
                 continue
             with socket.socket(fileno=os.dup(int(name))) as link:

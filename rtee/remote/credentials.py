@@ -139,7 +139,7 @@ class Credentials:
         for place in (self.folder.parent, self.folder, *map(self.folder.joinpath, _FILES)):
             with contextlib.suppress(FileNotFoundError):
                 status = place.lstat()
-                # As in /tmp, nobody renames there what is not theirs.
+                # As in /tmp, users can only rename their own files there.
                 sticky = place == self.folder.parent and status.st_mode & stat.S_ISVTX
                 if not (sticky or is_trusted(status, os.getuid(), 0)):
                     raise ConfigError(

@@ -181,7 +181,9 @@ class HandLock:
     def _watch(self) -> None:
         while not self._ended.wait(_WATCH_PERIOD):
             with contextlib.suppress(OSError):
-                while self._name is not None:  # until nobody is left: `accept` does not block
+                while (
+                    self._name is not None
+                ):  # until no connection is left: `accept` does not block
                     self._name.accept()[0].close()
             if not _same_file(self._descriptor, self.path):
                 with contextlib.suppress(ConfigError, OSError):

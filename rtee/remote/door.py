@@ -311,7 +311,7 @@ class _Doorkeeper:
                         await self._pass(name, reader, writer)
             finally:
                 self._passing.get(name, set()).discard(task)
-                transport.abort()  # waits for nobody who reads slowly
+                transport.abort()  # does not wait for slow readers
 
     async def _pass(
         self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter

@@ -124,7 +124,7 @@ class Inboxes:
 
     def _reopen(self, client: str, inbox: _Inbox) -> None:
         with self._lock:
-            # The client has left meanwhile, or has come back with a new inbox.
+            # The client has left since, or has come back with a new inbox.
             if self._inboxes.get(client) is not inbox:
                 return
             if monotonic.now() < inbox.until:

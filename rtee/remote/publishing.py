@@ -189,7 +189,7 @@ class Streams:
     def _put(self, record: TickRecord, due: Sequence[PublishedStream]) -> None:
         state = b""
         for stream in due:
-            if not stream.outlet.wanted:  # its subscribers have left meanwhile
+            if not stream.outlet.wanted:  # its subscribers have left since
                 continue
             # Streams of several rates that are due at one tick share the message.
             if stream.encode == self.messages.state:

@@ -52,7 +52,7 @@ _RATES = {
     "remove": 40.0,
     "rename": 40.0,
     "record": 10.0,
-    "stop": 20.0,  # stops beyond it take effect, too, but are answered later
+    "stop": 20.0,  # stops beyond it also take effect, but are answered later
     REFUSALS: 200.0,
     EXCESS: 20.0,  # beyond it, the client's inbox is closed for a moment
 }

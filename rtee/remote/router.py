@@ -54,7 +54,7 @@ async def route(
                     before = site.hands
                     tell(f"{_names(before)}, once no client is connected")
                 await anyio.sleep(_LOOK_EVERY)
-                # A list that cannot be read now may be on its way; the rules stay as they are.
+                # An unreadable list may be in the middle of an update; keep the rules.
                 with suppress(ConfigError):
                     _ = site and site.read()
         finally:

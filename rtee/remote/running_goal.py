@@ -212,7 +212,7 @@ class RunningGoals:
         except RteeError:
             self._cancel(goal_id)
             raise
-        self._cancel(goal_id)  # it may be on its way
+        self._cancel(goal_id)  # it may still be in transit
         raise TooManyRequests(
             f"the hand '{self._link.hand}' has not taken the goal; too many requests may have come"
         )

@@ -219,7 +219,7 @@ class Server:
             stack.enter_context(protection.watched(admit))
 
             def stop(client: str, answer: Stopped) -> None:
-                # The door knows whoever it lets in by a certificate's common name only.
+                # The door knows its clients by their certificates' common names only.
                 access_path = client.partition(" ")[0].removeprefix(CERTIFICATE)
                 admitted = protection.admit(access_path) if client.startswith(CERTIFICATE) else None
                 who = client if admitted is None else admitted.prefix.removesuffix(".")
@@ -261,7 +261,7 @@ class Server:
 
     def _on_hello(self, query: zenoh.Query) -> None:
         def handle(request: IncomingRequest) -> None:
-            # Before it is answered, so that its first question for the status tells.
+            # Before it is answered, so that its first query of the status includes it.
             self._commands.agents.meet(str(request.fields["client"]))
             self._identities.hello(request, last_part(query))
 
@@ -282,7 +282,7 @@ class Server:
                 # Too many stops: their answers are delayed, but they take effect at once.
                 request.send = answer_later
             request.check()
-            # Of a certificate's clients the person alone, which is all that the door can tell.
+            # Of a certificate's clients only the person, which is all that the door knows.
             self._commands.stop(request.client.partition(".")[0], request.answer)
 
         check, junk = self._identities.name, self._identities.answers_junk

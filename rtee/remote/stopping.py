@@ -126,7 +126,7 @@ class StopSocket:
     def _answer(self, name: str, client: Any, fields: Mapping[str, Any]) -> None:
         confirmed = dict(zip(fields["device"], map(bool, fields["confirmed"]), strict=True))
         answer = json.dumps({"to": name, "confirmed": confirmed})
-        # The client may have left, or reads nothing: nobody waits for it.
+        # The client may have left, or not read: do not wait for it.
         with contextlib.suppress(OSError, TypeError):
             self._socket.sendto(answer.encode(), socket.MSG_DONTWAIT, client)
 

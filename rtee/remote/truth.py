@@ -109,14 +109,14 @@ class Truth:
         self._word = False  # the devices' own word of a grasp
         self._over = ""  # the goal that ended last, which the status may still call running
 
-    # --- what it is told
+    # --- incoming messages
 
     def on_state(self, state: State) -> None:
         """Take a state that has just come."""
         self.state, self._received = state, monotonic.now()
         word, before = bool((np.asarray(state.grasped) == 1).any()), self._word
         self._word = word
-        # Estimates from efforts are no evidence by themselves.
+        # Estimates from efforts are not evidence by themselves.
         sensed = state.force_source in ("tip forces", "device")
         measured = state.force if sensed and state.force is not None else math.nan
         if word:
@@ -137,7 +137,7 @@ class Truth:
         if self.moving:
             self._turn(status.action, status.goal_id)
             self.stopped = Words("")
-            if not begun and not self._word:  # what was held may be let go now
+            if not begun and not self._word:  # the object may have been released
                 self._conclude(HeldObject.UNKNOWN)
         if self.ill:
             self._conclude(HeldObject.UNKNOWN)

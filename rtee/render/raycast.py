@@ -64,7 +64,7 @@ class RayCaster:
 
         self.mesh = mesh
         self._scene: Any = EmbreeScene()
-        # Kept, since the mesh must live as long as the scene.
+        # Stored: the mesh must live as long as the scene.
         self._triangles: Any = TriangleMesh(self._scene, _f32(mesh.corners))
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> Hits:

@@ -160,7 +160,7 @@ class Retargeter:
         palm = float(np.linalg.norm(points[9] - points[0]))
         dt = stamp - self._stamp
         if dt > _LOST or self._local is None:
-            # Found anew, perhaps of another person.
+            # Found again, perhaps of another person.
             if self._local is None or self._odd > _OUTLIERS:
                 self._bones, self._palm = lengths, palm
             self._smoother.restart()

@@ -133,7 +133,7 @@ class Solver:
             body, placement = tips.kinematics.bodies[str(hand.finger(name).tip)]
             self._bodies.append(body)
             self._points.append(np.array(placement * np.array(each.tip)))
-        # The jaws of a gripper are on their way; their hulls may well overlap.
+        # The jaws of a gripper are moving; their hulls may overlap.
         if self._follow.any():
             tips.watch()
         # Which fingers an actuator closes: their mean says how far.

@@ -82,7 +82,7 @@ class Tips:
     def watch(self) -> None:
         """Find which links may come near one another, for `near`; takes up to a second."""
         hand, shapes = self.hand, self.geometry.shapes
-        # Hulls that overlap at rest are no measure of a collision.
+        # Hulls that overlap at rest cannot show a collision.
         self.go(np.array(hand.rest))
         self._others = list(self._links)
         self._others = [k for k in self._others if self._distance(k).min_distance > NEAR]

@@ -158,7 +158,7 @@ class ActionClient:
                 raise gone
             try:
                 answer = call.result()
-            except TimeoutError:  # Zenoh ended the query, since nobody is left to answer it
+            except TimeoutError:  # Zenoh ended the query, since no server is left to answer it
                 raise gone from None
         finally:
             for task in (call, watch):

@@ -227,7 +227,7 @@ class Gripper(ActionPart):
             widest = max(self._served.openings, key=lambda known: known.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
-        # The hand, too, finds actions whatever their spelling and the order of their elements.
+        # As the hand does: the spelling and the order of the elements do not matter.
         wanted = normalise(action), sorted(elements)
         ranges = [
             known
@@ -336,7 +336,7 @@ def joint_goal(command: GripCommand, actuator: ActuatorSpec, actions: Sequence[A
     suitable: list[tuple[int, float, Action]] = []
     reached = [actuator.rest]
     for action in actions:
-        # A timed action takes no intensity that could stop it on the way.
+        # A timed action has no intensity that could stop it halfway.
         if isinstance(action, Timed) or actuator.name not in action.posture.involved:
             continue
         end = action.posture.position[actuator.name]

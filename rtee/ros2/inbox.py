@@ -130,7 +130,7 @@ class Inbox(Generic[T]):
                     return
                 item = self._waiting.popleft()
             self._take(item)
-        # `_due` stays set, so that no `put` schedules a second run meanwhile.
+        # `_due` stays set, so that no `put` schedules a second run.
         self._loop.call_soon(self._run)
 
     def close(self) -> None:

@@ -149,8 +149,7 @@ class Service:
 
     def _begin(self, received: _Received) -> None:
         number = (received.attachment.gid, received.attachment.sequence)
-        # A client matches answers by this number, so the second one could not be told from the
-        # first.
+        # A client matches answers by this number, so it could not tell the second from the first.
         if number in self._under_way:
             self._drop("its number is that of a request which is not answered yet")
             return
@@ -170,7 +169,7 @@ class Service:
             with self._told():
                 response = await self._handler(request)
             with self._told():
-                # The handler may take any time, and the queryable may be gone meanwhile.
+                # The handler may take any time, and the queryable may be gone by then.
                 if not self._closed:
                     self._reply(received, response)
         finally:

@@ -170,7 +170,7 @@ async def shown(
 
     Yields its parts, whose ``run`` the caller has to start.
     """
-    # Query the hand before making the node: a hand that ends meanwhile never shows in the graph.
+    # Query the hand before making the node: a hand that has ended never shows in the graph.
     model = await model_of(remote, hand.configured)
     info, openings, latest = await remote.info(), await remote.openings(), await remote.state()
     actions, status = await remote.actions(), await remote.status()

@@ -111,7 +111,7 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
                     f"a tolerance of '{name}' is {value:g}; it should be positive, 0 for the"
                     " default, or -1 for none",
                 )
-        # 0 stands for the default: no tolerance of positions, as in ros2_control.
+        # 0 means the default: no tolerance of positions, as in ros2_control.
         if max(values) > 0.0:
             tolerances[name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
     return tolerances
@@ -338,7 +338,7 @@ class _Following:
         if first:
             result = self._action.type.result(error_code=code, error_string=text)
             reason = f"{code.name}: {text}" if state is GoalState.ABORTED else ""
-            # The first outcome stays, whatever else ends the goal meanwhile.
+            # The first outcome stays, whatever else ends the goal.
             self._outcome = ActionOutcome(state, result, reason)
             self._changed.set()
         return first

@@ -123,7 +123,8 @@ async def run_hands(
             stack.enter_context(service)
         # Before any thread is started, as it only counts for later ones.
         stack.callback(threading.stack_size, small_stacks())
-        # Before devices are opened: a signal meanwhile ends the run as configured, a moment later.
+        # Before devices are opened: a signal during that ends the run as configured, a moment
+        # later.
         signals = stack.enter_context(receive_signals())
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
@@ -304,7 +305,7 @@ async def _run(
         rested = True
         raise _failure(error, hands) from error
     finally:
-        if not rested:  # cancelled from outside, which is no `Exception`
+        if not rested:  # cancelled from outside, which is not an `Exception`
             await _rest(hands, "the run was cancelled")
         for hand in hands:  # while clients are still connected, to receive their results
             hand.loop.end()

@@ -166,7 +166,7 @@ def open_gamepad(path: str | None = None) -> Gamepad:
         for each in [path] if path else sorted(evdev.list_devices()):
             device = evdev.InputDevice(each)
             axes = {axis for axis, _ in device.capabilities().get(EV_ABS, ())}
-            # Touchpads and tablets have axes, too, but only gamepads have triggers.
+            # Touchpads and tablets also have axes, but only gamepads have triggers.
             if path or axes.intersection(code for codes in TRIGGERS.values() for code in codes):
                 # Non-blocking, since samples are due while nothing moves, too.
                 os.set_blocking(device.fd, False)

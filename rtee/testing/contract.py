@@ -141,7 +141,7 @@ class DriverContract:
                 await session.driver.configure()
             assert str(caught.value)
             session.wire.replug()
-            # Now the port exists but nothing answers: the other way in which a device is absent.
+            # Now the port exists but nothing answers: the other kind of absence.
             session.wire.faults = Faults(drop=1.0)
             with pytest.raises((BusTimeout, NotConnected)):
                 await session.driver.configure()
@@ -245,7 +245,8 @@ class DriverContract:
                 pytest.skip("the emulator has no motors with encoders")
             ends = [motor.position for motor in motors]
             await session.reach(near)
-            # Four fifths of the way between the postures, as no actuator goes in one cycle.
+            # Four fifths of the distance between the postures, more than any actuator covers in a
+            # cycle.
             jumps = [0.8 * (end - m.position) for end, m in zip(ends, motors, strict=True)]
             wanted = await session.approach(far, _APPROACH)
             for motor, jump in zip(motors, jumps, strict=True):

@@ -124,7 +124,7 @@ class Session:
             if monotonic.now() > end:
                 # None: the last exchange failed.
                 return state or await self.sense()
-            # Emulators in this process need the processor, too, even on a slow machine.
+            # Emulators in this process also need the processor, even on a slow machine.
             await asyncio.sleep(0.002)
 
     async def approach(self, goal: Sequence[float], share: float) -> list[float]:

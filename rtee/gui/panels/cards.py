@@ -413,7 +413,7 @@ class ContactChoice:
 
     def __init__(self, gui: viser.GuiApi, fingers: Sequence[str]) -> None:
         """Add the controls to the current container, for the action's fingers if they are known."""
-        # By finger; the empty name stands for all fingers.
+        # By finger; the empty name means all fingers.
         self._words: dict[str, OnContact] = {}
         self._finger = gui.add_dropdown(
             "Contact of", (_ALL,), hint="Which fingers the next field is about"

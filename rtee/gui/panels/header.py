@@ -14,7 +14,7 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.truth import Truth, problem
 from rtee.types import DeviceStatus, Lifecycle
 
-# Colours that people with any colour vision tell apart; the shape of the sign says the same.
+# Colours that people with any colour vision can distinguish; the shape of the sign repeats them.
 _SIGNS = {
     Lifecycle.ACTIVE: ("●", "#009e73"),
     Lifecycle.INACTIVE: ("○", "var(--rtee-faint)"),

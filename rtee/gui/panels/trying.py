@@ -231,7 +231,7 @@ class TryPanel:
         except RteeError as error:
             self._say(str(error), BAD)
             raise
-        if self._removed:  # the hand has gone meanwhile, and its controls with it
+        if self._removed:  # the hand has gone in the meantime, and its controls with it
             return
         self._bar.value = 100.0 if done else 0.0
         if not done:

@@ -130,7 +130,7 @@ class _Decoder:
         try:
             frames = self._context.decode(av.Packet(data))
         except av.FFmpegError as error:
-            # Of a video, what stands before the first key frame cannot be.
+            # Frames of a video before the first key frame cannot be decoded.
             if self._codec not in _VIDEO:
                 raise self._error(f"an image in it is damaged: {error.strerror}") from None
         else:

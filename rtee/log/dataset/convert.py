@@ -94,7 +94,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         import av
         import pyarrow.parquet  # noqa: F401 - before anything is written
 
-        # Only what fails is told, by us.
+        # Only failures are reported, by rtee.
         av.logging.set_level(av.logging.PANIC)
     if output.exists():
         raise LogError("is there already; a dataset is written into a new folder", path=output)
