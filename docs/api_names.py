@@ -142,7 +142,7 @@ def listed() -> str:
 
 
 def page() -> str:
-    """Return the page with the list made anew."""
+    """Return the page with the list made again."""
     head, mark, _ = INDEX.read_text().partition(MARK)
     assert mark, f"{INDEX} has lost its mark"
     return f"{head}{MARK}\n\n{listed()}"

@@ -1,6 +1,6 @@
 """The section *Assumptions* of the pages of devices, made from what the drivers assume.
 
-``python docs/assumptions.py`` writes them anew; a test keeps them current.
+``python docs/assumptions.py`` rewrites them; a test keeps them current.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def section(driver: str) -> str:
 
 
 def page(driver: str) -> str:
-    """Return a driver's page with the section made anew."""
+    """Return a driver's page with the section made again."""
     text = (DEVICES / f"{driver}.md").read_text("utf-8")
     head, begin, rest = text.partition(f"## Assumptions\n\n{BEGIN}")
     tail = rest.partition(END)[2] if begin else "\n"

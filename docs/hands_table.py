@@ -1,6 +1,6 @@
 """The tables of hands and their devices in ``docs/hands/index.md``, made from ``config/``.
 
-``python docs/hands_table.py`` writes them anew; a test keeps them current. What a device measures
+``python docs/hands_table.py`` rewrites them; a test keeps them current. What a device measures
 and accepts is what its driver says once it has connected to the device's emulator.
 """
 
@@ -222,7 +222,7 @@ def _between() -> list[str]:
 
 
 def page() -> str:
-    """Return the page with its tables made anew."""
+    """Return the page with its tables made again."""
     head, begin, rest = PAGE.read_text().partition(BEGIN)
     _, end, tail = rest.partition(END)
     assert begin, f"{PAGE} has lost its marks"

@@ -1,7 +1,7 @@
 """What each hand holds in simulation: tables made from the stored trials, ``config/*/trials.yaml``.
 
 ``python docs/trials_table.py`` writes the one in ``docs/hands/index.md`` and those of the hands'
-own pages anew; a test keeps them current.
+own pages again; a test keeps them current.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _own(hand: Stored) -> str:
     if hand.outdated:
         lines.append(
             "**Outdated**: made with other files of this hand or by an earlier method; "
-            f"`rtee try {hand.name} --all` makes them anew."
+            f"`rtee try {hand.name} --all` makes them again."
         )
     rows = [
         f"| object | best action | held of 20 | 95 % | actions that held {WANTED} or more |",
@@ -128,7 +128,7 @@ def _own(hand: Stored) -> str:
 
 
 def written(text: str, made: str) -> str:
-    """Return a page with what is between its marks made anew."""
+    """Return a page with what is between its marks made again."""
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not (begin and end):
@@ -137,7 +137,7 @@ def written(text: str, made: str) -> str:
 
 
 def pages() -> dict[Path, str]:
-    """Return the pages with their tables made anew."""
+    """Return the pages with their tables made again."""
     hands = stored()
     made = {PAGES / f"{one.name}.md": _own(one) for one in hands}
     made[PAGES / "index.md"] = _matrix(hands)
