@@ -49,7 +49,7 @@ async def approve(question: str) -> None:
     except (OSError, anyio.EndOfStream, anyio.BrokenResourceError):
         raise GoalRejected(
             "the gate is 'approve', and no one is available to approve; open the GUI, or "
-            "types 'rtee agent approve' in a terminal"
+            "type 'rtee agent approve' in a terminal"
         ) from None
     except TimeoutError:
         raise GoalRejected(f"no one has approved it within {WITHIN:g} s") from None

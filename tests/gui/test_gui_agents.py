@@ -67,7 +67,7 @@ async def test_a_person_answers_in_the_page(
             await approve("too late")
         await until(lambda: button(server, "Do it") is None)
         group.cancel_scope.cancel()
-    assert "nobody is there to approve" in asked[0]
+    assert "no one is available to approve" in asked[0]
     assert asked[1:] == ["yes", "a person has refused"]
 
 

@@ -217,7 +217,7 @@ def test_a_chunk_that_expands_beyond_what_it_says_takes_no_memory(compression: s
     del large
     tracemalloc.start()
     try:
-        with pytest.raises(DamagedRecordError, match="has not the size it says"):
+        with pytest.raises(DamagedRecordError, match="does not have the size it declares"):
             messages_of(content)
         assert tracemalloc.get_traced_memory()[1] < 10_000_000
     finally:
