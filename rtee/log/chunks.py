@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord
 from numpy.typing import NDArray
 
-from rtee.log.tick_columns import encode_ticks
+from rtee.messages.tick_columns import encode_ticks
 
 MESSAGE = struct.Struct("<BQHIQQ")
 """Layout of the head of a message record: opcode, length, channel, sequence, two times [ns]."""

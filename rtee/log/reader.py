@@ -30,12 +30,12 @@ from rtee.log.recording import (
 )
 from rtee.log.resync import LATEST, DamagedRecordError
 from rtee.log.rotation import MESHES, paths_of
-from rtee.log.tick_columns import decode_ticks
 from rtee.loop.plan import Plan
 from rtee.messages import GOAL, convert, topics
 from rtee.messages.codec import SECOND, channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.state import ACTUATOR_COLUMNS
+from rtee.messages.tick_columns import decode_ticks
 from rtee.messages.touch import sensors_of, touch_of
 from rtee.sample import COLUMNS, FloatArray
 from rtee.touch import TouchSensor, TouchState

@@ -13,6 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from log.samples import RATE, WALL, Log, recorded, settings, tick
+from rtee.drivers.replay.states import RecordedStates
 from rtee.errors import MessageError
 from rtee.hand.config_schema import Layout
 from rtee.hand.model import Hand
@@ -20,8 +21,8 @@ from rtee.log import read
 from rtee.log.column_reader import messages_in
 from rtee.log.layout import CHANNELS
 from rtee.log.reader import windows
-from rtee.log.tick_columns import decode_ticks, encode_ticks
 from rtee.messages.schema import message_type
+from rtee.messages.tick_columns import decode_ticks, encode_ticks
 from rtee.messages.typestore import typestore
 
 TOPICS = {
@@ -148,6 +149,11 @@ def test_ticks_in_columns_are_the_same_ones(story: Path, claw: Hand, tmp_path: P
     assert found.joint_states == there.joint_states
     pieces = [*windows(path, start=0.6, end=1.4)]
     assert sum(len(piece.reference) for piece in pieces) == 81
+    # Played back, too, with each tick once.
+    states = RecordedStates(path, "claw", there.actuator_states.names)
+    stamps = np.concatenate([block.stamp for block in states.blocks()])
+    assert stamps.tolist() == there.actuator_states.time.tolist()
+    states.close()
     with path.open("rb") as stream:
         topics = [each.topic for _, each, _ in make_reader(stream).iter_messages()]
     # Every second one, 50 a second, and at the begin of a chunk.

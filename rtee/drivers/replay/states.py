@@ -24,10 +24,12 @@ from rtee.messages import convert
 from rtee.messages.codec import channels_of
 from rtee.messages.mcap_chunk import decompressed
 from rtee.messages.schema import MessageType, message_type, recorded_type
+from rtee.messages.tick_columns import decode_ticks
 from rtee.messages.topics import (
     ACTUATOR_STATES,
     CHANNELS,
     OBJECT,
+    TICKS,
     TOUCH,
     TOUCH_SENSORS,
     TYPES,
@@ -137,15 +139,17 @@ class RecordedStates:
         if summary is None:
             return
         channels = {c.id: c for c in summary.channels.values() if c.topic in topics}
+        ticks = f"{self._topic.removesuffix(ACTUATOR_STATES)}{TICKS}"
+        packed = {c.id for c in summary.channels.values() if c.topic == ticks}
         try:
             # Chunks do not overlap in recordings of rtee.
             for place in sorted(summary.chunk_indexes, key=lambda each: each.message_start_time):
                 known = place.message_index_offsets
-                if known and channels.keys().isdisjoint(known):
+                if known and (channels.keys() | packed).isdisjoint(known):
                     continue
                 self._file.seek(place.chunk_start_offset + _HEAD.size)
                 data = decompressed(Chunk.read(ReadDataStream(self._file)))
-                for message in _messages_in(data, channels):
+                for message in _messages_in(data, channels, packed):
                     channel = channels[message.channel_id]
                     yield summary.schemas.get(channel.schema_id), channel, message
         except (*_DAMAGE, OSError) as error:
@@ -221,9 +225,15 @@ class RecordedStates:
         self._file.close()
 
 
-def _messages_in(data: bytes, channels: Collection[int]) -> list[Message]:
-    """Return the messages of some channels among the records of a chunk, by their log time."""
+def _messages_in(
+    data: bytes, channels: Collection[int], packed: Collection[int] = ()
+) -> list[Message]:
+    """Return the messages of some channels among the records of a chunk, by their log time.
+
+    Those of other channels hold ticks, column by column, of which few are there besides.
+    """
     messages, position = [], 0
+    ticks: list[Message] = []
     while position + _HEAD.size <= len(data):
         opcode, length = _HEAD.unpack_from(data, position)
         position += _HEAD.size
@@ -232,7 +242,11 @@ def _messages_in(data: bytes, channels: Collection[int]) -> list[Message]:
             message = Message.read(content, length)
             if message.channel_id in channels:
                 messages.append(message)
+            elif message.channel_id in packed:
+                ticks += _messages_in(decode_ticks(message.data)[0].tobytes(), channels)
         position += length
+    whole = {message.channel_id for message in ticks}
+    messages = [each for each in messages if each.channel_id not in whole] + ticks
     return sorted(messages, key=lambda message: message.log_time)
 
 
