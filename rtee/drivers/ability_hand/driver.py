@@ -18,18 +18,6 @@ from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers import wiring
 from rtee.drivers.ability_hand import codec
-from rtee.drivers.ability_hand.codec import (
-    ADDRESS,
-    API_TIME,
-    COUNT,
-    MOTORS,
-    SITES,
-    TOUCHING,
-    Command,
-    Header,
-    Reply,
-    ReplyParser,
-)
 from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
@@ -54,7 +42,7 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
 
     port: str = "/dev/ttyUSB0"
     """A tty, socket:// or rfc2217://."""
-    address: Annotated[int, Meta(ge=1, le=255)] = ADDRESS
+    address: Annotated[int, Meta(ge=1, le=255)] = codec.ADDRESS
     """Of the hand; 80 (hexadecimal 50) from the factory."""
     baudrate: Literal[
         460_800, 1200, 38_400, 56_000, 57_600, 76_800, 115_200, 230_400, 250_000, 921_600, 1_000_000
@@ -95,14 +83,14 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
         return self.reply or (2 if self.mode == "current" else 1)
 
     @property
-    def header(self) -> Header:
+    def header(self) -> codec.Header:
         """The header of its set-points, without the variant of the reply."""
-        return Header[self.mode.upper()]
+        return codec.Header[self.mode.upper()]
 
 
 def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
     """Return the motor of each actuator, by its index in `MOTORS`; raises `ConfigError`."""
-    return wiring.motors_of(spec, "motors", options.motors, MOTORS, _motor_of)
+    return wiring.motors_of(spec, "motors", options.motors, codec.MOTORS, _motor_of)
 
 
 def _motor_of(name: str) -> str:
@@ -113,7 +101,7 @@ def _motor_of(name: str) -> str:
         return "thumb_rotator" if turns else "thumb_flexor"
     if "little" in lowered:
         return "pinky"
-    return next((motor for motor in MOTORS[:4] if motor in lowered), "")
+    return next((motor for motor in codec.MOTORS[:4] if motor in lowered), "")
 
 
 _LEFT = 1
@@ -131,8 +119,8 @@ _RECEIVED = {1: 74 + 2, 2: 74 + 2, 3: 41 + 1}
 _FORCES: FloatArray = np.array([codec.touch_force(word) for word in range(4096)])
 """Force by the word of a touch sensor [N]; a table, since thirty are converted in every cycle."""
 _SENSORS = tuple(
-    TouchSensor(finger, taxels=SITES, full=codec.touch_force(4095) - codec.touch_force(0))
-    for finger in TOUCHING
+    TouchSensor(finger, taxels=codec.SITES, full=codec.touch_force(4095) - codec.touch_force(0))
+    for finger in codec.TOUCHING
 )
 _GAINS = {"velocity": ("approach",), "current": ("stiffness", "damping")}
 
@@ -155,7 +143,7 @@ class AbilityHandDriver(Driver):
         super().__init__(spec, buses)
         self.options = options = read_options(AbilityHandOptions, spec)
         self._motors = motors_of(spec, options)
-        self._signs = [-1.0 if MOTORS[m] in options.reverse else 1.0 for m in self._motors]
+        self._signs = [-1.0 if codec.MOTORS[m] in options.reverse else 1.0 for m in self._motors]
         self._control = MotorControl(
             options.header,
             approach=options.approach,
@@ -165,11 +153,11 @@ class AbilityHandDriver(Driver):
         self.connection: Connection[SerialBus] = Connection(spec)
         self._attached = Attached(spec.actuators)
         self._tare = Tare(options.touch_threshold)
-        self._parser = ReplyParser()
+        self._parser = codec.ReplyParser()
         self._pace = RelaxedDeadline()
         self._pace.deadline = RelaxedDeadline.PATIENCE
-        self._reply: Reply | None = None
-        self._doubted: Reply | None = None
+        self._reply: codec.Reply | None = None
+        self._doubted: codec.Reply | None = None
         self._waiting = False
         self._stamp = -math.inf
         self._in_api = False
@@ -247,13 +235,13 @@ class AbilityHandDriver(Driver):
 
     # --- every cycle -------------------------------------------------------------------------
 
-    async def _read(self) -> Reply:
+    async def _read(self) -> codec.Reply:
         """Read the hand without a command; raises `BusError`."""
-        return await self._exchange(Header.READ)
+        return await self._exchange(codec.Header.READ)
 
-    async def _exchange(self, header: Header, words: tuple[int, ...] = ()) -> Reply:
+    async def _exchange(self, header: codec.Header, words: tuple[int, ...] = ()) -> codec.Reply:
         """Send a command and return the reply; raises `BusError`."""
-        command = Command(self.options.address, header + self.options.variant - 1, words)
+        command = codec.Command(self.options.address, header + self.options.variant - 1, words)
         if words:
             # Before the exchange: the hand may accept a command whose reply is lost.
             self._in_api = True
@@ -274,7 +262,7 @@ class AbilityHandDriver(Driver):
         self._reply, self._doubted, self._stamp = reply, None, now
         return reply
 
-    def _plausible(self, reply: Reply, now: float) -> bool:
+    def _plausible(self, reply: codec.Reply, now: float) -> bool:
         """Return whether no joint moved faster than it can, or the previous reply showed it, too.
 
         A checksum of one byte does not detect all damage, and the control depends on positions.
@@ -291,7 +279,7 @@ class AbilityHandDriver(Driver):
 
         Its previous set-points would make it jump back.
         """
-        if self._in_api and monotonic.now() - self._stamp > API_TIME:
+        if self._in_api and monotonic.now() - self._stamp > codec.API_TIME:
             before, self._waiting = self._reply, False
             reply = await self._read()
             self._in_api = False
@@ -304,7 +292,7 @@ class AbilityHandDriver(Driver):
             raise DeviceFault(
                 self.spec.name,
                 _LEFT,
-                f"it received nothing for {API_TIME:g} s, left API mode, and moved by itself",
+                f"it received nothing for {codec.API_TIME:g} s, left API mode, and moved by itself",
                 hint="check that nothing was dropped, then `rtee recover`",
             )
 
@@ -326,7 +314,7 @@ class AbilityHandDriver(Driver):
         if reply.touch and self.capabilities.touch:
             forces = self._tare.above(_FORCES[list(reply.touch)], self._stamp)
             touch = TouchReading(forces, self._stamp)
-        limited = [MOTORS[m] for m in self._motors if reply.limited[m]]
+        limited = [codec.MOTORS[m] for m in self._motors if reply.limited[m]]
         warnings = (f"limited by the hand (heat or contact): {', '.join(limited)}",)
         return ActuatorState.measured(
             position,
@@ -380,7 +368,7 @@ class AbilityHandDriver(Driver):
             self._control.targets[motor] = sign * position
         # By positions in every mode: a velocity or current would go on until the next command.
         words = tuple(map(codec.angle_counts, self._control.targets))
-        await self._exchange(Header.POSITION, words)
+        await self._exchange(codec.Header.POSITION, words)
         self._waiting = False
 
     async def disable(self) -> None:
@@ -389,7 +377,7 @@ class AbilityHandDriver(Driver):
             # The next command powers all motors again, so it waits for a reference with a motion.
             self._attached.begin(range(len(self._motors)))
             with self._pace.relaxed_deadline():
-                await patiently(lambda: self._exchange(Header.DUTY, (0,) * COUNT))
+                await patiently(lambda: self._exchange(codec.Header.DUTY, (0,) * codec.COUNT))
 
     async def recover(self) -> None:
         """Start again from the measured positions; nothing is sent until a reference asks to."""
@@ -400,7 +388,7 @@ class AbilityHandDriver(Driver):
 
     async def deactivate(self) -> None:
         """Return the hand to its own control."""
-        command = Command(self.options.address, Header.LEAVE)
+        command = codec.Command(self.options.address, codec.Header.LEAVE)
         await self.connection.link.send(command.to_bytes())
         self._in_api = self._waiting = False
 

@@ -18,17 +18,6 @@ from msgspec import Meta
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.wear import TYPICAL, Wear
 from rtee.drivers.ability_hand import codec
-from rtee.drivers.ability_hand.codec import (
-    API_TIME,
-    COUNT,
-    DUTY,
-    SENSORS,
-    SET_POINTS,
-    Command,
-    CommandParser,
-    Header,
-    Reply,
-)
 from rtee.drivers.ability_hand.control import EFFORTS, SPEEDS
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
@@ -123,15 +112,15 @@ class AbilityHandEmulator(Emulator, Grasps):
             self.axes.append(axis)
         self.moves = 0
         self.api = False
-        self.limited = [False] * COUNT
-        self._blocked = [0.0] * COUNT
-        self._collided = [0.0] * COUNT
+        self.limited = [False] * codec.COUNT
+        self._blocked = [0.0] * codec.COUNT
+        self._collided = [0.0] * codec.COUNT
         self._most = list(EFFORTS)
         self.rest: tuple[int, ...] = made.touch_rest
         self._random = random.Random(1)  # noqa: S311 - noise, the same in every run
         self._variant = 1
         self._heard = -math.inf
-        self._parser = CommandParser()
+        self._parser = codec.CommandParser()
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -174,14 +163,14 @@ class AbilityHandEmulator(Emulator, Grasps):
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
-        if self.api and now - self._heard > API_TIME:
+        if self.api and now - self._heard > codec.API_TIME:
             self.api = False
             self._stay()
             if self.properties.alone == "open":
                 for axis, (low, high) in zip(self.axes, _RANGES, strict=True):
                     axis.target = min(low, high, key=abs)
         dt = self._elapsed(now)
-        for motor in range(COUNT):
+        for motor in range(codec.COUNT):
             self._turn(motor, dt)
 
     def _stay(self) -> None:
@@ -226,7 +215,7 @@ class AbilityHandEmulator(Emulator, Grasps):
             if command.address == self.properties.address and self._obey(command, now):
                 if "wrong_device" in self.faults:
                     # A valid frame with a length that no reply of an Ability Hand has.
-                    replies.append(Command(0x10, Header.READ).to_bytes())
+                    replies.append(codec.Command(0x10, codec.Header.READ).to_bytes())
                 else:
                     replies.append(self.reply(self._reply_variant(command.header)).to_bytes())
         return replies
@@ -235,15 +224,15 @@ class AbilityHandEmulator(Emulator, Grasps):
         """Return the variant of the reply to a command."""
         asked = header & 0x0F
         # A header that selects no variant is answered in the last one.
-        known = header & 0xF0 in (*SET_POINTS, Header.READ) and asked < codec.NO_TOUCH
+        known = header & 0xF0 in (*codec.SET_POINTS, codec.Header.READ) and asked < codec.NO_TOUCH
         before, self._variant = self._variant, asked + 1 if known else self._variant
         return before if self.properties.fast else self._variant
 
-    def _obey(self, command: Command, now: float) -> bool:
+    def _obey(self, command: codec.Command, now: float) -> bool:
         """Act on a command; return whether it is answered."""
         # Reading, too, keeps the hand in API mode.
         self._heard = now
-        if command.header == Header.LEAVE:
+        if command.header == codec.Header.LEAVE:
             self.api = False
             self._stay()
             return False
@@ -258,31 +247,31 @@ class AbilityHandEmulator(Emulator, Grasps):
     def _aim(self, motor: int, kind: int, word: int) -> None:
         axis, (low, high) = self.axes[motor], _RANGES[motor]
         fastest, strongest = SPEEDS[motor] * self.properties.haste, EFFORTS[motor]
-        axis.enabled = kind != Header.DUTY or word != 0
+        axis.enabled = kind != codec.Header.DUTY or word != 0
         axis.max_velocity, self._most[motor] = fastest, strongest
-        if kind == Header.POSITION:
+        if kind == codec.Header.POSITION:
             axis.target = min(max(codec.angle(word), low), high)
             return
         # An axis has only position targets: a velocity or torque aims at the end of the range.
         axis.target = axis.position if word == 0 else (high if word > 0 else low)
-        if kind == Header.VELOCITY:
+        if kind == codec.Header.VELOCITY:
             axis.max_velocity = min(abs(codec.rate(word)) * self.properties.haste, fastest)
             return
-        torque = strongest * abs(word) / DUTY
-        if kind == Header.CURRENT:
+        torque = strongest * abs(word) / codec.DUTY
+        if kind == codec.Header.CURRENT:
             torque = abs(codec.effort(word, motor))
         self._most[motor] = min(torque, strongest)
         # In proportion: the largest effort moves it at the largest speed.
         axis.max_velocity = fastest * self._most[motor] / strongest
 
-    def reply(self, variant: int) -> Reply:
+    def reply(self, variant: int) -> codec.Reply:
         """Return its measurements, in a variant of the reply."""
         currents = tuple(
             round(axis.effort / codec.TORQUES[motor] * codec.AMPERE)
             for motor, axis in enumerate(self.axes)
         )
         rates = tuple(codec.velocity_counts(a.velocity, motor) for motor, a in enumerate(self.axes))
-        return Reply(
+        return codec.Reply(
             variant,
             tuple(codec.angle_counts(axis.measured) for axis in self.axes),
             () if variant == codec.VELOCITIES else currents,
@@ -293,7 +282,7 @@ class AbilityHandEmulator(Emulator, Grasps):
 
     def _touch(self) -> tuple[int, ...]:
         if not self.properties.touch:
-            return (0,) * SENSORS
+            return (0,) * codec.SENSORS
         words: list[int] = []
         for axis in self.axes[:5]:
             obstacle = axis.obstacle

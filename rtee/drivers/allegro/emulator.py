@@ -12,18 +12,6 @@ from typing import Any, Literal, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.drivers.allegro import codec
-from rtee.drivers.allegro.codec import (
-    FINGERS,
-    JOINTS,
-    LIMITS_PWM,
-    PER_FINGER,
-    AllegroFrameError,
-    Command,
-    HandInfo,
-    Periods,
-    Status,
-    identifier,
-)
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Duration, Positive, read_properties
@@ -38,7 +26,10 @@ not delay the bus."""
 
 _STRONG = 0.7
 """Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
-_FAULTS = {"over_temperature": Status.OVER_TEMPERATURE, "communication": Status.COMMUNICATION}
+_FAULTS = {
+    "over_temperature": codec.Status.OVER_TEMPERATURE,
+    "communication": codec.Status.COMMUNICATION,
+}
 _SERIALS = {
     (4, False): "SAH040AR",
     (4, True): "SAH040AL",
@@ -137,7 +128,7 @@ class AllegroEmulator(Emulator, Grasps):
         super().__init__()
         self.properties = made = properties or AllegroProperties()
         self.scale = codec.SCALES[made.version]
-        self.joints = [_Joint(made.start, -0.8, 2.2) for _ in range(JOINTS)]
+        self.joints = [_Joint(made.start, -0.8, 2.2) for _ in range(codec.JOINTS)]
         self.frames: dict[int, int] = {}
         self.temperature = 30.0
         self.power_cycle(0.0)
@@ -151,8 +142,8 @@ class AllegroEmulator(Emulator, Grasps):
 
     def power_cycle(self, now: float) -> None:
         """Restart with the motors off, silent until a request."""
-        self.periods = Periods()
-        self._fault = Status(0)
+        self.periods = codec.Periods()
+        self._fault = codec.Status(0)
         self._next = now
         self._torque_at = now
         self._off()
@@ -163,7 +154,7 @@ class AllegroEmulator(Emulator, Grasps):
         if fault in _FAULTS:
             self._fail(_FAULTS[fault])
 
-    def _fail(self, fault: Status) -> None:
+    def _fail(self, fault: codec.Status) -> None:
         self._fault |= fault
         self._off()
 
@@ -178,7 +169,7 @@ class AllegroEmulator(Emulator, Grasps):
         return [
             Closing(joint, 0.0, closed, _STRONG)
             for number, joint in enumerate(self.joints)
-            if number % (JOINTS // FINGERS)
+            if number % (codec.JOINTS // codec.FINGERS)
         ]
 
     # --- time --------------------------------------------------------------------------------
@@ -191,7 +182,7 @@ class AllegroEmulator(Emulator, Grasps):
         period = self.periods.joints / 1000.0
         # From the last due time, to keep the rate; after a pause, without a burst of old frames.
         self._next = max(self._next + period, now)
-        return [self._pose(finger) for finger in range(FINGERS)]
+        return [self._pose(finger) for finger in range(codec.FINGERS)]
 
     def _advance(self, now: float) -> None:
         dt = self._elapsed(now)
@@ -207,15 +198,17 @@ class AllegroEmulator(Emulator, Grasps):
         load = max(abs(j.torque) for j in self.joints)
         self.temperature += dt * (8.0 * load - 0.02 * (self.temperature - 30.0))
         if self.temperature > self.properties.hot:
-            self._fail(Status.OVER_TEMPERATURE)
+            self._fail(codec.Status.OVER_TEMPERATURE)
 
     def _pose(self, finger: int) -> CanFrame:
-        first = finger * PER_FINGER
-        counts = [self.scale.to_count(j.angle) for j in self.joints[first : first + PER_FINGER]]
-        return self._frame(Command.FINGER_POSE + finger, codec.pack_counts(counts))
+        first = finger * codec.PER_FINGER
+        counts = [
+            self.scale.to_count(j.angle) for j in self.joints[first : first + codec.PER_FINGER]
+        ]
+        return self._frame(codec.Command.FINGER_POSE + finger, codec.pack_counts(counts))
 
     def _frame(self, command: int, data: bytes) -> CanFrame:
-        return CanFrame(identifier(command, self.properties.hand), data)
+        return CanFrame(codec.identifier(command, self.properties.hand), data)
 
     # --- frames ------------------------------------------------------------------------------
 
@@ -230,40 +223,42 @@ class AllegroEmulator(Emulator, Grasps):
             return self._report(command)
         try:
             self._obey(command, frame.data, now)
-        except AllegroFrameError:
+        except codec.AllegroFrameError:
             return []
         return []
 
     def _report(self, command: int) -> list[CanFrame]:
         made = self.properties
-        if command == Command.HAND_INFO:
-            status = self._fault | (Status.SERVO_ON if self.servo else Status(0))
+        if command == codec.Command.HAND_INFO:
+            status = self._fault | (codec.Status.SERVO_ON if self.servo else codec.Status(0))
             version = 9 if "wrong_device" in self.faults else made.version
-            info = HandInfo(
+            info = codec.HandInfo(
                 version << 8, 0x0201, int(made.left), min(round(self.temperature), 255), status
             )
             return [self._frame(command, info.to_bytes())]
-        if command == Command.SERIAL:
+        if command == codec.Command.SERIAL:
             serial = made.serial or _SERIALS[made.version, made.left]
             return [self._frame(command, serial.encode("ascii", "replace").ljust(8)[:8])]
-        finger = command - Command.FINGER_POSE
-        return [self._pose(finger)] if 0 <= finger < FINGERS else []
+        finger = command - codec.Command.FINGER_POSE
+        return [self._pose(finger)] if 0 <= finger < codec.FINGERS else []
 
     def _obey(self, command: int, data: bytes, now: float) -> None:
-        finger = command - Command.SET_TORQUE
-        if command == Command.SYSTEM_ON:
+        finger = command - codec.Command.SET_TORQUE
+        if command == codec.Command.SYSTEM_ON:
             # A fault comes back at once as long as its cause is present.
-            self._fault = Status(sum(bit for fault, bit in _FAULTS.items() if fault in self.faults))
+            self._fault = codec.Status(
+                sum(bit for fault, bit in _FAULTS.items() if fault in self.faults)
+            )
             self.servo = not self._fault
-        elif command == Command.SYSTEM_OFF:
+        elif command == codec.Command.SYSTEM_OFF:
             self._off()
-        elif command == Command.SET_PERIOD:
-            self.periods = Periods.from_bytes(data)
+        elif command == codec.Command.SET_PERIOD:
+            self.periods = codec.Periods.from_bytes(data)
             self._next = now
-        elif 0 <= finger < FINGERS and self.servo:
+        elif 0 <= finger < codec.FINGERS and self.servo:
             self._torque_at = now
-            first = finger * PER_FINGER
+            first = finger * codec.PER_FINGER
             for offset, count in enumerate(codec.read_counts(data)):
-                limit = LIMITS_PWM[first + offset]
+                limit = codec.LIMITS_PWM[first + offset]
                 pwm = min(max(count, -limit), limit)
                 self.joints[first + offset].torque = pwm / self.scale.pwm_per_torque

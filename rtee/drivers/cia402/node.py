@@ -8,19 +8,6 @@ from dataclasses import dataclass, field
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.cia402 import cia301
-from rtee.drivers.cia402.cia301 import (
-    DISABLED,
-    RPDO,
-    SDO_ANSWER,
-    SDO_REQUEST,
-    TPDO,
-    Abort,
-    CanopenFrameError,
-    NmtCommand,
-    NmtState,
-    Sdo,
-    Specifier,
-)
 
 _RECEIVE, _TRANSMIT = 0x1400, 0x1800  # communication parameters of the first PDO
 _MAP = 0x200  # distance from these to the mapping parameters of the same PDO
@@ -41,7 +28,7 @@ class Entry:
 
     value: bytes
     writable: bool = True
-    changed: Callable[[int], Abort | None] | None = None
+    changed: Callable[[int], cia301.Abort | None] | None = None
 
 
 @dataclass(slots=True)
@@ -65,7 +52,7 @@ class Node:
 
     number: int
     objects: dict[tuple[int, int], Entry] = field(default_factory=dict)
-    state: NmtState = NmtState.BOOT
+    state: cia301.NmtState = cia301.NmtState.BOOT
     on_reset: Callable[[], None] = lambda: None
     on_silence: Callable[[], None] = lambda: None
     inhibited: bool = False
@@ -92,35 +79,35 @@ class Node:
     def add_pdos(self) -> None:
         """Add four receive and four transmit PDOs, all empty and disabled."""
         for n in range(_COUNT):
-            for base, cob in ((_RECEIVE, RPDO[n]), (_TRANSMIT, TPDO[n])):
+            for base, cob in ((_RECEIVE, cia301.RPDO[n]), (_TRANSMIT, cia301.TPDO[n])):
                 mapping = base + _MAP + n
                 self.add(base + n, 0, "B", 2, writable=False)
-                self.add(base + n, 1, "I", DISABLED | cob + self.number)
+                self.add(base + n, 1, "I", cia301.DISABLED | cob + self.number)
                 self.add(base + n, 2, "B", 255)
                 self.add(mapping, 0, "B", 0, changed=self._check_map(mapping))
                 for slot in range(1, 9):
                     self.add(mapping, slot, "I", 0, changed=self._while_empty(mapping))
 
-    def _check_map(self, index: int) -> Callable[[int], Abort | None]:
-        def check(count: int) -> Abort | None:
+    def _check_map(self, index: int) -> Callable[[int], cia301.Abort | None]:
+        def check(count: int) -> cia301.Abort | None:
             size = 0
             for slot in range(1, count + 1):
                 mapped = self.get(index, slot)
                 if (mapped >> 16, mapped >> 8 & 0xFF) not in self.objects:
-                    return Abort.NOT_MAPPABLE
+                    return cia301.Abort.NOT_MAPPABLE
                 size += mapped & 0xFF
-            return Abort.PDO_LENGTH if size > 8 * cia301.FULL else None
+            return cia301.Abort.PDO_LENGTH if size > 8 * cia301.FULL else None
 
         return check
 
-    def _while_empty(self, index: int) -> Callable[[int], Abort | None]:
-        def check(mapped: int) -> Abort | None:
+    def _while_empty(self, index: int) -> Callable[[int], cia301.Abort | None]:
+        def check(mapped: int) -> cia301.Abort | None:
             # An active mapping was checked when its count was set (CiA 301, 7.5.2.36).
-            return Abort.UNSUPPORTED if self.get(index, 0) else None
+            return cia301.Abort.UNSUPPORTED if self.get(index, 0) else None
 
         return check
 
-    def watch_anew(self, value: int) -> Abort | None:
+    def watch_anew(self, value: int) -> cia301.Abort | None:
         """Watch the host from its next heartbeat on; called when the watch is configured."""
         self._host_at = None
         return None
@@ -132,10 +119,10 @@ class Node:
         self._upload = None
         self._received.clear()
         self._host_at = None
-        self.state = NmtState.PRE_OPERATIONAL
+        self.state = cia301.NmtState.PRE_OPERATIONAL
         self._beat_at = now
         self.on_reset()
-        return [cia301.heartbeat(self.number, NmtState.BOOT)]
+        return [cia301.heartbeat(self.number, cia301.NmtState.BOOT)]
 
     def step(self, now: float) -> list[CanFrame]:
         """Let time pass; return the heartbeat when it is due."""
@@ -162,13 +149,16 @@ class Node:
         watched = self.get(0x1016, 1)
         if frame.id == cia301.HEARTBEAT + (watched >> 16 & 0x7F) and watched & 0xFFFF:
             self._host_at = now
-        if frame.id == SDO_REQUEST + self.number and self.state is not NmtState.STOPPED:
+        if (
+            frame.id == cia301.SDO_REQUEST + self.number
+            and self.state is not cia301.NmtState.STOPPED
+        ):
             try:
-                answer = self._serve(Sdo.from_bytes(frame.data), frame.data)
-            except CanopenFrameError:
+                answer = self._serve(cia301.Sdo.from_bytes(frame.data), frame.data)
+            except cia301.CanopenFrameError:
                 return []
-            return [CanFrame(SDO_ANSWER + self.number, answer)]
-        if self.state is NmtState.OPERATIONAL:
+            return [CanFrame(cia301.SDO_ANSWER + self.number, answer)]
+        if self.state is cia301.NmtState.OPERATIONAL:
             self._receive(frame)
         return []
 
@@ -176,49 +166,51 @@ class Node:
         if data[1] not in (0, self.number):
             return []
         match data[0]:
-            case NmtCommand.START:
-                self.state = NmtState.OPERATIONAL
-            case NmtCommand.STOP:
-                self.state = NmtState.STOPPED
-            case NmtCommand.PRE_OPERATIONAL:
-                self.state = NmtState.PRE_OPERATIONAL
-            case NmtCommand.RESET_NODE | NmtCommand.RESET_COMMUNICATION:
+            case cia301.NmtCommand.START:
+                self.state = cia301.NmtState.OPERATIONAL
+            case cia301.NmtCommand.STOP:
+                self.state = cia301.NmtState.STOPPED
+            case cia301.NmtCommand.PRE_OPERATIONAL:
+                self.state = cia301.NmtState.PRE_OPERATIONAL
+            case cia301.NmtCommand.RESET_NODE | cia301.NmtCommand.RESET_COMMUNICATION:
                 return self.start(now)
         return []
 
     # --- SDO -----------------------------------------------------------------------------------
 
-    def _serve(self, request: Sdo, raw: bytes) -> bytes:
+    def _serve(self, request: cia301.Sdo, raw: bytes) -> bytes:
         key = (request.index, request.subindex)
         kind = request.command >> cia301.SPECIFIER
-        if kind == Specifier.UPLOAD_SEGMENT:
+        if kind == cia301.Specifier.UPLOAD_SEGMENT:
             return self._next_segment(request)
-        if kind == Specifier.ABORT:
+        if kind == cia301.Specifier.ABORT:
             self._upload = None
-            return Sdo.aborted(*key, Abort.GENERAL).to_bytes()
+            return cia301.Sdo.aborted(*key, cia301.Abort.GENERAL).to_bytes()
         entry = self.objects.get(key)
         if entry is None:
             known = any(index == request.index for index, _ in self.objects)
-            return Sdo.aborted(*key, Abort.NO_SUBINDEX if known else Abort.NO_OBJECT).to_bytes()
-        if kind == Specifier.UPLOAD:
+            return cia301.Sdo.aborted(
+                *key, cia301.Abort.NO_SUBINDEX if known else cia301.Abort.NO_OBJECT
+            ).to_bytes()
+        if kind == cia301.Specifier.UPLOAD:
             return self._read(key, entry)
-        if kind == Specifier.DOWNLOAD:
+        if kind == cia301.Specifier.DOWNLOAD:
             return self._write(key, entry, request)
-        return Sdo.aborted(*key, Abort.COMMAND).to_bytes()
+        return cia301.Sdo.aborted(*key, cia301.Abort.COMMAND).to_bytes()
 
     def _read(self, key: tuple[int, int], entry: Entry) -> bytes:
         if 0 < len(entry.value) <= 4:
-            return Sdo.uploaded(*key, entry.value).to_bytes()
+            return cia301.Sdo.uploaded(*key, entry.value).to_bytes()
         self._upload = _Upload(entry.value)
-        return Sdo(0x41, *key, struct.pack("<I", len(entry.value))).to_bytes()
+        return cia301.Sdo(0x41, *key, struct.pack("<I", len(entry.value))).to_bytes()
 
-    def _next_segment(self, request: Sdo) -> bytes:
+    def _next_segment(self, request: cia301.Sdo) -> bytes:
         upload = self._upload
         if upload is None:
-            return Sdo.aborted(0, 0, Abort.COMMAND).to_bytes()
+            return cia301.Sdo.aborted(0, 0, cia301.Abort.COMMAND).to_bytes()
         if request.command >> 4 & 0x1 != upload.toggle:
             self._upload = None
-            return Sdo.aborted(0, 0, Abort.TOGGLE).to_bytes()
+            return cia301.Sdo.aborted(0, 0, cia301.Abort.TOGGLE).to_bytes()
         piece, upload.data = upload.data[:7], upload.data[7:]
         last = not upload.data
         command = upload.toggle << 4 | (7 - len(piece)) << 1 | last
@@ -227,27 +219,27 @@ class Node:
             self._upload = None
         return bytes([command]) + piece.ljust(7, b"\x00")
 
-    def _write(self, key: tuple[int, int], entry: Entry, request: Sdo) -> bytes:
+    def _write(self, key: tuple[int, int], entry: Entry, request: cia301.Sdo) -> bytes:
         if not entry.writable:
-            return Sdo.aborted(*key, Abort.READ_ONLY).to_bytes()
+            return cia301.Sdo.aborted(*key, cia301.Abort.READ_ONLY).to_bytes()
         if not request.command & 0x2:
-            return Sdo.aborted(*key, Abort.UNSUPPORTED).to_bytes()
+            return cia301.Sdo.aborted(*key, cia301.Abort.UNSUPPORTED).to_bytes()
         if request.size != len(entry.value):
-            return Sdo.aborted(*key, Abort.LENGTH).to_bytes()
+            return cia301.Sdo.aborted(*key, cia301.Abort.LENGTH).to_bytes()
         before, entry.value = entry.value, request.data[: request.size]
         if entry.changed is not None:
             refused = entry.changed(int.from_bytes(entry.value, "little"))
             if refused is not None:
                 entry.value = before
-                return Sdo.aborted(*key, refused).to_bytes()
-        return Sdo.downloaded(*key).to_bytes()
+                return cia301.Sdo.aborted(*key, refused).to_bytes()
+        return cia301.Sdo.downloaded(*key).to_bytes()
 
     # --- PDO -----------------------------------------------------------------------------------
 
     def _receive(self, frame: CanFrame) -> None:
         for n in range(_COUNT):
             cob = self.get(_RECEIVE + n, 1)
-            if not cob & DISABLED and cob & 0x7FF == frame.id:
+            if not cob & cia301.DISABLED and cob & 0x7FF == frame.id:
                 if self.get(_RECEIVE + n, 2) <= _SYNCHRONOUS:
                     self._received[n] = frame.data
                 else:
@@ -255,7 +247,7 @@ class Node:
 
     def sync(self) -> None:
         """Apply the synchronous receive PDOs."""
-        if self.state is NmtState.OPERATIONAL:
+        if self.state is cia301.NmtState.OPERATIONAL:
             for n, data in sorted(self._received.items()):
                 self._unpack(n, data)
         self._received.clear()
@@ -277,13 +269,13 @@ class Node:
 
     def transmit(self) -> list[CanFrame]:
         """Return the synchronous transmit PDOs that follow a SYNC."""
-        if self.state is not NmtState.OPERATIONAL or self.inhibited:
+        if self.state is not cia301.NmtState.OPERATIONAL or self.inhibited:
             return []
         frames = []
         for n in range(_COUNT):
             cob = self.get(_TRANSMIT + n, 1)
             count = self.get(_TRANSMIT + _MAP + n, 0)
-            if cob & DISABLED or not count or self.get(_TRANSMIT + n, 2) > _SYNCHRONOUS:
+            if cob & cia301.DISABLED or not count or self.get(_TRANSMIT + n, 2) > _SYNCHRONOUS:
                 continue
             data = b""
             for slot in range(1, count + 1):

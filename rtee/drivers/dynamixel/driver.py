@@ -18,15 +18,6 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
-from rtee.drivers.dynamixel.table import (
-    BAUD_RATES,
-    MODELS,
-    MOST_GAIN,
-    PULSES,
-    Mode,
-    Register,
-    model_of,
-)
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
 from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
@@ -47,7 +38,7 @@ class DynamixelServo(ServoOptions, frozen=True, kw_only=True):
     """
 
     id: Annotated[int, Meta(ge=0, le=252)]
-    zero: Annotated[float, Meta(ge=0, lt=PULSES)] | None = None
+    zero: Annotated[float, Meta(ge=0, lt=table.PULSES)] | None = None
     drive_mode: int = 0
     current: Positive | None = None
     current_unit: Positive | None = None
@@ -79,7 +70,7 @@ class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         """Check that the options fit each other."""
-        check_line(self, self.servos, BAUD_RATES, MOST_GAIN)
+        check_line(self, self.servos, table.BAUD_RATES, table.MOST_GAIN)
 
 
 WATCHDOG_TRIPPED = 0x101
@@ -142,9 +133,9 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             for s in servos.values()
         ]
         super().__init__(spec, buses, options, servos, scales)
-        self._mode = Mode[options.mode.upper()]
+        self._mode = table.Mode[options.mode.upper()]
         self._health: FloatArray = np.full((2, len(scales)), math.nan)
-        self._sent: dict[Register, dict[int, int]] = {}
+        self._sent: dict[table.Register, dict[int, int]] = {}
         self._limits_sent: tuple[list[int], list[float], list[float]] | None = None
         self.capabilities = replace(
             self.capabilities,
@@ -176,10 +167,10 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     # --- set-up ------------------------------------------------------------------------------
 
     def _model(self, number: int | None) -> str:
-        return "unknown" if number is None else model_of(number).name
+        return "unknown" if number is None else table.model_of(number).name
 
     def _check_model(self, name: str, servo: ServoOptions, model: int) -> None:
-        if servo.model is None and model not in MODELS:
+        if servo.model is None and model not in table.MODELS:
             raise HandshakeError(
                 self.spec.name,
                 f"an X-series servo as {servo.id} ({name})",
@@ -188,11 +179,11 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             )
 
     def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
-        def get(register: Register) -> int:
+        def get(register: table.Register) -> int:
             return register.unpack(stored[register.address :])
 
         # Only in this mode does a servo refuse goals beyond its limits.
-        limited = self._mode is Mode.POSITION
+        limited = self._mode is table.Mode.POSITION
         return Found(
             number,
             get(table.MODEL),
@@ -219,7 +210,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
         # In a group read the servos answer one after the other, so their delays add up.
         self.connection.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
-        model = model_of(found.model)
+        model = table.model_of(found.model)
         given = self.options.servos[self.names[servo.id]].current_unit
         scale.current_unit = given or model.current_unit
         per_ampere = servo.torque_per_ampere or model.torque_per_ampere
@@ -246,7 +237,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         self._check_places(readings)
 
     def _check_range(self, number: int, ends: Sequence[float]) -> None:
-        if self._mode is Mode.POSITION and not all(0 <= end < PULSES for end in ends):
+        if self._mode is table.Mode.POSITION and not all(0 <= end < table.PULSES for end in ends):
             raise ConfigError(
                 f"device '{self.spec.name}': the range of '{self.names[number]}' crosses the turn "
                 "of its servo; use mode 'extended_position' or 'current_based_position'"
@@ -258,7 +249,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     def _refuses_effort(self) -> str:
         known = all(math.isfinite(scale.limit_unit) for scale in self.scales)
-        if known and self._mode is Mode.CURRENT_BASED_POSITION:
+        if known and self._mode is table.Mode.CURRENT_BASED_POSITION:
             return ""
         return "'mode: current_based_position' in its options takes one"
 
@@ -274,7 +265,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             if delay is not None and servo.return_delay != delay:
                 await link.run(partial(link.write, number, table.RETURN_DELAY, delay))
         await self._set_gains(off)
-        if self._mode is Mode.CURRENT_BASED_POSITION:
+        if self._mode is table.Mode.CURRENT_BASED_POSITION:
             most = {n: self._most(i) for i, n in enumerate(self.ids) if n in off}
             await self._set(table.GOAL_CURRENT, most)
 
@@ -365,9 +356,9 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         await link.run(write)
         self._limits_sent = limits
 
-    def _changed_limits(self, goals: Goals) -> dict[Register, dict[int, int]]:
+    def _changed_limits(self, goals: Goals) -> dict[table.Register, dict[int, int]]:
         """Return the current and speed limits that servos do not have yet."""
-        wanted: dict[Register, dict[int, int]] = {}
+        wanted: dict[table.Register, dict[int, int]] = {}
         if not self._refuses_effort():
             wanted[table.GOAL_CURRENT] = {
                 self.ids[i]: min(
@@ -418,4 +409,4 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             await self._refuse(await self._readings())
 
     def _zero(self, position: float) -> float:
-        return position % PULSES
+        return position % table.PULSES

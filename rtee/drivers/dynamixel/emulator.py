@@ -10,18 +10,7 @@ from typing import Any, Self
 from msgspec import field
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.dynamixel import table
-from rtee.drivers.dynamixel.codec import (
-    ALERT,
-    BROADCAST,
-    Error,
-    Hardware,
-    Instruction,
-    InstructionPacket,
-    InstructionParser,
-    StatusPacket,
-    fast_status,
-)
+from rtee.drivers.dynamixel import codec, table
 from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import read_properties
@@ -34,14 +23,14 @@ _SPAN = 4
 _ALWAYS = 2
 """Status return level at which a servo answers every instruction (address 68)."""
 _CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
-_LEVELS = {int(Instruction.PING): 0, int(Instruction.READ): 1}
+_LEVELS = {int(codec.Instruction.PING): 0, int(codec.Instruction.READ): 1}
 """Status return level from which an instruction is answered; other instructions from 2."""
 _HARDWARE = {
-    "voltage": Hardware.INPUT_VOLTAGE,
-    "overheating": Hardware.OVERHEATING,
-    "encoder": Hardware.ENCODER,
-    "shock": Hardware.ELECTRICAL_SHOCK,
-    "overload": Hardware.OVERLOAD,
+    "voltage": codec.Hardware.INPUT_VOLTAGE,
+    "overheating": codec.Hardware.OVERHEATING,
+    "encoder": codec.Hardware.ENCODER,
+    "shock": codec.Hardware.ELECTRICAL_SHOCK,
+    "overload": codec.Hardware.OVERLOAD,
 }
 
 
@@ -79,7 +68,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
 
     def __init__(self, properties: LineProperties | None = None) -> None:
         made = self.properties = properties or LineProperties()
-        self._parser = InstructionParser()
+        self._parser = codec.InstructionParser()
         super().__init__(
             [Servo(i, made.special.get(i, made.servo)) for i in made.ids], self._parser
         )
@@ -119,7 +108,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
     def clear(self, fault: str | None = None) -> None:
         """Remove a fault; hardware errors stay latched until a reboot."""
         super().clear(fault)
-        self.ordered[0].cause = Hardware(0)
+        self.ordered[0].cause = codec.Hardware(0)
 
     def on_faults(self) -> None:
         """Block the servos while they are stuck, and set their model numbers."""
@@ -170,36 +159,40 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             for servo in self._listening([number], now):
                 level = servo.get(table.STATUS_RETURN_LEVEL)
                 if level >= _LEVELS.get(instruction, 2):
-                    answers += self._delayed([self._status(servo, Error.CRC).to_bytes()], [number])
+                    answers += self._delayed(
+                        [self._status(servo, codec.Error.CRC).to_bytes()], [number]
+                    )
         return answers
 
     def _listening(self, numbers: Iterable[int], now: float) -> list[Servo]:
         """Return the servos of these ids that can answer, in this order."""
         return [servo for servo in self.listening(numbers, now) if not servo.unplugged]
 
-    def _answers(self, packet: InstructionPacket, now: float) -> list[bytes]:
+    def _answers(self, packet: codec.InstructionPacket, now: float) -> list[bytes]:
         params = packet.params
         match packet.instruction:
-            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(params) >= _SPAN:
+            case codec.Instruction.SYNC_READ | codec.Instruction.FAST_SYNC_READ if (
+                len(params) >= _SPAN
+            ):
                 address, length = struct.unpack_from("<HH", params)
                 wanted = [(n, address, length) for n in params[_SPAN:]]
-                fast = packet.instruction == Instruction.FAST_SYNC_READ
+                fast = packet.instruction == codec.Instruction.FAST_SYNC_READ
                 return self._read_many(wanted, fast, now)
-            case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
+            case codec.Instruction.BULK_READ | codec.Instruction.FAST_BULK_READ:
                 # A request cut off on the way may end within an entry.
                 wanted = list(struct.iter_unpack("<BHH", params[: len(params) // 5 * 5]))
-                fast = packet.instruction == Instruction.FAST_BULK_READ
+                fast = packet.instruction == codec.Instruction.FAST_BULK_READ
                 return self._read_many(wanted, fast, now)
-            case Instruction.SYNC_WRITE if len(params) >= _SPAN:
+            case codec.Instruction.SYNC_WRITE if len(params) >= _SPAN:
                 address, length = struct.unpack_from("<HH", params)
                 for at in range(_SPAN, len(params) - length, length + 1):
                     for servo in self._listening([params[at]], now):
                         servo.write(address, params[at + 1 : at + 1 + length])
                 return []
-            case Instruction.BULK_WRITE:
+            case codec.Instruction.BULK_WRITE:
                 self._bulk_write(params, now)
                 return []
-        everybody = packet.device == BROADCAST
+        everybody = packet.device == codec.BROADCAST
         numbers = sorted(self.servos) if everybody else [packet.device]
         answers = []
         for servo in self._listening(numbers, now):
@@ -209,7 +202,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 # Under the id at which it was asked, even where the packet has changed that.
                 answers.append(replace(answer, device=number).to_bytes())
         # All servos carry out a broadcast, but none answers it, except for a ping.
-        if everybody and packet.instruction != Instruction.PING:
+        if everybody and packet.instruction != codec.Instruction.PING:
             return []
         return self._delayed(answers, numbers)
 
@@ -221,47 +214,49 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 servo.write(address, params[at + 5 : at + 5 + length])
             at += 5 + length
 
-    def _status(self, servo: Servo, error: int, params: bytes = b"") -> StatusPacket:
-        return StatusPacket(servo.number, error | (ALERT if servo.alert else 0), params)
+    def _status(self, servo: Servo, error: int, params: bytes = b"") -> codec.StatusPacket:
+        return codec.StatusPacket(servo.number, error | (codec.ALERT if servo.alert else 0), params)
 
-    def _single(self, servo: Servo, packet: InstructionPacket, now: float) -> StatusPacket | None:
+    def _single(
+        self, servo: Servo, packet: codec.InstructionPacket, now: float
+    ) -> codec.StatusPacket | None:
         params = packet.params
         level = servo.get(table.STATUS_RETURN_LEVEL)
         match packet.instruction:
-            case Instruction.PING:
+            case codec.Instruction.PING:
                 reply = servo.read(0, 7) or bytes(7)
                 return self._status(servo, 0, reply[0:2] + reply[6:7])
-            case Instruction.READ if len(params) < _SPAN:
-                error = Error.DATA_LENGTH
-            case Instruction.WRITE | Instruction.REG_WRITE if len(params) < 3:
-                error = Error.DATA_LENGTH
-            case Instruction.READ:
+            case codec.Instruction.READ if len(params) < _SPAN:
+                error = codec.Error.DATA_LENGTH
+            case codec.Instruction.WRITE | codec.Instruction.REG_WRITE if len(params) < 3:
+                error = codec.Error.DATA_LENGTH
+            case codec.Instruction.READ:
                 address, length = struct.unpack_from("<HH", params)
                 data = servo.read(address, length)
-                error = Error.NONE if data is not None else Error.DATA_RANGE
+                error = codec.Error.NONE if data is not None else codec.Error.DATA_RANGE
                 return self._status(servo, error, data or b"") if level >= 1 else None
-            case Instruction.WRITE:
+            case codec.Instruction.WRITE:
                 error = servo.write(params[0] | params[1] << 8, params[2:])
-            case Instruction.REG_WRITE:
+            case codec.Instruction.REG_WRITE:
                 servo.hold_back(params[0] | params[1] << 8, params[2:])
-                error = Error.NONE
-            case Instruction.ACTION:
+                error = codec.Error.NONE
+            case codec.Instruction.ACTION:
                 servo.action()
-                error = Error.NONE
-            case Instruction.REBOOT:
+                error = codec.Error.NONE
+            case codec.Instruction.REBOOT:
                 # It answers before the reboot, after which it is silent for a while.
                 answer = self._status(servo, 0)
                 servo.reboot(now)
                 return answer if level >= _ALWAYS else None
-            case Instruction.FACTORY_RESET if len(params) == 1:
+            case codec.Instruction.FACTORY_RESET if len(params) == 1:
                 answer = self._status(servo, 0)
                 servo.factory_reset(now, params[0])
                 return answer if level >= _ALWAYS else None
-            case Instruction.CLEAR if params == _CLEAR_TURNS:
+            case codec.Instruction.CLEAR if params == _CLEAR_TURNS:
                 servo.clear_turns()
-                error = Error.NONE
+                error = codec.Error.NONE
             case _:
-                error = Error.INSTRUCTION
+                error = codec.Error.INSTRUCTION
         return self._status(servo, error) if level >= _ALWAYS else None
 
     def _read_many(self, wanted: list[tuple[int, int, int]], fast: bool, now: float) -> list[bytes]:
@@ -272,12 +267,12 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             if not found:
                 break
             data = found[0].read(address, length)
-            error = Error.NONE if data is not None else Error.DATA_RANGE
+            error = codec.Error.NONE if data is not None else codec.Error.DATA_RANGE
             answers.append(self._status(found[0], error, data or bytes(length)))
         if fast:
             if not self.properties.fast or not answers:
                 return []
-            packet = fast_status(answers, [length for _, _, length in wanted])
+            packet = codec.fast_status(answers, [length for _, _, length in wanted])
             return self._delayed([packet], [n for n, _, _ in wanted])
         return self._delayed([a.to_bytes() for a in answers], [n for n, _, _ in wanted])
 

@@ -7,15 +7,7 @@ from collections.abc import Collection, Mapping
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers.deadlines import RelaxedDeadline
-from rtee.drivers.feetech.codec import (
-    OVERHEAD,
-    Frame,
-    GroupParser,
-    Instruction,
-    ReplyParser,
-    sync_read,
-    sync_write,
-)
+from rtee.drivers.feetech import codec
 from rtee.drivers.feetech.table import MODEL, Family, Register
 from rtee.errors import BusTimeout, FrameError
 
@@ -60,34 +52,34 @@ class FeetechLink(RelaxedDeadline):
         self._family = family
         self.deadline = deadline
         self._retries = retries
-        self._parser = ReplyParser()
-        self._groups: dict[tuple[frozenset[int], int], GroupParser] = {}
+        self._parser = codec.ReplyParser()
+        self._groups: dict[tuple[frozenset[int], int], codec.GroupParser] = {}
 
     def read_time(self, size: int, count: int = 1) -> float:
         """Return the time to read ``size`` bytes of each of ``count`` servos in one request [s]."""
-        request = OVERHEAD + 2 + (count if count > 1 else 0)
-        answers = count * (OVERHEAD + size)
+        request = codec.OVERHEAD + 2 + (count if count > 1 else 0)
+        answers = count * (codec.OVERHEAD + size)
         once = wire_time(request + answers, self._bus.line.baudrate) + self.turnaround
         return once + count * self.delay
 
     def write_time(self, size: int, count: int) -> float:
         """Return the time to write ``size`` bytes to each of ``count`` servos [s]."""
-        return wire_time(OVERHEAD + 2 + count * (size + 1), self._bus.line.baudrate)
+        return wire_time(codec.OVERHEAD + 2 + count * (size + 1), self._bus.line.baudrate)
 
     def _longest(self, size: int, count: int = 1) -> float:
         # Every attempt may need its full time on the line.
         return self.deadline + (self._retries + 1) * self.read_time(size, count)
 
-    async def read(self, number: int, address: int, size: int) -> Frame:
+    async def read(self, number: int, address: int, size: int) -> codec.Frame:
         """Return a servo's answer with ``size`` bytes of its registers; raises `BusError`."""
-        request = Frame(number, Instruction.READ, bytes([address, size])).to_bytes()
+        request = codec.Frame(number, codec.Instruction.READ, bytes([address, size])).to_bytes()
 
-        def answers(reply: Frame) -> bool:
+        def answers(reply: codec.Frame) -> bool:
             # An adapter with an echo returns the request, which has the form of an answer.
             mine = reply.device == number and len(reply.params) == size
             return mine and reply.to_bytes() != request
 
-        found: Frame = await self._bus.transact(
+        found: codec.Frame = await self._bus.transact(
             request,
             self._parser,
             self._longest(size),
@@ -101,7 +93,9 @@ class FeetechLink(RelaxedDeadline):
         """Return ``size`` bytes of a servo's registers; raises `BusError`."""
         return (await self.read(number, address, size)).params
 
-    async def read_all(self, address: int, size: int, ids: Collection[int]) -> Mapping[int, Frame]:
+    async def read_all(
+        self, address: int, size: int, ids: Collection[int]
+    ) -> Mapping[int, codec.Frame]:
         """Return the answers of servos with ``size`` bytes of registers, by id; raises `BusError`.
 
         One request for all, which not every family answers, only where servos are read `together`.
@@ -109,9 +103,9 @@ class FeetechLink(RelaxedDeadline):
         if not self.together or len(ids) <= 1:
             return {number: await self.read(number, address, size) for number in ids}
         key = frozenset(ids), size
-        parser = self._groups.setdefault(key, GroupParser(ids, size))
-        found: dict[int, Frame] = await self._bus.transact(
-            sync_read(address, size, ids),
+        parser = self._groups.setdefault(key, codec.GroupParser(ids, size))
+        found: dict[int, codec.Frame] = await self._bus.transact(
+            codec.sync_read(address, size, ids),
             parser,
             self._longest(size, len(ids)),
             self._retries,
@@ -137,7 +131,7 @@ class FeetechLink(RelaxedDeadline):
 
     async def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
         """Set registers of several servos at once, by id, without answers; raises `BusError`."""
-        for request in sync_write(address, data):
+        for request in codec.sync_write(address, data):
             await self._bus.send(request)
 
     async def set_all(

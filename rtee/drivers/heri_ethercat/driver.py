@@ -20,21 +20,6 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.heri_ethercat import codec
-from rtee.drivers.heri_ethercat.codec import (
-    ACKNOWLEDGE_OBJECT,
-    COMMAND_OBJECT,
-    FIRMWARE_OBJECT,
-    LEAST_TORQUE,
-    MOTORS,
-    PHALANXES,
-    TORQUE_PER_AMPERE,
-    WARNINGS,
-    Command,
-    Fault,
-    HeriFrameError,
-    Order,
-    Reply,
-)
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.wiring import numbers_of
 from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, RteeError
@@ -81,11 +66,11 @@ class HeriEthercatOptions(DeviceOptions, frozen=True):
     """
 
     interface: str = "eth0"
-    motors: dict[str, Annotated[int, Meta(ge=0, lt=4 * MOTORS)]] = field(default_factory=dict)
+    motors: dict[str, Annotated[int, Meta(ge=0, lt=4 * codec.MOTORS)]] = field(default_factory=dict)
     vendor: int | None = None
     product: int | None = None
     gains: tuple[Raw, Raw, Raw, Raw, Raw] = (0, 0, 0, 0, 0)
-    torque_per_ampere: Positive = TORQUE_PER_AMPERE
+    torque_per_ampere: Positive = codec.TORQUE_PER_AMPERE
     limit_torque: bool = True
     watchdog: Annotated[float, Meta(ge=0.0, le=6.5)] = 0.25
     deadline: Positive = 0.02
@@ -105,11 +90,11 @@ class HeriEthercatDriver(Driver):
         super().__init__(spec, buses)
         self.options = read_options(HeriEthercatOptions, spec)
         self._motors = _motors_of(spec, self.options)
-        self._boards = max(self._motors) // MOTORS + 1
+        self._boards = max(self._motors) // codec.MOTORS + 1
         self.connection: Connection[EthercatBus] = Connection(spec)
-        self._references = [0.0] * (self._boards * MOTORS)
-        self._limits = [math.inf] * (self._boards * MOTORS)
-        self._replies: list[Reply] = []
+        self._references = [0.0] * (self._boards * codec.MOTORS)
+        self._limits = [math.inf] * (self._boards * codec.MOTORS)
+        self._replies: list[codec.Reply] = []
         self._echoes: list[int] = []
         self._echoing: set[int] = set()
         self._stamp = self._returned = 0.0
@@ -173,8 +158,8 @@ class HeriEthercatDriver(Driver):
         # 16 bits of microseconds wrap after 65 ms, which is many exchanges.
         stamp = int(monotonic.now() * 1e6) & 0xFFFF
         outputs = [
-            Command(
-                (self._references[MOTORS * b], self._references[MOTORS * b + 1]),
+            codec.Command(
+                (self._references[codec.MOTORS * b], self._references[codec.MOTORS * b + 1]),
                 torque=self._torque(b),
                 gains=self.options.gains,
                 acknowledge=self._acknowledge,
@@ -186,8 +171,8 @@ class HeriEthercatDriver(Driver):
         deadline = self.options.deadline if self._powered else _PATIENCE
         inputs = await self.connection.link.exchange(outputs, deadline)
         try:
-            self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
-        except HeriFrameError as error:
+            self._replies = [codec.Reply.from_bytes(data) for data in inputs[: self._boards]]
+        except codec.HeriFrameError as error:
             raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
         if self._are_new():
             self._stamp = monotonic.now()
@@ -209,9 +194,9 @@ class HeriEthercatDriver(Driver):
 
     def _torque(self, board: int) -> float:
         """Return a board's torque reference [N·m]: the smaller limit of its motors; 0: none."""
-        limit = min(self._limits[MOTORS * board : MOTORS * (board + 1)])
+        limit = min(self._limits[codec.MOTORS * board : codec.MOTORS * (board + 1)])
         # A limit too small for the wire must not become 0, which means none.
-        return max(limit, LEAST_TORQUE) if math.isfinite(limit) else 0.0
+        return max(limit, codec.LEAST_TORQUE) if math.isfinite(limit) else 0.0
 
     def _seed(self) -> None:
         self._references = [q for reply in self._replies for q in reply.positions]
@@ -222,11 +207,16 @@ class HeriEthercatDriver(Driver):
         self._seed()
         # Powered in direct mode, which has no reference; then position control, which begins at the
         # positions just measured.
-        for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
+        for code in (
+            codec.Order.POWER_OFF,
+            codec.Order.DIRECT,
+            codec.Order.POWER_ON,
+            codec.Order.POSITION,
+        ):
             for position in range(self._boards):
                 await self._order(position, code)
             # Faults from before are cleared before position control holds anything.
-            if code is Order.POWER_ON:
+            if code is codec.Order.POWER_ON:
                 await self._clear_faults()
         self._powered = True
 
@@ -243,22 +233,24 @@ class HeriEthercatDriver(Driver):
         except BusTimeout:
             await self._operate()
 
-    async def _order(self, position: int, code: Order) -> None:
+    async def _order(self, position: int, code: codec.Order) -> None:
         """Command a board's controller and wait for the acknowledgement, with frames going on.
 
         Raises `DeviceFault` if it refuses or does not answer, and `BusError`.
         """
         bus = self.connection.link
-        await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
+        await bus.run(
+            lambda ring: ring.write(position, *codec.COMMAND_OBJECT, codec.order(code)), 1.0
+        )
         end = monotonic.now() + _ACKNOWLEDGED
         done: bool | None = None
         # Without frames, the board's watchdog would take it out of operation meanwhile.
         while done is None and monotonic.now() < end:
             await self._exchange()
-            raw = await bus.run(lambda ring: ring.read(position, *ACKNOWLEDGE_OBJECT), 1.0)
+            raw = await bus.run(lambda ring: ring.read(position, *codec.ACKNOWLEDGE_OBJECT), 1.0)
             try:
                 done = codec.acknowledged(raw, code)
-            except HeriFrameError as error:
+            except codec.HeriFrameError as error:
                 raise FrameError(bus.name, str(error), raw) from error
             if done is None:
                 await asyncio.sleep(_POLL)
@@ -292,7 +284,7 @@ class HeriEthercatDriver(Driver):
         self._powered = False
         if self.connection.is_open:
             for position in range(self._boards):
-                await self._order(position, Order.POWER_OFF)
+                await self._order(position, codec.Order.POWER_OFF)
 
     async def close(self) -> None:
         """Leave the network; without a master the boards do not hold."""
@@ -309,12 +301,12 @@ class HeriEthercatDriver(Driver):
         self._fresh = False
         if self._powered:
             self._refuse()
-        replies = [self._replies[m // MOTORS] for m in self._motors]
-        sides = [m % MOTORS for m in self._motors]
+        replies = [self._replies[m // codec.MOTORS] for m in self._motors]
+        sides = [m % codec.MOTORS for m in self._motors]
         current = np.array([r.currents[s] for r, s in zip(replies, sides, strict=True)])
         pressure = np.array(
             [
-                r.pressures[PHALANXES * s : PHALANXES * (s + 1)]
+                r.pressures[codec.PHALANXES * s : codec.PHALANXES * (s + 1)]
                 for r, s in zip(replies, sides, strict=True)
             ],
             dtype=np.float64,
@@ -330,7 +322,7 @@ class HeriEthercatDriver(Driver):
             warnings=tuple(
                 f"board {b} limits its current because it is hot"
                 for b, reply in enumerate(self._replies)
-                if Fault(reply.fault & codec.ACKNOWLEDGE) & WARNINGS
+                if codec.Fault(reply.fault & codec.ACKNOWLEDGE) & codec.WARNINGS
             ),
         )
         return state if fresh else replace(state, fresh=False)
@@ -354,7 +346,7 @@ class HeriEthercatDriver(Driver):
             if fault:
                 raise self._fault(position, fault)
 
-    def _fault(self, position: int, fault: Fault) -> DeviceFault:
+    def _fault(self, position: int, fault: codec.Fault) -> DeviceFault:
         return DeviceFault(
             self.spec.name,
             int(fault),
@@ -414,7 +406,7 @@ async def _firmware(bus: EthercatBus, boards: int) -> str:
 
 def _firmware_of(position: int, ring: Ring) -> str:
     try:
-        return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
+        return ring.read(position, *codec.FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
     except OSError:
         return "unknown"
 

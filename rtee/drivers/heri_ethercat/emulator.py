@@ -16,24 +16,11 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, SlaveState
 from rtee.drivers.axis import Axis
 from rtee.drivers.heri_ethercat import codec
-from rtee.drivers.heri_ethercat.codec import (
-    ACKNOWLEDGE_OBJECT,
-    COMMAND_OBJECT,
-    FIRMWARE_OBJECT,
-    MOTORS,
-    ORDER_SIZE,
-    TORQUE_PER_AMPERE,
-    Command,
-    Fault,
-    HeriFrameError,
-    Order,
-    Reply,
-)
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Positive, read_properties
 from rtee.hand.validation import Section
 
-_FAULTS = {"hardware": Fault.HARDWARE, "encoder": Fault.ENCODER_1}
+_FAULTS = {"hardware": codec.Fault.HARDWARE, "encoder": codec.Fault.ENCODER_1}
 """Faults of the first board that cut its power."""
 
 
@@ -61,7 +48,7 @@ class BoardProperties(Section, frozen=True):
     start: float = 0.3
     speed: Positive = 3.0
     current: Positive = 1.0
-    torque_per_ampere: Positive = TORQUE_PER_AMPERE
+    torque_per_ampere: Positive = codec.TORQUE_PER_AMPERE
     pressure: float = 2000.0
     lower: float = -0.05
     upper: float = 2.6
@@ -79,7 +66,7 @@ class _Board:
                 friction=0.05 * made.current,
                 resolution=1e-4,
             )
-            for _ in range(MOTORS)
+            for _ in range(codec.MOTORS)
         ]
         self.power = False
         self.mode = 0
@@ -90,21 +77,21 @@ class _Board:
         self.sent = b""
 
     def obey(self, code: int) -> bool:
-        if code == Order.POWER_ON:
+        if code == codec.Order.POWER_ON:
             # A board with a fault refuses power until the fault is acknowledged.
             self.power = not self.fault
-        elif code == Order.POWER_OFF:
+        elif code == codec.Order.POWER_OFF:
             self.power = False
-        elif code in (Order.DIRECT, Order.POSITION):
+        elif code in (codec.Order.DIRECT, codec.Order.POSITION):
             self.mode = code
         else:
             return False
         self.drive()
-        return code != Order.POWER_ON or self.power
+        return code != codec.Order.POWER_ON or self.power
 
     def drive(self) -> None:
         for motor in self.motors:
-            motor.enabled = self.power and self.mode == Order.POSITION
+            motor.enabled = self.power and self.mode == codec.Order.POSITION
 
     def fail(self, fault: int) -> None:
         self.fault |= fault
@@ -151,7 +138,7 @@ class HeriEmulator(Emulator, Grasps):
         if fault in _FAULTS:
             self.boards[0].fail(_FAULTS[fault])
         elif fault == "hot":
-            self.boards[0].fault |= Fault.CURRENT_LIMITED
+            self.boards[0].fault |= codec.Fault.CURRENT_LIMITED
 
     def motors(self) -> Sequence[Axis]:
         """Return its motors."""
@@ -207,8 +194,8 @@ class HeriEmulator(Emulator, Grasps):
 
     def _take(self, board: _Board, data: bytes, now: float) -> None:
         try:
-            command = Command.from_bytes(data)
-        except HeriFrameError:
+            command = codec.Command.from_bytes(data)
+        except codec.HeriFrameError:
             return
         if self.state is SlaveState.OPERATIONAL:
             board.stamp = command.stamp
@@ -226,10 +213,10 @@ class HeriEmulator(Emulator, Grasps):
         for motor in board.motors:
             motor.step(now)
 
-    def _reply(self, board: _Board) -> Reply:
-        board.beat ^= Fault.ALIVE
+    def _reply(self, board: _Board) -> codec.Reply:
+        board.beat ^= codec.Fault.ALIVE
         first, second = board.motors
-        return Reply(
+        return codec.Reply(
             (first.measured, second.measured),
             (first.velocity, second.velocity),
             (*self._pressures(first), *self._pressures(second)),
@@ -248,15 +235,15 @@ class HeriEmulator(Emulator, Grasps):
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
         """Return an object."""
-        if (index, subindex) == ACKNOWLEDGE_OBJECT:
+        if (index, subindex) == codec.ACKNOWLEDGE_OBJECT:
             return self.boards[position].acknowledgement
-        if (index, subindex) == FIRMWARE_OBJECT:
+        if (index, subindex) == codec.FIRMWARE_OBJECT:
             return self.properties.firmware.encode("ascii")
         return None
 
     def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
         """Write an object."""
-        if (index, subindex) != COMMAND_OBJECT or len(data) != ORDER_SIZE:
+        if (index, subindex) != codec.COMMAND_OBJECT or len(data) != codec.ORDER_SIZE:
             return False
         board = self.boards[position]
         code = data[0] | data[1] << 8

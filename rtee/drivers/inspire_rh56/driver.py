@@ -20,25 +20,8 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.calibration import ForceZeros, calibrate, read_zeros
-from rtee.drivers.inspire_rh56.codec import (
-    BLOCK,
-    COUNT,
-    ERRORS,
-    FINGERS,
-    GAP,
-    KEEP,
-    REPORT,
-    SET_POINTS,
-    WORDS,
-    Error,
-    Register,
-    Report,
-    Rh56FrameError,
-    State,
-    table,
-    words,
-)
 from rtee.drivers.inspire_rh56.link import FrameLink, ModbusLink, Rh56Link, WriteRefused
 from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of, scales_of
 from rtee.drivers.inspire_rh56.tactile import TactileReader, sensors
@@ -64,7 +47,12 @@ report."""
 _PAUSE = 0.3
 """Pause between two network connections [s], as in published clients."""
 
-_HOLDS = {State.AT_FORCE: True, State.OPENING: False, State.CLOSING: False, State.AT_TARGET: False}
+_HOLDS = {
+    codec.State.AT_FORCE: True,
+    codec.State.OPENING: False,
+    codec.State.CLOSING: False,
+    codec.State.AT_TARGET: False,
+}
 """Whether a motor in a state holds something; not known in the states of an error, nor before its
 first command."""
 
@@ -89,12 +77,12 @@ class InspireRh56Driver(Driver):
         self._scales = scales_of(spec, self.options, self._motors)
         self.connection: Connection[Rh56Link] = Connection(spec)
         self._attached = Attached(spec.actuators)
-        self._zeros = (0,) * COUNT
+        self._zeros = (0,) * codec.COUNT
         self._here: FloatArray = np.full(len(self._motors), math.nan)
         self._block = self.options.reading == "block"
         self._count = 0
         self._closed = -math.inf
-        self._angles = [KEEP] * COUNT
+        self._angles = [codec.KEEP] * codec.COUNT
         self._forces: list[int] | None = None
         self._speeds: list[int] | None = None
         areas = self.options.areas
@@ -119,7 +107,7 @@ class InspireRh56Driver(Driver):
         link = await self._open()
         # The supply may have been cut, which restores the hand's initial limits.
         self._forces = self._speeds = None
-        self._angles = [KEEP] * COUNT
+        self._angles = [codec.KEEP] * codec.COUNT
         with (
             link.relaxed_deadline(),
             self.identifying(
@@ -127,7 +115,7 @@ class InspireRh56Driver(Driver):
                 f"no RH56 answers as unit {options.unit} at {options.port}",
                 "check supply, wires, `unit`, `baudrate`, and `protocol`: some speak Modbus alone",
                 ModbusRefusal,
-                Rh56FrameError,
+                codec.Rh56FrameError,
             ),
         ):
             await self._identify(link)
@@ -180,17 +168,17 @@ class InspireRh56Driver(Driver):
         self._block = True
         try:
             await self._read(link)
-        except (BusError, Rh56FrameError):
+        except (BusError, codec.Rh56FrameError):
             if self.options.reading == "block":
                 raise
             # The bytes between the two tables have no meaning, and a hand may refuse to read them.
             self._block = False
 
     def _best_rate(self, link: Rh56Link) -> float:
-        sizes = (BLOCK,) if self._block else (WORDS, REPORT)
+        sizes = (codec.BLOCK,) if self._block else (codec.WORDS, codec.REPORT)
         turnaround = self.options.turnaround
         reading = sum(link.read_time(size, turnaround) for size in sizes)
-        once = reading + link.write_time(WORDS, turnaround)
+        once = reading + link.write_time(codec.WORDS, turnaround)
         if self._tactile is not None:
             once += link.read_time(self._tactile.largest, turnaround)
         # On a network nothing else bounds the rate; a hand takes more than a millisecond.
@@ -214,18 +202,20 @@ class InspireRh56Driver(Driver):
 
     # --- every cycle -------------------------------------------------------------------------
 
-    async def _read(self, link: Rh56Link) -> Report:
+    async def _read(self, link: Rh56Link) -> codec.Report:
         """Read the hand's measurements; raises `BusError` and `Rh56FrameError`."""
         if self._block:
-            return Report.from_bytes(await link.read(Register.ANGLE, BLOCK))
-        angles = await link.read(Register.ANGLE, WORDS)
-        return Report.from_bytes(angles + GAP + await link.read(Register.FORCE, REPORT))
+            return codec.Report.from_bytes(await link.read(codec.Register.ANGLE, codec.BLOCK))
+        angles = await link.read(codec.Register.ANGLE, codec.WORDS)
+        return codec.Report.from_bytes(
+            angles + codec.GAP + await link.read(codec.Register.FORCE, codec.REPORT)
+        )
 
-    async def _measured(self) -> Report:
+    async def _measured(self) -> codec.Report:
         """Read the hand's measurements; raises `BusError`."""
         try:
             return await self._read(self.connection.link)
-        except Rh56FrameError as error:
+        except codec.Rh56FrameError as error:
             raise FrameError(self.options.port, str(error)) from error
 
     async def sense(self) -> ActuatorState:
@@ -253,46 +243,49 @@ class InspireRh56Driver(Driver):
             touch=self._touch,
         )
 
-    def _check(self, report: Report) -> None:
+    def _check(self, report: codec.Report) -> None:
         """Raise the fault in a report, if any."""
-        faulty = {FINGERS[m]: report.errors[m] for m in self._motors if report.errors[m]}
+        faulty = {codec.FINGERS[m]: report.errors[m] for m in self._motors if report.errors[m]}
         if not faulty:
             return
         names = [
             f"{finger}: {name}"
             for finger, bits in faulty.items()
-            for bit, name in ERRORS.items()
+            for bit, name in codec.ERRORS.items()
             if bits & bit
         ]
-        together = Error(0)
+        together = codec.Error(0)
         for bits in faulty.values():
             together |= bits
         hint = "free the finger, then `rtee recover`"
-        if together & Error.TOO_HOT:
+        if together & codec.Error.TOO_HOT:
             hint = "let it cool down, then `rtee recover`; nothing else clears it"
         raise DeviceFault(self.spec.name, int(together), "; ".join(names), hint=hint)
 
     async def _read_back(self, link: Rh56Link) -> None:
         """Read the hand's set-points back; those that differ are sent again with a reference."""
         try:
-            data = await link.read(Register.ANGLE_SET, SET_POINTS)
+            data = await link.read(codec.Register.ANGLE_SET, codec.SET_POINTS)
         except ModbusRefusal:
             return  # they cannot be read from this hand and are assumed to be unchanged
-        angles, forces = words(data[:WORDS]), words(data[WORDS : 2 * WORDS])
-        self._forces, self._speeds = list(forces), list(words(data[-WORDS:]))
+        angles, forces = (
+            codec.words(data[: codec.WORDS]),
+            codec.words(data[codec.WORDS : 2 * codec.WORDS]),
+        )
+        self._forces, self._speeds = list(forces), list(codec.words(data[-codec.WORDS :]))
         pairs = zip(self._angles, angles, strict=True)
         # KEEP means unknown here, so that the next reference writes the set-point again. A hand
         # that was started anew reports the same of each motor that has no set-point yet.
-        self._angles = [sent if here == sent else KEEP for sent, here in pairs]
+        self._angles = [sent if here == sent else codec.KEEP for sent, here in pairs]
 
     async def move(self, reference: Reference) -> None:
         """Write force limits and speeds that have changed, then the angles."""
         left = self._attached.left(reference, self._here) if self._attached else ()
         most = self.options.most
         # A table sets all six motors, so motors without a reference get their present values.
-        forces = list(self._forces or (most,) * COUNT)
-        speeds = list(self._speeds or (most,) * COUNT)
-        angles = [KEEP] * COUNT
+        forces = list(self._forces or (most,) * codec.COUNT)
+        speeds = list(self._speeds or (most,) * codec.COUNT)
+        angles = [codec.KEEP] * codec.COUNT
         mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
             if not mask[i] or i in left:
@@ -300,7 +293,7 @@ class InspireRh56Driver(Driver):
             forces[motor] = scale.limit(float(reference.max_effort[i]))
             speeds[motor] = scale.speed(float(reference.max_velocity[i]))
             angles[motor] = scale.position.to_count(float(reference.position[i]))
-        if all(angle == KEEP for angle in angles):
+        if all(angle == codec.KEEP for angle in angles):
             return
         try:
             await self._set(forces, speeds, angles)
@@ -315,22 +308,24 @@ class InspireRh56Driver(Driver):
         # A set-point counts as unknown until the hand has confirmed it.
         if forces != self._forces:
             self._forces = None
-            await link.write(Register.FORCE_SET, table(forces))
+            await link.write(codec.Register.FORCE_SET, codec.table(forces))
             self._forces = list(forces)
         if speeds != self._speeds:
             self._speeds = None
-            await link.write(Register.SPEED_SET, table(speeds))
+            await link.write(codec.Register.SPEED_SET, codec.table(speeds))
             self._speeds = list(speeds)
         # Angles last, so that no motion begins with the limits of the previous one.
         changed = [
-            KEEP if new == sent else new for new, sent in zip(angles, self._angles, strict=True)
+            codec.KEEP if new == sent else new
+            for new, sent in zip(angles, self._angles, strict=True)
         ]
-        if any(angle != KEEP for angle in changed):
+        if any(angle != codec.KEEP for angle in changed):
             wanted = [
-                sent if new == KEEP else new for new, sent in zip(angles, self._angles, strict=True)
+                sent if new == codec.KEEP else new
+                for new, sent in zip(angles, self._angles, strict=True)
             ]
-            self._angles = [KEEP] * COUNT
-            await link.write(Register.ANGLE_SET, table(changed))
+            self._angles = [codec.KEEP] * codec.COUNT
+            await link.write(codec.Register.ANGLE_SET, codec.table(changed))
             self._angles = wanted
 
     async def stop(self) -> None:
@@ -350,9 +345,9 @@ class InspireRh56Driver(Driver):
     async def _hold(self, angles: Sequence[int], motors: Sequence[int]) -> None:
         """Make the angles of some motors, as measured, their set-points."""
         # The hand may refuse a count beyond the ends, and -1 would keep the old set-point.
-        here = [min(max(a, 0), 1000) if m in motors else KEEP for m, a in enumerate(angles)]
-        self._angles = [KEEP] * COUNT
-        await self.connection.link.write(Register.ANGLE_SET, table(here))
+        here = [min(max(a, 0), 1000) if m in motors else codec.KEEP for m, a in enumerate(angles)]
+        self._angles = [codec.KEEP] * codec.COUNT
+        await self.connection.link.write(codec.Register.ANGLE_SET, codec.table(here))
 
     async def recover(self) -> None:
         """Clear the errors; motors that had one hold their measured position."""
@@ -364,14 +359,14 @@ class InspireRh56Driver(Driver):
                 # No source says whether a cleared motor continues to its old set-point.
                 with contextlib.suppress(WriteRefused):
                     await self._hold(report.angles, faulty)
-                await link.write(Register.CLEAR_ERROR, b"\x01")
+                await link.write(codec.Register.CLEAR_ERROR, b"\x01")
                 report = await self._cleared()
                 self._check(report)
                 # Again, since a motor with an error may have refused it.
                 await self._hold(report.angles, faulty)
         self._attached.begin(range(len(self._motors)))
 
-    async def _cleared(self) -> Report:
+    async def _cleared(self) -> codec.Report:
         """Return the report in which the errors are gone, or the last one after `_CLEARING`."""
         end = monotonic.now() + _CLEARING
         while True:
@@ -401,7 +396,7 @@ class InspireRh56Driver(Driver):
         """
         self._check(await patiently(self._measured))
         await ready("Take everything out of the hand's reach and do not touch it: it will open.")
-        angles = [KEEP] * COUNT
+        angles = [codec.KEEP] * codec.COUNT
         for motor, scale, position in zip(self._motors, self._scales, rest.tolist(), strict=True):
             angles[motor] = scale.position.to_count(position)
         with self.connection.link.relaxed_deadline():

@@ -15,15 +15,6 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, Mod
 from rtee.buses.wear import TYPICAL, Wear
 from rtee.drivers.axis import Axis
 from rtee.drivers.inspire_rh56 import codec
-from rtee.drivers.inspire_rh56.codec import (
-    MOST_DATA,
-    OPEN,
-    REPLY,
-    Command,
-    Frame,
-    Register,
-    RequestParser,
-)
 from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import read_properties
@@ -64,7 +55,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         super().__init__(properties.unit, framing or "rtu", baudrate=baudrate)
         self.turnaround = max(self.turnaround, properties.turnaround)
         self.memory = Memory(properties)
-        self._frames = RequestParser() if framing is None else None
+        self._frames = codec.RequestParser() if framing is None else None
         self._saved: tuple[float, bytes] | None = None  # when it tells that it has saved, and how
         self._before = b"\0\0"
 
@@ -95,7 +86,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     def closings(self) -> Sequence[Closing]:
         """Return how the motors of fingers and thumb close."""
         most = float(self.memory.properties.most)
-        return [Closing(axis, float(OPEN), 0.0, most) for axis in self.memory.axes[:_ROTATOR]]
+        return [Closing(axis, float(codec.OPEN), 0.0, most) for axis in self.memory.axes[:_ROTATOR]]
 
     def power_cycle(self, now: float) -> None:
         """Restart; the fingers stay where they are."""
@@ -132,10 +123,10 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
             if frame.hand == self.memory.properties.unit:
                 answer = self._answer(frame)
                 # Nothing, or more than a frame can carry, is not answered.
-                if answer and len(answer) <= MOST_DATA:
-                    reply = Frame(frame.hand, frame.command, frame.address, answer)
-                    replies.append(reply.to_bytes(REPLY))
-                    if (frame.command, frame.address) == (Command.WRITE, Register.SAVE):
+                if answer and len(answer) <= codec.MOST_DATA:
+                    reply = codec.Frame(frame.hand, frame.command, frame.address, answer)
+                    replies.append(reply.to_bytes(codec.REPLY))
+                    if (frame.command, frame.address) == (codec.Command.WRITE, codec.Register.SAVE):
                         self._saved = now + self.memory.properties.save_time, replies[-1]
                         self.period = _POLL
         return replies
@@ -148,10 +139,10 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         (_, told), self._saved, self.period = self._saved, None, 0.0
         return [told]
 
-    def _answer(self, frame: Frame) -> bytes | None:
-        if frame.command == Command.READ and len(frame.data) == 1:
+    def _answer(self, frame: codec.Frame) -> bytes | None:
+        if frame.command == codec.Command.READ and len(frame.data) == 1:
             return self._registers(frame.address, frame.data[0])
-        if frame.command == Command.WRITE:
+        if frame.command == codec.Command.WRITE:
             return b"\x01" if self.memory.write(frame.address, frame.data) else _REFUSED
         return None
 
@@ -159,7 +150,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         data = self.memory.read(address, size)
         if data is not None and "wrong_device" in self.faults:
             # The registers of another device: states and errors that no RH56 has.
-            return b"\xee" * size if address >= Register.ANGLE else data
+            return b"\xee" * size if address >= codec.Register.ANGLE else data
         return data
 
     def _numbered(self, answer: bytes) -> bytes:

@@ -7,41 +7,26 @@ from collections.abc import Sequence
 from typing import Literal
 
 from rtee.drivers.axis import Axis
-from rtee.drivers.inspire_rh56 import tactile
-from rtee.drivers.inspire_rh56.codec import (
-    BAUDRATES,
-    COUNT,
-    KEEP,
-    MOST,
-    MOST_TACTILE,
-    OPEN,
-    WORDS,
-    Error,
-    Register,
-    Report,
-    State,
-    table,
-    words,
-)
+from rtee.drivers.inspire_rh56 import codec, tactile
 from rtee.drivers.inspire_rh56.options import TURNAROUND
 from rtee.drivers.options import Byte, Duration, Positive
 from rtee.hand.validation import Section
 
-FIRST, LAST = Register.HAND_ID, Register.TEMPERATURE + COUNT
+FIRST, LAST = codec.Register.HAND_ID, codec.Register.TEMPERATURE + codec.COUNT
 _BLOCK_FAULTS = {
-    "locked_rotor": Error.LOCKED,
-    "too_hot": Error.TOO_HOT,
-    "over_current": Error.CURRENT,
-    "abnormal": Error.ABNORMAL,
-    "no_motor": Error.COMMUNICATION,
+    "locked_rotor": codec.Error.LOCKED,
+    "too_hot": codec.Error.TOO_HOT,
+    "over_current": codec.Error.CURRENT,
+    "abnormal": codec.Error.ABNORMAL,
+    "no_motor": codec.Error.COMMUNICATION,
 }
 _SETTABLE = (
-    Register.CURRENT_LIMIT,
-    Register.INITIAL_SPEED,
-    Register.INITIAL_FORCE,
-    Register.ANGLE_SET,
-    Register.FORCE_SET,
-    Register.SPEED_SET,
+    codec.Register.CURRENT_LIMIT,
+    codec.Register.INITIAL_SPEED,
+    codec.Register.INITIAL_FORCE,
+    codec.Register.ANGLE_SET,
+    codec.Register.FORCE_SET,
+    codec.Register.SPEED_SET,
 )
 """Tables that can be written, as a whole or from a motor on."""
 FAULTS = frozenset(_BLOCK_FAULTS)
@@ -88,7 +73,7 @@ class Rh56Properties(Section, frozen=True):
     @property
     def most(self) -> int:
         """Largest force limit [g]."""
-        return MOST_TACTILE if self.model == "dftp" else MOST
+        return codec.MOST_TACTILE if self.model == "dftp" else codec.MOST
 
 
 class Memory:
@@ -104,35 +89,35 @@ class Memory:
 
     def __init__(self, properties: Rh56Properties) -> None:
         self.properties = properties
-        fastest = OPEN / properties.travel_time * properties.haste
+        fastest = codec.OPEN / properties.travel_time * properties.haste
         self.axes = [
             Axis(
-                float(OPEN),
+                float(codec.OPEN),
                 lower=0.0,
-                upper=float(OPEN),
+                upper=float(codec.OPEN),
                 max_velocity=fastest,
                 max_effort=float(properties.most),
                 resolution=0.5,
             )
-            for _ in range(COUNT)
+            for _ in range(codec.COUNT)
         ]
         for axis in self.axes:
             # Spindles are self-locking: a squeezed object does not push a finger back.
             axis.self_locking = axis.enabled = True
         self.moves = 0
-        self.begun = [properties.most] * COUNT
-        self.errors = [Error(0)] * COUNT
+        self.begun = [properties.most] * codec.COUNT
+        self.errors = [codec.Error(0)] * codec.COUNT
         self._fastest = fastest
         self._faults: frozenset[str] = frozenset()
         self._bytes = bytearray(LAST - FIRST)
         self.taxels = bytearray(tactile.LAST - tactile.FIRST if properties.model == "dftp" else 0)
         self._bias = list(properties.force_bias)
         self._calibrating = 0.0
-        self._put(Register.HAND_ID, bytes([properties.unit]))
-        self._put(Register.VOLTAGE, struct.pack("<H", _VOLTAGE))
-        self._put(Register.CURRENT_LIMIT, table([1500] * COUNT))
-        self._put(Register.INITIAL_SPEED, table([MOST] * COUNT))
-        self._put(Register.INITIAL_FORCE, table([properties.most] * COUNT))
+        self._put(codec.Register.HAND_ID, bytes([properties.unit]))
+        self._put(codec.Register.VOLTAGE, struct.pack("<H", _VOLTAGE))
+        self._put(codec.Register.CURRENT_LIMIT, codec.table([1500] * codec.COUNT))
+        self._put(codec.Register.INITIAL_SPEED, codec.table([codec.MOST] * codec.COUNT))
+        self._put(codec.Register.INITIAL_FORCE, codec.table([properties.most] * codec.COUNT))
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -140,17 +125,17 @@ class Memory:
 
         No motor has a set-point or a state then, until it is commanded.
         """
-        self.errors = [Error(0)] * COUNT
-        self._put(Register.SPEED_SET, self._get(Register.INITIAL_SPEED, WORDS))
-        self._put(Register.FORCE_SET, self._get(Register.INITIAL_FORCE, WORDS))
+        self.errors = [codec.Error(0)] * codec.COUNT
+        self._put(codec.Register.SPEED_SET, self._get(codec.Register.INITIAL_SPEED, codec.WORDS))
+        self._put(codec.Register.FORCE_SET, self._get(codec.Register.INITIAL_FORCE, codec.WORDS))
         for axis in self.axes:
             axis.target = axis.position
-        self._put(Register.ANGLE_SET, table([KEEP] * COUNT))
+        self._put(codec.Register.ANGLE_SET, codec.table([codec.KEEP] * codec.COUNT))
         self._limit()
 
     def bias(self, grams: Sequence[int]) -> None:
         """Let the force sensors of an idle hand read some grams more, until they are calibrated."""
-        self._bias = [a + b for a, b in zip(self._bias, grams or (0,) * COUNT, strict=True)]
+        self._bias = [a + b for a, b in zip(self._bias, grams or (0,) * codec.COUNT, strict=True)]
 
     def set_faults(self, faults: set[str]) -> None:
         """Set the injected faults; errors stay until they are cleared."""
@@ -164,7 +149,7 @@ class Memory:
             self.errors[_INDEX] |= _BLOCK_FAULTS[fault]
         if "too_hot" not in self._faults:
             # The only error that ends with its cause, and not when it is cleared.
-            self.errors[_INDEX] &= ~Error.TOO_HOT
+            self.errors[_INDEX] &= ~codec.Error.TOO_HOT
         for axis, errors in zip(self.axes, self.errors, strict=True):
             axis.enabled = not errors
             if errors:
@@ -177,7 +162,7 @@ class Memory:
         if self._calibrating > 0.0:
             self._calibrating -= dt * self.properties.haste
             if self._calibrating <= 0.0:
-                self._bias = [0] * COUNT
+                self._bias = [0] * codec.COUNT
 
     # --- registers -------------------------------------------------------------------------------
 
@@ -193,7 +178,7 @@ class Memory:
         if at >= 0 and at + size <= len(self.taxels):
             return bytes(self.taxels[at : at + size])
         # The registers between angles and forces have no meaning.
-        hole = range(Register.ANGLE + WORDS, Register.FORCE)
+        hole = range(codec.Register.ANGLE + codec.WORDS, codec.Register.FORCE)
         known = address >= FIRST and address + size <= LAST
         if self.properties.unknown == "refused" and (
             not known or (address < hole.stop and address + size > hole.start)
@@ -202,19 +187,19 @@ class Memory:
         if not known:
             return bytes(size)
         report = self.report()
-        self._put(Register.ANGLE, report.to_bytes())
-        stroke = [round((OPEN - angle) * 2) for angle in report.angles]  # 0 to 2000, closed
-        self._put(Register.STROKE, table(stroke))
+        self._put(codec.Register.ANGLE, report.to_bytes())
+        stroke = [round((codec.OPEN - angle) * 2) for angle in report.angles]  # 0 to 2000, closed
+        self._put(codec.Register.STROKE, codec.table(stroke))
         return self._get(address, size)
 
-    def report(self) -> Report:
+    def report(self) -> codec.Report:
         """Return its measurements."""
-        return Report(
+        return codec.Report(
             tuple(round(axis.measured) for axis in self.axes),
-            tuple(round(self._force(i)) for i in range(COUNT)),
+            tuple(round(self._force(i)) for i in range(codec.COUNT)),
             tuple(round(self._current(axis)) for axis in self.axes),
             tuple(self.errors),
-            tuple(self._state(i) for i in range(COUNT)),
+            tuple(self._state(i) for i in range(codec.COUNT)),
             tuple(round(axis.temperature) for axis in self.axes),
         )
 
@@ -229,81 +214,87 @@ class Memory:
             return _RUNNING_MA
         return _STALL_MA * abs(axis.effort) / self.properties.most if axis.blocked else 0.0
 
-    def _state(self, i: int) -> State:
+    def _state(self, i: int) -> codec.State:
         axis, errors = self.axes[i], self.errors[i]
         if errors:
-            if errors & Error.LOCKED:
-                return State.LOCKED
-            return State.CURRENT_PROTECTION if errors & Error.CURRENT else State.FAULT
-        if words(self._get(Register.ANGLE_SET, WORDS))[i] == KEEP:
-            return State.UNSET
+            if errors & codec.Error.LOCKED:
+                return codec.State.LOCKED
+            return (
+                codec.State.CURRENT_PROTECTION
+                if errors & codec.Error.CURRENT
+                else codec.State.FAULT
+            )
+        if codec.words(self._get(codec.Register.ANGLE_SET, codec.WORDS))[i] == codec.KEEP:
+            return codec.State.UNSET
         if axis.blocked and axis.obstacle is not None and abs(axis.effort) >= axis.max_effort:
-            return State.AT_FORCE
+            return codec.State.AT_FORCE
         if axis.position == axis.target:
-            return State.AT_TARGET
-        return State.CLOSING if axis.target < axis.position else State.OPENING
+            return codec.State.AT_TARGET
+        return codec.State.CLOSING if axis.target < axis.position else codec.State.OPENING
 
     def write(self, address: int, data: bytes) -> bool:
         """Set registers and act on them; return whether the write was accepted."""
         for register in _SETTABLE:
             first, odd = divmod(address - register, 2)
-            if 0 <= first < COUNT and not odd:
+            if 0 <= first < codec.COUNT and not odd:
                 return self._part(register, first, data)
         flag = data[:1] == b"\x01"
-        if address == Register.CLEAR_ERROR and flag:
-            self.errors = [error & Error.TOO_HOT for error in self.errors]
+        if address == codec.Register.CLEAR_ERROR and flag:
+            self.errors = [error & codec.Error.TOO_HOT for error in self.errors]
             self._latch()
-        elif address == Register.FORCE_CALIBRATION and flag:
+        elif address == codec.Register.FORCE_CALIBRATION and flag:
             self._calibrating = self.properties.calibration_time
-        elif address in (Register.HAND_ID, Register.BAUD) and data[0] < 255:
-            if address == Register.BAUD and data[0] >= len(BAUDRATES):
+        elif address in (codec.Register.HAND_ID, codec.Register.BAUD) and data[0] < 255:
+            if address == codec.Register.BAUD and data[0] >= len(codec.BAUDRATES):
                 return False
             self._put(address, data[:1])
         else:
-            return address in (Register.SAVE, Register.RESET)
+            return address in (codec.Register.SAVE, codec.Register.RESET)
         return True
 
-    def _part(self, register: Register, first: int, data: bytes) -> bool:
+    def _part(self, register: codec.Register, first: int, data: bytes) -> bool:
         """Set some motors' values of a table, from a motor on."""
         count, odd = divmod(len(data), 2)
-        if odd or not 0 < count <= COUNT - first:
+        if odd or not 0 < count <= codec.COUNT - first:
             return False
         given = struct.unpack(f"<{count}h", data)
         # The others keep what they have: KEEP commands nothing, and a limit is set to itself.
-        others = [KEEP] * COUNT
-        if register is not Register.ANGLE_SET:
-            others = list(words(self._get(register, WORDS)))
+        others = [codec.KEEP] * codec.COUNT
+        if register is not codec.Register.ANGLE_SET:
+            others = list(codec.words(self._get(register, codec.WORDS)))
         others[first : first + count] = given
         return self._table(register, tuple(others))
 
-    def _table(self, register: Register, values: tuple[int, ...]) -> bool:
-        most = self.properties.most if "FORCE" in register.name else MOST
+    def _table(self, register: codec.Register, values: tuple[int, ...]) -> bool:
+        most = self.properties.most if "FORCE" in register.name else codec.MOST
         least = 0
-        if register is Register.ANGLE_SET:
+        if register is codec.Register.ANGLE_SET:
             # An example frame of the manual writes 2000, which is taken for fully open.
-            least, most = KEEP, 2 * OPEN
+            least, most = codec.KEEP, 2 * codec.OPEN
         # Current limits are in mA and have another range.
-        if register is not Register.CURRENT_LIMIT and not all(least <= v <= most for v in values):
+        if register is not codec.Register.CURRENT_LIMIT and not all(
+            least <= v <= most for v in values
+        ):
             return False
-        before = words(self._get(register, WORDS))
-        kept = [b if v == KEEP else v for v, b in zip(values, before, strict=True)]
-        self._put(register, table(kept))
-        if register is Register.ANGLE_SET:
+        before = codec.words(self._get(register, codec.WORDS))
+        kept = [b if v == codec.KEEP else v for v, b in zip(values, before, strict=True)]
+        self._put(register, codec.table(kept))
+        if register is codec.Register.ANGLE_SET:
             self._aim(values)
         self._limit()
         return True
 
     def _aim(self, values: tuple[int, ...]) -> None:
-        if any(value != KEEP for value in values):
+        if any(value != codec.KEEP for value in values):
             self.moves += 1
-            self.begun = list(words(self._get(Register.FORCE_SET, WORDS)))
+            self.begun = list(codec.words(self._get(codec.Register.FORCE_SET, codec.WORDS)))
         for axis, value in zip(self.axes, values, strict=True):
-            if value != KEEP and axis.enabled:
-                axis.target = float(min(value, OPEN))
+            if value != codec.KEEP and axis.enabled:
+                axis.target = float(min(value, codec.OPEN))
 
     def _limit(self) -> None:
-        forces = words(self._get(Register.FORCE_SET, WORDS))
-        speeds = words(self._get(Register.SPEED_SET, WORDS))
+        forces = codec.words(self._get(codec.Register.FORCE_SET, codec.WORDS))
+        speeds = codec.words(self._get(codec.Register.SPEED_SET, codec.WORDS))
         for axis, force, speed in zip(self.axes, forces, speeds, strict=True):
             axis.max_effort = float(force)
-            axis.max_velocity = self._fastest * speed / MOST
+            axis.max_velocity = self._fastest * speed / codec.MOST

@@ -21,19 +21,7 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.linkerhand.codec import (
-    BAUDRATE,
-    BITRATE,
-    FAULT_NAMES,
-    MODELS,
-    MOST,
-    RIGHT,
-    Fault,
-    Model,
-    Table,
-    Version,
-    dotted,
-)
+from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.scale import LinearScale
@@ -71,9 +59,9 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
     """CAN channel instead, for example can0."""
     interface: str = "socketcan"
     """Python-can interface of the channel."""
-    bitrate: Annotated[int, Meta(gt=0)] = BITRATE
+    bitrate: Annotated[int, Meta(gt=0)] = codec.BITRATE
     """Of CAN [bit/s]."""
-    unit: Annotated[int, Meta(ge=1, le=247)] = RIGHT
+    unit: Annotated[int, Meta(ge=1, le=247)] = codec.RIGHT
     """39 is a right, 40 a left hand; its identifier on CAN, too."""
     motors: dict[str, Motor] = field(default_factory=dict)
     """The motor that drives each actuator; by default by its name."""
@@ -97,9 +85,9 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
                 raise ValueError(f"an {self.kind.name} has no motor '{name}': {', '.join(known)}")
 
     @property
-    def kind(self) -> Model:
+    def kind(self) -> codec.Model:
         """The kind of hand."""
-        return MODELS[self.model]
+        return codec.MODELS[self.model]
 
     @property
     def pause(self) -> float:
@@ -212,7 +200,7 @@ class LinkerHandDriver(Driver):
         ):
             version = await link.version()
             self._temperatures, _ = await link.health()
-            self._keep(await link.read(Table.POSITION))
+            self._keep(await link.read(codec.Table.POSITION))
         if version is not None and options.check_model and version.motors != self._model.count:
             found = f"another device (one with {version.motors} motors)"
             raise HandshakeError(self.spec.name, name, found, hint=check)
@@ -222,12 +210,12 @@ class LinkerHandDriver(Driver):
             self.capabilities, best_rate=best, identity=self._identity(version)
         )
 
-    def _identity(self, version: Version | None) -> dict[str, str]:
+    def _identity(self, version: codec.Version | None) -> dict[str, str]:
         found = {"model": f"LinkerHand {self._model.name}", "address": f"unit {self.options.unit}"}
         if version is not None:
             found["side"] = version.side.name.lower()
-            found["firmware"] = dotted(version.software)
-            found["hardware"] = dotted(version.hardware)
+            found["firmware"] = codec.dotted(version.software)
+            found["hardware"] = codec.dotted(version.hardware)
         return found
 
     async def _open(self) -> LinkerLink:
@@ -245,7 +233,7 @@ class LinkerHandDriver(Driver):
             self.buses.modbus,
             options.port,
             lambda bus: ModbusLink(bus, *arguments),
-            baudrate=BAUDRATE,
+            baudrate=codec.BAUDRATE,
         )
 
     async def _examine(self) -> None:
@@ -283,7 +271,7 @@ class LinkerHandDriver(Driver):
         self._turn = (self._turn + 1) % every
         if self._turn == 0:
             await self._examine()
-        self._keep(await link.read(Table.POSITION))
+        self._keep(await link.read(codec.Table.POSITION))
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.to_si(self._counts[motor]) for motor, scale in both]
         self._here = np.array(position)
@@ -308,11 +296,11 @@ class LinkerHandDriver(Driver):
         if not faulty:
             return
         names = [
-            f"{motor}: {FAULT_NAMES.get(code, f'unknown fault {code}')}"
+            f"{motor}: {codec.FAULT_NAMES.get(code, f'unknown fault {code}')}"
             for motor, code in faulty.items()
         ]
         hint = "`rtee recover`; if that does not help, cut the hand's supply"
-        if Fault.OVER_TEMPERATURE in faulty.values():
+        if codec.Fault.OVER_TEMPERATURE in faulty.values():
             hint = "let it cool down, then `rtee recover`"
         raise DeviceFault(self.spec.name, max(faulty.values()), "; ".join(names), hint=hint)
 
@@ -324,8 +312,8 @@ class LinkerHandDriver(Driver):
         # One frame sets all motors, and the present set-points of the others cannot be read.
         self._attached.begin()
         targets = list(self._targets or self._counts)
-        torques = list(self._torques or (MOST,) * self._model.count)
-        speeds = list(self._speeds or (MOST,) * self._model.count)
+        torques = list(self._torques or (codec.MOST,) * self._model.count)
+        speeds = list(self._speeds or (codec.MOST,) * self._model.count)
         mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
             if not mask[i]:
@@ -333,8 +321,10 @@ class LinkerHandDriver(Driver):
             most = self.spec.actuators[i].effort
             # Without an effort limit in the model, 255 has no known effort.
             limited = math.isfinite(most)
-            torques[motor] = _share(float(reference.max_effort[i]) / most) if limited else MOST
-            fastest = abs(scale.gain) * MOST / self.options.travel_time
+            torques[motor] = (
+                _share(float(reference.max_effort[i]) / most) if limited else codec.MOST
+            )
+            fastest = abs(scale.gain) * codec.MOST / self.options.travel_time
             speeds[motor] = _share(float(reference.max_velocity[i]) / fastest)
             targets[motor] = scale.to_count(float(reference.position[i]))
         try:
@@ -346,9 +336,9 @@ class LinkerHandDriver(Driver):
         """Write the tables that differ from what the hand has."""
         tables = {}
         if (torques, speeds) != (self._torques, self._speeds):
-            tables = {Table.TORQUE: torques, Table.SPEED: speeds}
+            tables = {codec.Table.TORQUE: torques, codec.Table.SPEED: speeds}
         if targets != self._targets or tables:
-            tables[Table.POSITION] = targets
+            tables[codec.Table.POSITION] = targets
         if not tables:
             return
         # A set-point counts as unknown until the hand has confirmed it.
@@ -380,7 +370,7 @@ class LinkerHandDriver(Driver):
         ``instead`` returns the actuators that hold another position, see `Standstill.instead`.
         """
         link = self.connection.link
-        self._keep(await link.read(Table.POSITION))
+        self._keep(await link.read(codec.Table.POSITION))
         targets = list(self._targets or self._counts)
         for motor in motors:
             targets[motor] = self._counts[motor]
@@ -390,7 +380,7 @@ class LinkerHandDriver(Driver):
             motor, scale = both[i]
             targets[motor] = scale.to_count(position)
         self._targets = None
-        await link.write({Table.POSITION: targets})
+        await link.write({codec.Table.POSITION: targets})
         self._targets = targets
 
     async def recover(self) -> None:
@@ -409,4 +399,4 @@ class LinkerHandDriver(Driver):
 def _share(part: float) -> int:
     """Return the count for a share of the largest speed or torque, which may be infinite."""
     # At least 1: no source says what 0 does.
-    return max(1, round(MOST * min(part, 1.0)))
+    return max(1, round(codec.MOST * min(part, 1.0)))

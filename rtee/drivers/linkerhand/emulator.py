@@ -14,29 +14,18 @@ from rtee.buses.modbus_frames import READ_INPUT, WRITE_MANY, WRITE_ONE
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.linkerhand import codec
-from rtee.drivers.linkerhand.codec import (
-    BAUDRATE,
-    MODELS,
-    MOST,
-    RIGHT,
-    Fault,
-    Model,
-    Side,
-    Table,
-    Version,
-)
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Byte, Duration, Positive, read_properties
 from rtee.hand.validation import Section
 
 _FAULTS = {
-    "over_current": Fault.OVER_CURRENT,
-    "over_temperature": Fault.OVER_TEMPERATURE,
-    "encoder": Fault.ENCODER,
-    "supply": Fault.SUPPLY,
+    "over_current": codec.Fault.OVER_CURRENT,
+    "over_temperature": codec.Fault.OVER_TEMPERATURE,
+    "encoder": codec.Fault.ENCODER,
+    "supply": codec.Fault.SUPPLY,
 }
 _INDEX = 2  # index of the motor that has these faults
-_WRITABLE = (Table.POSITION, Table.TORQUE, Table.SPEED)
+_WRITABLE = (codec.Table.POSITION, codec.Table.TORQUE, codec.Table.SPEED)
 _BENDING = ("thumb_bend", "index", "middle", "ring", "little")
 _OPEN = {"index_roll": 128.0, "ring_roll": 128.0, "little_roll": 128.0}
 """Positions at power-up of motors that are not open at 255."""
@@ -58,7 +47,7 @@ class LinkerProperties(Section, frozen=True):
     """
 
     model: Literal["o6", "l10"] = "o6"
-    unit: Byte = RIGHT
+    unit: Byte = codec.RIGHT
     travel_time: Positive = 1.0
     software: Byte = 0x10
     joint_reads: bool = True
@@ -77,23 +66,23 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     """
 
     FAULTS = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
-    BAUDRATES = frozenset({BAUDRATE})
+    BAUDRATES = frozenset({codec.BAUDRATE})
     FUNCTIONS = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
     EXCEPTIONS = True
 
     def __init__(self, properties: LinkerProperties | None = None) -> None:
         properties = properties or LinkerProperties()
-        super().__init__(properties.unit, baudrate=BAUDRATE)
+        super().__init__(properties.unit, baudrate=codec.BAUDRATE)
         self.properties = properties
-        self.model: Model = MODELS[properties.model]
+        self.model: codec.Model = codec.MODELS[properties.model]
         self.turnaround = max(self.turnaround, properties.turnaround)
         self.axes = []
         for name in self.model.motors:
             axis = Axis(
-                _OPEN.get(name, float(MOST)),
+                _OPEN.get(name, float(codec.MOST)),
                 lower=0.0,
-                upper=float(MOST),
-                max_effort=float(MOST),
+                upper=float(codec.MOST),
+                max_effort=float(codec.MOST),
                 resolution=0.5,
             )
             # Worm gears are self-locking: a squeezed object does not push a finger back.
@@ -101,9 +90,9 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
             axis.heating = _RATING
             self.axes.append(axis)
         self.moves = 0
-        self.begun = [MOST] * self.model.count
-        self._torques = [MOST] * self.model.count
-        self._speeds = [MOST] * self.model.count
+        self.begun = [codec.MOST] * self.model.count
+        self._torques = [codec.MOST] * self.model.count
+        self._speeds = [codec.MOST] * self.model.count
         self._limit()
 
     @classmethod
@@ -116,15 +105,17 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         """Return how the motors that bend the digits close."""
         pairs = zip(self.model.motors, self.axes, strict=True)
         return [
-            Closing(axis, float(MOST), 0.0, float(MOST)) for name, axis in pairs if name in _BENDING
+            Closing(axis, float(codec.MOST), 0.0, float(codec.MOST))
+            for name, axis in pairs
+            if name in _BENDING
         ]
 
     def power_cycle(self, now: float) -> None:
         """Restart with the largest torques and speeds; the fingers stay where they are."""
         self.advance(now)
         self.line_reset()
-        self._torques = [MOST] * self.model.count
-        self._speeds = [MOST] * self.model.count
+        self._torques = [codec.MOST] * self.model.count
+        self._speeds = [codec.MOST] * self.model.count
         for axis in self.axes:
             axis.target = axis.position
         self._limit()
@@ -141,48 +132,48 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
             axis.advance(dt)
 
     def _limit(self) -> None:
-        fastest = MOST / self.properties.travel_time * self.properties.haste
+        fastest = codec.MOST / self.properties.travel_time * self.properties.haste
         for axis, torque, speed in zip(self.axes, self._torques, self._speeds, strict=True):
             axis.max_effort = float(torque)
-            axis.max_velocity = fastest * speed / MOST
+            axis.max_velocity = fastest * speed / codec.MOST
 
     # --- tables ------------------------------------------------------------------------------
 
-    def table(self, table: Table) -> list[int]:
+    def table(self, table: codec.Table) -> list[int]:
         """Return the values of all motors."""
-        if table is Table.POSITION:
-            return [min(max(round(axis.measured), 0), MOST) for axis in self.axes]
-        if table is Table.TORQUE:
+        if table is codec.Table.POSITION:
+            return [min(max(round(axis.measured), 0), codec.MOST) for axis in self.axes]
+        if table is codec.Table.TORQUE:
             return list(self._torques)
-        if table is Table.SPEED:
+        if table is codec.Table.SPEED:
             return list(self._speeds)
-        if table is Table.TEMPERATURE:
+        if table is codec.Table.TEMPERATURE:
             return [round(axis.temperature) for axis in self.axes]
-        codes = [int(Fault.NONE)] * self.model.count
+        codes = [int(codec.Fault.NONE)] * self.model.count
         codes[_INDEX] = max(
             (code for name, code in _FAULTS.items() if name in self.faults), default=0
         )
         return codes
 
-    def set_table(self, table: Table, first: int, values: Sequence[int]) -> None:
+    def set_table(self, table: codec.Table, first: int, values: Sequence[int]) -> None:
         """Set values of consecutive motors, beginning with the index ``first``."""
         for motor, value in enumerate(values, first):
-            if table is Table.TORQUE:
+            if table is codec.Table.TORQUE:
                 self._torques[motor] = value
-            elif table is Table.SPEED:
+            elif table is codec.Table.SPEED:
                 self._speeds[motor] = value
             else:
                 self.axes[motor].target = float(value)
         self._limit()
-        if table is Table.POSITION:
+        if table is codec.Table.POSITION:
             self.moves += 1
             self.begun = list(self._torques)
 
-    def version(self) -> Version:
+    def version(self) -> codec.Version:
         """Return its version block."""
         motors = self.model.count + (1 if "wrong_device" in self.faults else 0)
-        side = Side.LEFT if self.unit == codec.LEFT else Side.RIGHT
-        return Version(motors, 1, 1, side, self.properties.software, 0x10)
+        side = codec.Side.LEFT if self.unit == codec.LEFT else codec.Side.RIGHT
+        return codec.Version(motors, 1, 1, side, self.properties.software, 0x10)
 
     # --- Modbus ------------------------------------------------------------------------------
 
@@ -193,7 +184,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return input registers; those between its tables are 0."""
-        block = range(self.model.version, self.model.version + Version.COUNT)
+        block = range(self.model.version, self.model.version + codec.Version.COUNT)
         if address + count > block.stop or (
             count > self.model.count and not self.properties.joint_reads
         ):
@@ -209,7 +200,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         count = self.model.count
         if address + len(values) > len(_WRITABLE) * count:
             raise Refused(ILLEGAL_ADDRESS)
-        if any(value > MOST for value in values):
+        if any(value > codec.MOST for value in values):
             raise Refused(ILLEGAL_VALUE)
         # From the last table to the first, so that limits apply before the motion.
         for table in reversed(_WRITABLE):
@@ -238,7 +229,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         return []
 
     def _property(
-        self, table: Table, code: int, first: int, count: int, data: bytes
+        self, table: codec.Table, code: int, first: int, count: int, data: bytes
     ) -> list[CanFrame]:
         if data:
             if table in _WRITABLE and len(data) >= count:

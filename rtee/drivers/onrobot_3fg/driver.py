@@ -12,18 +12,7 @@ from rtee import monotonic
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities, GripForce
-from rtee.drivers.onrobot_3fg.codec import (
-    GEOMETRY,
-    LIMITS,
-    STATE,
-    Command,
-    Control,
-    Fingers,
-    GripType,
-    Status,
-    offset_metres,
-    scale_of,
-)
+from rtee.drivers.onrobot_3fg import codec
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.options import Positive, read_options
@@ -62,7 +51,7 @@ class OnRobot3FGOptions(OnRobotOptions, frozen=True):
     """What the target diameter means: between the fingertips' centres, or their surfaces."""
 
 
-class OnRobot3FGDriver(OnRobotDriver[Status]):
+class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
     """A 3FG15 or 3FG25.
 
     The gripper accepts no speed, and a force only with the command *grip*, which it ignores while
@@ -73,17 +62,17 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     Options = OnRobot3FGOptions
 
     MODEL = "an OnRobot 3FG"
-    STATUS = Status
-    COMMAND = Command
-    SOURCE = STATE
+    STATUS = codec.Status
+    COMMAND = codec.Command
+    SOURCE = codec.STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobot3FGOptions, spec)
         super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.largest or 0.150)
-        self._fingers = Fingers()
-        self._kind = GripType[self.options.grip.upper()]
-        self._sent: Command | None = None
+        self._fingers = codec.Fingers()
+        self._kind = codec.GripType[self.options.grip.upper()]
+        self._sent: codec.Command | None = None
         self._tips = 0
         self._wanted: tuple[int, int] = (0, 0)
         self._wanted_since = 0.0
@@ -92,7 +81,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     def _scaled(self, largest: float) -> FingerScale:
         actuator = self.spec.actuators[0]
-        return scale_of(
+        return codec.scale_of(
             actuator.lower, actuator.upper, largest, self.options.smallest, self.options.force
         )
 
@@ -120,8 +109,8 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
-        least, most = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
-        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=CONNECTING)
+        least, most = await bus.read(unit, codec.LIMITS, 2, deadline=CONNECTING)
+        length, _, hole, offset = await bus.read(unit, codec.GEOMETRY, 4, deadline=CONNECTING)
         # Other tools of the vendor have other contents in these registers.
         if hole not in (1, 2, 3) or not least < most:
             raise HandshakeError(
@@ -130,9 +119,9 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
                 f"a tool with finger position {hole} and diameters {least} to {most}",
                 hint="is another tool mounted?",
             )
-        self._fingers = Fingers(metres(length), hole, abs(offset_metres(offset)))
+        self._fingers = codec.Fingers(metres(length), hole, abs(codec.offset_metres(offset)))
         if self.options.target == "tips":
-            self._tips = round(self._kind.sign * 2.0 * offset_metres(offset) / metres(1))
+            self._tips = round(self._kind.sign * 2.0 * codec.offset_metres(offset) / metres(1))
         # Made again, since the gripper's own largest diameter is known only now.
         self.scale = self._scaled(largest := self.options.largest or metres(most))
         if largest <= self.options.smallest:
@@ -149,7 +138,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     # --- every cycle -------------------------------------------------------------------------
 
-    def _measured(self, status: Status, stamp: float) -> ActuatorState:
+    def _measured(self, status: codec.Status, stamp: float) -> ActuatorState:
         return ActuatorState.measured(
             [self.scale.position.to_si(status.raw_diameter)],
             stamp,
@@ -173,20 +162,20 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     def _forget(self) -> None:
         self._sent = None
 
-    def _next(self, diameter: int, force: int, now: float) -> Command | None:
+    def _next(self, diameter: int, force: int, now: float) -> codec.Command | None:
         """Return what to send for a target [0.1 mm, 0.1 %], or ``None`` for nothing."""
         if (diameter, force) != self._wanted:
             self._wanted, self._wanted_since = (diameter, force), now
         if self._stays(diameter):
             return None
         if self._may_grip(diameter, now):
-            if self._sent == self._command(force, diameter, Control.GRIP):
+            if self._sent == self._command(force, diameter, codec.Control.GRIP):
                 return None
             if not self._status.busy:
-                return self._command(force, diameter, Control.GRIP)
+                return self._command(force, diameter, codec.Control.GRIP)
             # An obstacle keeps the motion from ending, and *grip* is ignored while it is busy.
             if now - self._moved_at > _STUCK_BUSY:
-                return self._command(force, diameter, Control.STOP)
+                return self._command(force, diameter, codec.Control.STOP)
         return self._motion(diameter, force)
 
     def _stays(self, diameter: int) -> bool:
@@ -199,17 +188,17 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         rests = now - self._wanted_since >= self.options.settle
         return rests and self._tightens(diameter) and (self._gripping or not self._at(diameter))
 
-    def _motion(self, diameter: int, force: int) -> Command | None:
+    def _motion(self, diameter: int, force: int) -> codec.Command | None:
         """Return the command that moves to a target; a grip under way is stopped first."""
         busy, asked = self._status.busy, self._sent is not None and self._sent.diameter == diameter
         if asked and (self._at(diameter) or busy or self._gripping):
             return None
         stop = self._gripping and busy
-        return self._command(force, diameter, Control.STOP if stop else Control.MOVE)
+        return self._command(force, diameter, codec.Control.STOP if stop else codec.Control.MOVE)
 
     @property
     def _gripping(self) -> bool:
-        return self._sent is not None and self._sent.control is Control.GRIP
+        return self._sent is not None and self._sent.control is codec.Control.GRIP
 
     def _at(self, diameter: int) -> bool:
         """Return whether a diameter counts as reached."""
@@ -217,19 +206,19 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     def _tightens(self, diameter: int) -> bool:
         """Return whether a target lies in the direction of gripping, or is reached."""
-        if self._kind is GripType.EXTERNAL:
+        if self._kind is codec.GripType.EXTERNAL:
             return diameter <= self._status.raw_diameter + _SAME
         return diameter >= self._status.raw_diameter - _SAME
 
-    def _command(self, force: int, diameter: int, control: Control) -> Command:
-        return Command(force, diameter, self._kind, control)
+    def _command(self, force: int, diameter: int, control: codec.Control) -> codec.Command:
+        return codec.Command(force, diameter, self._kind, control)
 
-    def _registers(self, command: Command) -> Sequence[int]:
+    def _registers(self, command: codec.Command) -> Sequence[int]:
         """Return the registers to send for a command with a raw diameter."""
         wanted = max(command.diameter + self._tips, 0)
         return replace(command, diameter=wanted).to_registers()
 
-    def _note(self, status: Status) -> None:
+    def _note(self, status: codec.Status) -> None:
         # A change of one count may be noise at standstill.
         if abs(status.raw_diameter - self._status.raw_diameter) > 1:
             self._moved_at = monotonic.now()
@@ -240,9 +229,9 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     def _stopping(self) -> Sequence[int]:
         status = self._status
         force = self._sent.force if self._sent else status.force
-        return self._registers(self._command(force, status.raw_diameter, Control.STOP))
+        return self._registers(self._command(force, status.raw_diameter, codec.Control.STOP))
 
-    def _refuse(self, status: Status) -> None:
+    def _refuse(self, status: codec.Status) -> None:
         if not status.calibrated:
             # The code is the number of the bit in the status.
             hint = "restart the tool from the Compute Box's web page, then recover"

@@ -12,16 +12,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TENTH_MM, OnRobotOptions, signed
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
-from rtee.drivers.onrobot_rg.codec import (
-    MODELS,
-    OFFSET,
-    SET_OFFSET,
-    STATE,
-    Command,
-    Control,
-    LinkageScale,
-    Status,
-)
+from rtee.drivers.onrobot_rg import codec
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.errors import HandshakeError
@@ -54,7 +45,7 @@ class OnRobotRGOptions(OnRobotOptions, frozen=True):
     """A moving reference is followed in steps of at least this width [m]."""
 
 
-class OnRobotRGDriver(OnRobotDriver[Status]):
+class OnRobotRGDriver(OnRobotDriver[codec.Status]):
     """An RG2 or RG6.
 
     The gripper has one command, *grip to a width with a force*, which it ignores while it is busy,
@@ -63,16 +54,16 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     Options = OnRobotRGOptions
     MODEL = "an OnRobot RG"
-    STATUS = Status
-    COMMAND = Command
-    SOURCE = STATE
+    STATUS = codec.Status
+    COMMAND = codec.Command
+    SOURCE = codec.STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobotRGOptions, spec)
         super().__init__(spec, buses, self.options)
         actuator = spec.actuators[0]
-        self._model = MODELS[self.options.model]
-        self.scale = LinkageScale(self._model, actuator.lower, actuator.upper)
+        self._model = codec.MODELS[self.options.model]
+        self.scale = codec.LinkageScale(self._model, actuator.lower, actuator.upper)
         self._closed = self.scale.width(actuator.lower)
         step = self.options.step / TENTH_MM
         self._follower = StepFollower(self.options.settle, step, _SAME, _REACHED)
@@ -99,7 +90,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         # Older lists number the models otherwise; a code that is in neither list is left to the
         # option.
         if model is not None and model != self._model.name:
-            ours = model.lower() in MODELS
+            ours = model.lower() in codec.MODELS
             raise HandshakeError(
                 self.spec.name,
                 f"an OnRobot {self._model.name}",
@@ -110,7 +101,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         return {"fingertip offset": f"{offset * TENTH_MM * 1000:.1f} mm"}
 
     async def _offset(self, bus: ModbusBus) -> int:
-        [offset] = await bus.read(self.options.unit, OFFSET, 1, deadline=CONNECTING)
+        [offset] = await bus.read(self.options.unit, codec.OFFSET, 1, deadline=CONNECTING)
         return signed(offset)
 
     async def activate(self) -> None:
@@ -122,11 +113,11 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         bus, tenths = self.connection.link.bus, round(wanted / TENTH_MM)
         # Only if it differs, so that connecting changes no setting without need.
         if await self._offset(bus) != tenths:
-            await bus.write(self.options.unit, SET_OFFSET, (tenths,), deadline=CONNECTING)
+            await bus.write(self.options.unit, codec.SET_OFFSET, (tenths,), deadline=CONNECTING)
 
     # --- every cycle -------------------------------------------------------------------------
 
-    def _measured(self, status: Status, stamp: float) -> ActuatorState:
+    def _measured(self, status: codec.Status, stamp: float) -> ActuatorState:
         pushed = [f"safety switch {i + 1} is pushed" for i in range(2) if status.pushed[i]]
         return ActuatorState.measured(
             [self.scale.position(status.width)],
@@ -150,7 +141,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
             width, force, status.width, busy=status.busy, held=status.grip_detected
         )
         if order is not Order.NOTHING:
-            go = Command(force, width, Control.GRIP).to_registers()
+            go = codec.Command(force, width, codec.Control.GRIP).to_registers()
             await self.connection.link.exchange(self._stopping() if order is Order.STOP else go)
             self._follower.sent()
 
@@ -162,7 +153,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     def _stopping(self) -> Sequence[int]:
         force = round(self._follower.force or 0.0)
         # Stop needs a target, too. A measured width may be negative, but the register is unsigned.
-        return Command(force, max(self._status.width, 0), Control.STOP).to_registers()
+        return codec.Command(force, max(self._status.width, 0), codec.Control.STOP).to_registers()
 
     async def recover(self) -> None:
         """Stop, and check that no safety switch is pushed or has tripped."""
@@ -172,7 +163,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
                 # The code is the number of the switch's bit in the status.
                 raise self.fault(2 + 2 * i, f"safety switch {i + 1} is pushed", "release it")
 
-    def _refuse(self, status: Status) -> None:
+    def _refuse(self, status: codec.Status) -> None:
         restart = "restart the tool, from the Compute Box's web page or by its power, then recover"
         for i, triggered in enumerate(status.triggered):
             if triggered:

@@ -19,16 +19,7 @@ from rtee.drivers.onrobot_emulator import (
     OnRobotProperties,
     identity,
 )
-from rtee.drivers.onrobot_rg.codec import (
-    FINGERTIP,
-    MODELS,
-    OFFSET,
-    SET_OFFSET,
-    STATE,
-    TIPS_WIDTH,
-    Control,
-    Status,
-)
+from rtee.drivers.onrobot_rg import codec
 from rtee.drivers.options import Duration, read_properties
 
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
@@ -51,8 +42,8 @@ class OnRobotRGProperties(OnRobotProperties, frozen=True):
     """
 
     model: Literal["rg2", "rg6"] = "rg2"
-    fingertip: Duration = FINGERTIP
-    offset: Duration = FINGERTIP
+    fingertip: Duration = codec.FINGERTIP
+    offset: Duration = codec.FINGERTIP
     position: float | None = None
     empty_grip: bool = True
     serial: str = "RG-EMULATED"
@@ -78,17 +69,17 @@ class OnRobotRGEmulator(OnRobotEmulator):
     READABLE = (
         (TARGETS, TARGETS + 2),
         (0x0100, 0x0117),
-        (SET_OFFSET, SET_OFFSET),
+        (codec.SET_OFFSET, codec.SET_OFFSET),
         IDENTITY,
     )
-    WRITABLE = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
-    CONTROL = Control
+    WRITABLE = ((TARGETS, TARGETS + 2), (codec.SET_OFFSET, codec.SET_OFFSET))
+    CONTROL = codec.Control
     NEAR = _NEAR
 
     def __init__(self, properties: OnRobotRGProperties | None = None) -> None:
         made = self.properties = properties or OnRobotRGProperties()
         super().__init__(made)
-        model = self.model = MODELS[made.model]
+        model = self.model = codec.MODELS[made.model]
         self._opened = model.angle(model.stroke)
         self._closed = model.angle(2.0 * made.fingertip)
         self.axis = Axis(
@@ -167,7 +158,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
     # --- registers -------------------------------------------------------------------------------
 
     def _set(self, address: int, values: Sequence[int]) -> None:
-        if address == SET_OFFSET:
+        if address == codec.SET_OFFSET:
             self._offset = signed(values[0])
         else:
             super()._set(address, values)
@@ -176,18 +167,18 @@ class OnRobotRGEmulator(OnRobotEmulator):
         """Return the values of the registers."""
         status = self.status()
         known = {TARGETS + i: value for i, value in enumerate(self._targets)}
-        known |= {OFFSET: self._offset, SET_OFFSET: self._offset}
-        known |= {STATE + i: value for i, value in enumerate(status.to_registers())}
-        known |= {TIPS_WIDTH: status.width - 2 * self._offset}
+        known |= {codec.OFFSET: self._offset, codec.SET_OFFSET: self._offset}
+        known |= {codec.STATE + i: value for i, value in enumerate(status.to_registers())}
+        known |= {codec.TIPS_WIDTH: status.width - 2 * self._offset}
         codes = {name: code for code, name in PRODUCTS.items()}
         known |= identity(codes[self.model.name], self.properties.serial)
         if "wrong_device" in self.faults:
             known |= {PRODUCT: codes["2FG7"]}
         return known
 
-    def status(self) -> Status:
+    def status(self) -> codec.Status:
         """Return the gripper's state."""
-        return Status(
+        return codec.Status(
             width=round(self._width * 1e4),
             busy=self._busy,
             grip_detected=self._contact,
@@ -198,13 +189,13 @@ class OnRobotRGEmulator(OnRobotEmulator):
 
     # --- behaviour -------------------------------------------------------------------------------
 
-    def _command(self, control: Control) -> None:
-        if control is Control.STOP:
+    def _command(self, control: codec.Control) -> None:
+        if control is codec.Control.STOP:
             self.stopped += self._busy
             self._busy = False
             self._halt()
-        elif control is not Control.NONE and not (self._busy or self._locked()):
-            tips = 2 * self._offset if control is Control.GRIP_WITH_OFFSET else 0
+        elif control is not codec.Control.NONE and not (self._busy or self._locked()):
+            tips = 2 * self._offset if control is codec.Control.GRIP_WITH_OFFSET else 0
             self._start((self._targets[1] + tips) * TENTH_MM)
 
     def _locked(self) -> bool:

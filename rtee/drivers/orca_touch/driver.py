@@ -21,19 +21,6 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.orca_touch import codec
-from rtee.drivers.orca_touch.codec import (
-    Answer,
-    AnswerParser,
-    Content,
-    Encoders,
-    Forces,
-    Function,
-    OrcaFrameError,
-    Register,
-    Reply,
-    Request,
-    Stream,
-)
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
@@ -48,10 +35,10 @@ _SILENT = 2.0
 _AGAIN = 5.0
 """Shortest time between two such starts [s]."""
 
-_CONTENT: Mapping[str, Content] = {
-    "taxels": Content.TAXELS,
-    "resultants": Content.RESULTANTS,
-    "both": Content.RESULTANTS | Content.TAXELS,
+_CONTENT: Mapping[str, codec.Content] = {
+    "taxels": codec.Content.TAXELS,
+    "resultants": codec.Content.RESULTANTS,
+    "both": codec.Content.RESULTANTS | codec.Content.TAXELS,
 }
 
 
@@ -89,9 +76,9 @@ class OrcaTouchDriver(Driver):
             )
         self.connection: Connection[SerialBus] = Connection(spec)
         self._content = _CONTENT[self.options.content]
-        self._stream = AnswerParser()
+        self._stream = codec.AnswerParser()
         self._counts: tuple[int, ...] = ()
-        self._newest: tuple[Stream, float] | None = None
+        self._newest: tuple[codec.Stream, float] | None = None
         self._heard = self._armed = -math.inf
         self._taken = -math.inf
         self._reading: TouchReading | None = None
@@ -116,20 +103,22 @@ class OrcaTouchDriver(Driver):
             "a touch board",
             f"no touch board answers at {options.port}",
             "check supply, cable and `baudrate`",
-            OrcaFrameError,
+            codec.OrcaFrameError,
             check="check the port",
         ):
             fingers = codec.connected(
-                await self._read(bus, Register.CONNECTED, codec.CONNECTED_SIZE)
+                await self._read(bus, codec.Register.CONNECTED, codec.CONNECTED_SIZE)
             )
-            counts = codec.tip_counts(await self._read(bus, Register.COUNTS, codec.COUNTS_SIZE))
+            counts = codec.tip_counts(
+                await self._read(bus, codec.Register.COUNTS, codec.COUNTS_SIZE)
+            )
         if not fingers or any(not counts[finger] for finger in fingers):
             problem = "no fingertip is connected" if not fingers else "a fingertip without taxels"
             raise HandshakeError(
                 self.spec.name, "a touch board with fingertips", problem, hint="check their cables"
             )
         self._counts = tuple(counts[finger] for finger in fingers)
-        single = not self._content & Content.TAXELS
+        single = not self._content & codec.Content.TAXELS
         taxels = (1,) * len(fingers) if single else self._counts
         full = codec.NEWTONS * 255
         sensors = tuple(TouchSensor(f, n, full=full) for f, n in zip(fingers, taxels, strict=True))
@@ -158,38 +147,42 @@ class OrcaTouchDriver(Driver):
         # The board sends every millisecond at the most.
         return 1.0 / max(1e-3, wire_time(size, self.options.baudrate))
 
-    async def _read(self, bus: SerialBus, register: Register, size: int) -> bytes:
-        reply = await self._ask(bus, Request(Function.READ, register, size))
+    async def _read(self, bus: SerialBus, register: codec.Register, size: int) -> bytes:
+        reply = await self._ask(bus, codec.Request(codec.Function.READ, register, size))
         if len(reply.data) != size:
-            raise OrcaFrameError(f"{len(reply.data)} bytes for {size} of register {register:#06x}")
+            raise codec.OrcaFrameError(
+                f"{len(reply.data)} bytes for {size} of register {register:#06x}"
+            )
         return reply.data
 
-    async def _write(self, bus: SerialBus, register: Register, value: int) -> None:
-        reply = await self._ask(bus, Request(Function.WRITE, register, 1, bytes([value])))
+    async def _write(self, bus: SerialBus, register: codec.Register, value: int) -> None:
+        reply = await self._ask(
+            bus, codec.Request(codec.Function.WRITE, register, 1, bytes([value]))
+        )
         if reply.data != b"\0":
             raise NotConnected(
                 self.spec.name, f"the board refused a write to register {register:#06x}"
             )
 
-    async def _ask(self, bus: SerialBus, request: Request) -> Reply:
-        def answers(answer: Answer) -> bool:
+    async def _ask(self, bus: SerialBus, request: codec.Request) -> codec.Reply:
+        def answers(answer: codec.Answer) -> bool:
             wanted = (request.function, request.address)
-            return isinstance(answer, Reply) and (answer.function, answer.address) == wanted
+            return isinstance(answer, codec.Reply) and (answer.function, answer.address) == wanted
 
         # A separate parser: bytes of the stream must not end up in the buffer of this one.
         reply = await bus.transact(
-            request.to_bytes(), AnswerParser(), _WITHIN, self.options.retries, accept=answers
+            request.to_bytes(), codec.AnswerParser(), _WITHIN, self.options.retries, accept=answers
         )
-        assert isinstance(reply, Reply)  # noqa: S101 - narrows the type
+        assert isinstance(reply, codec.Reply)  # noqa: S101 - narrows the type
         return reply
 
     async def _arm(self, bus: SerialBus) -> None:
         """Start the stream, as the hand's own client does it; raises `BusError`."""
         # Before the writes, so that a failed start, too, is repeated only after `_AGAIN`.
         self._armed = monotonic.now()
-        await self._write(bus, Register.STREAM, 0)
-        await self._write(bus, Register.CONTENT, int(self._content))
-        await self._write(bus, Register.STREAM, 1)
+        await self._write(bus, codec.Register.STREAM, 0)
+        await self._write(bus, codec.Register.CONTENT, int(self._content))
+        await self._write(bus, codec.Register.STREAM, 1)
         self._heard = monotonic.now()
 
     async def _first(self, bus: SerialBus) -> None:
@@ -205,9 +198,9 @@ class OrcaTouchDriver(Driver):
         now = monotonic.now()
         for frame in self._stream.feed(data):
             match frame:
-                case Stream():
+                case codec.Stream():
                     self._newest, self._heard = (frame, now), now
-                case Encoders():
+                case codec.Encoders():
                     self._extras = {**self._extras, "joint_encoders": frame.angles()}
 
     # --- every cycle -------------------------------------------------------------------------
@@ -242,14 +235,14 @@ class OrcaTouchDriver(Driver):
         if frame.error:
             return  # its forces cannot be trusted; the last reading becomes stale
         try:
-            forces = Forces.from_bytes(frame.data, self._content, self._counts)
-        except OrcaFrameError:
+            forces = codec.Forces.from_bytes(frame.data, self._content, self._counts)
+        except codec.OrcaFrameError:
             # A code of the driver's own: the frame does not match the fingertips at connection.
             self._error = 0xFF
             return
-        if self._content & Content.RESULTANTS:
+        if self._content & codec.Content.RESULTANTS:
             self._extras = {**self._extras, "resultants": forces.resultants.ravel()}
-        pressing = forces.taxels if self._content & Content.TAXELS else forces.resultants
+        pressing = forces.taxels if self._content & codec.Content.TAXELS else forces.resultants
         self._reading = TouchReading(np.ascontiguousarray(pressing[:, 2]), stamp)
 
     async def move(self, reference: Reference) -> None:

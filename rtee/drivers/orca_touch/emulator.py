@@ -12,17 +12,6 @@ from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.timing import wire_time
 from rtee.drivers.options import Duration, read_properties
 from rtee.drivers.orca_touch import codec
-from rtee.drivers.orca_touch.codec import (
-    FINGERS,
-    Content,
-    Encoders,
-    Function,
-    Register,
-    Reply,
-    Request,
-    RequestParser,
-    Stream,
-)
 from rtee.hand.validation import Section
 from rtee.sample import FloatArray
 
@@ -75,14 +64,14 @@ class OrcaTouchEmulator(Emulator):
         properties = properties or OrcaTouchProperties()
         self.baudrate = baudrate
         self.properties = properties
-        self.fingers = tuple(finger for finger in FINGERS if finger in properties.taxels)
+        self.fingers = tuple(finger for finger in codec.FINGERS if finger in properties.taxels)
         self.forces: dict[str, FloatArray] = {
             finger: np.zeros((properties.taxels[finger], 3)) for finger in self.fingers
         }
         self.angles = [0] * codec.ENCODERS
-        self._parser = RequestParser()
+        self._parser = codec.RequestParser()
         self._due = 0.0
-        self.content, self.streaming = Content.RESULTANTS, False
+        self.content, self.streaming = codec.Content.RESULTANTS, False
         self._pace()
 
     @classmethod
@@ -100,7 +89,7 @@ class OrcaTouchEmulator(Emulator):
     def power_cycle(self, now: float) -> None:
         """Restart; it does not stream until the stream is started."""
         self._parser.reset()
-        self.content, self.streaming = Content.RESULTANTS, False
+        self.content, self.streaming = codec.Content.RESULTANTS, False
         self._pace()
 
     def line_reset(self) -> None:
@@ -124,35 +113,37 @@ class OrcaTouchEmulator(Emulator):
         frames = [self._frame().to_bytes()] if self.streaming else []
         if encoders:
             words = [_with_parity(count) for count in self.angles]
-            frames.append(Encoders(0, np.array(words, dtype="<u2").tobytes()).to_bytes())
+            frames.append(codec.Encoders(0, np.array(words, dtype="<u2").tobytes()).to_bytes())
         return frames
 
-    def _frame(self) -> Stream:
+    def _frame(self) -> codec.Stream:
         error = 1 if "error" in self.faults else 0
-        return Stream(error, self._forces(self.content))
+        return codec.Stream(error, self._forces(self.content))
 
-    def _forces(self, content: Content) -> bytes:
+    def _forces(self, content: codec.Content) -> bytes:
         taxels = [self.forces[finger] for finger in self.fingers]
         resultants = np.array([each.sum(axis=0) for each in taxels]).reshape(-1, 3)
         return codec.forces_bytes(resultants, taxels, content)
 
-    def _answer(self, request: Request) -> Reply | None:
-        if request.function == Function.READ:
+    def _answer(self, request: codec.Request) -> codec.Reply | None:
+        if request.function == codec.Function.READ:
             data = self._register(request.address, request.count)
         else:
             data = b"\0" if self._set(request.address, request.data) else b"\x01"
-        return Reply(request.function, request.address, request.count, data)
+        return codec.Reply(request.function, request.address, request.count, data)
 
     def _register(self, address: int, count: int) -> bytes:
         if "wrong_device" in self.faults:
             return b"\xff" * count
         tables = {
-            Register.CONNECTED: codec.connected_bytes(self.fingers),
-            Register.CONTENT: bytes([self.content]),
-            Register.STREAM: bytes([self.streaming]),
-            Register.COUNTS: codec.counts_bytes({f: len(self.forces[f]) for f in self.fingers}),
-            Register.RESULTANTS: codec.resultants_bytes(
-                self.fingers, self._forces(Content.RESULTANTS)
+            codec.Register.CONNECTED: codec.connected_bytes(self.fingers),
+            codec.Register.CONTENT: bytes([self.content]),
+            codec.Register.STREAM: bytes([self.streaming]),
+            codec.Register.COUNTS: codec.counts_bytes(
+                {f: len(self.forces[f]) for f in self.fingers}
+            ),
+            codec.Register.RESULTANTS: codec.resultants_bytes(
+                self.fingers, self._forces(codec.Content.RESULTANTS)
             ),
         }
         for register, data in tables.items():
@@ -163,11 +154,11 @@ class OrcaTouchEmulator(Emulator):
     def _set(self, address: int, data: bytes) -> bool:
         if len(data) != 1:
             return False
-        if address == Register.CONTENT and 1 <= data[0] <= 3:
-            self.content = Content(data[0])
+        if address == codec.Register.CONTENT and 1 <= data[0] <= 3:
+            self.content = codec.Content(data[0])
             self._pace()
             return True
-        if address == Register.STREAM and data[0] <= 1:
+        if address == codec.Register.STREAM and data[0] <= 1:
             self.streaming = bool(data[0])
             return True
         return False

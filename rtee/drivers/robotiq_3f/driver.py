@@ -11,19 +11,7 @@ from msgspec import field
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.options import Positive, read_options
-from rtee.drivers.robotiq_3f.codec import (
-    AXES,
-    FAULTS,
-    FINGERS,
-    FORCE,
-    SCALES,
-    AxisStatus,
-    Command,
-    Contact,
-    Mode,
-    Request,
-    Status,
-)
+from rtee.drivers.robotiq_3f import codec
 from rtee.drivers.robotiq_common import (
     INPUT,
     OUTPUT,
@@ -87,12 +75,12 @@ def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     return roles
 
 
-_PRESSING = (Contact.OPENING, Contact.CLOSING)
+_PRESSING = (codec.Contact.OPENING, codec.Contact.CLOSING)
 _OPEN, _CLOSED = 10, 250
 """A contact beyond these positions [count] is the end stop itself."""
 
 
-class Robotiq3FDriver(RobotiqDriver[Status, Command]):
+class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
     """The three-finger gripper: all fingers together or each for itself, and the scissor.
 
     A motor that presses on an object keeps pressing while its reference is the measured position.
@@ -100,9 +88,9 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
 
     Options = Robotiq3FOptions
     MODEL = "Robotiq 3-Finger"
-    STATUS = Status
-    COMMAND = Command
-    FAULTS = FAULTS
+    STATUS = codec.Status
+    COMMAND = codec.Command
+    FAULTS = codec.FAULTS
     HINT = (
         "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
         "move, so nothing may be between them"
@@ -113,7 +101,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         self.roles = roles_of(spec, self.options)
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
-        self._grips = tuple(Grip() for _ in AXES)
+        self._grips = tuple(Grip() for _ in codec.AXES)
         super().__init__(spec, buses, self.options)
 
     async def _identify(self) -> None:
@@ -133,7 +121,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         """Open the line and check that such a gripper answers; moves nothing."""
         await super().configure()
         # All fingers by one actuator: the force of one side is balanced by the other side.
-        grip = GripForce(SCALES["fingers"].effort.si, FORCE[:1], FORCE[1:])
+        grip = GripForce(codec.SCALES["fingers"].effort.si, codec.FORCE[:1], codec.FORCE[1:])
         fingers = [
             a.name
             for a, role in zip(self.spec.actuators, self.roles, strict=True)
@@ -156,8 +144,8 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         }
 
     @property
-    def _mode(self) -> Mode:
-        return Mode[self.options.mode.upper()]
+    def _mode(self) -> codec.Mode:
+        return codec.Mode[self.options.mode.upper()]
 
     async def _prepare(self, allowed: bool) -> None:
         """Change the mode where another one is configured; the scissor moves by it."""
@@ -173,24 +161,24 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         await self._within("changing its mode", self._change_mode)
 
     async def _change_mode(self) -> None:
-        await self._write(Command(activate=True, mode=self._mode).to_registers()[: self.USED])
+        await self._write(codec.Command(activate=True, mode=self._mode).to_registers()[: self.USED])
         await self._until(lambda status: status.ready and status.mode is self._mode)
 
     # --- every cycle -------------------------------------------------------------------------
 
-    def _measured(self, status: Status, stamp: float) -> ActuatorState:
+    def _measured(self, status: codec.Status, stamp: float) -> ActuatorState:
         return ActuatorState.measured(
-            [SCALES[role].position.within(self._position(role)) for role in self.roles],
+            [codec.SCALES[role].position.within(self._position(role)) for role in self.roles],
             stamp,
             current=[self._current(role) for role in self.roles],
             grasped=tuple(self._grasped(role) for role in self.roles),
             warnings=self._warnings(status),
         )
 
-    def _axes(self, role: str) -> tuple[AxisStatus, ...]:
+    def _axes(self, role: str) -> tuple[codec.AxisStatus, ...]:
         """Return the motors that an actuator drives."""
         axes = self._status.axes
-        return axes[:3] if role == "fingers" else (axes[AXES.index(role)],)
+        return axes[:3] if role == "fingers" else (axes[codec.AXES.index(role)],)
 
     def _position(self, role: str) -> float:
         """Return an actuator's count: for all fingers together, their mean."""
@@ -203,23 +191,23 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
 
     def _grasped(self, role: str) -> bool | None:
         """Return whether an actuator's motors press on something, short of their end stops."""
-        if role == "scissor" and self._status.mode is not Mode.SCISSOR:
+        if role == "scissor" and self._status.mode is not codec.Mode.SCISSOR:
             return None
         if role == "fingers":
             touching = [self._touches(at) for at in (0, 1, 2)]  # all, since each has a memory
             return any(touching)
-        return self._touches(AXES.index(role))
+        return self._touches(codec.AXES.index(role))
 
     def _touches(self, at: int) -> bool:
         """Return whether a motor presses on something, short of its end stops."""
         axis, going = self._status.axes[at], self._status.going
         contact = going and (
-            (axis.contact is Contact.CLOSING and axis.position < _CLOSED)
-            or (axis.contact is Contact.OPENING and axis.position > _OPEN)
+            (axis.contact is codec.Contact.CLOSING and axis.position < _CLOSED)
+            or (axis.contact is codec.Contact.OPENING and axis.position > _OPEN)
         )
         # Motors without individual commands echo no request of their own.
         requested = axis.requested if self._sent is None else self._sent.axes[at].position
-        moving = going and axis.contact is Contact.MOVING
+        moving = going and axis.contact is codec.Contact.MOVING
         return self._grips[at].steady(contact, moving, axis.position, requested)
 
     def _registers_for(self, reference: Reference) -> Sequence[int] | None:
@@ -228,8 +216,8 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         for index, role in enumerate(self.roles):
             if not reference.mask[index]:
                 continue
-            scale = SCALES[role]
-            request = Request(
+            scale = codec.SCALES[role]
+            request = codec.Request(
                 scale.position.to_count(float(reference.position[index])),
                 scale.velocity.to_count(float(reference.max_velocity[index])),
                 scale.effort.to_count(float(reference.max_effort[index])),
@@ -237,15 +225,15 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
             # A reference at the measured position would end a grip; see `_request`.
             stays = abs(request.position - self._position(role)) <= SAME
             moving |= not stays
-            for at in (0, 1, 2) if role == "fingers" else (AXES.index(role),):
+            for at in (0, 1, 2) if role == "fingers" else (codec.AXES.index(role),):
                 axes[at] = self._request(at, request, stays)
         if not moving:
             return None
         self._sent = self._command(axes, self._status.mode if self._scissor else self._mode, True)
         return self._registers(self._sent)
 
-    def _command(self, axes: Sequence[Request], mode: Mode, go: bool) -> Command:
-        return Command(
+    def _command(self, axes: Sequence[codec.Request], mode: codec.Mode, go: bool) -> codec.Command:
+        return codec.Command(
             activate=go or self._status.activated,
             mode=mode,
             go=go,
@@ -254,17 +242,17 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
             axes=tuple(axes),
         )
 
-    def _registers(self, command: Command) -> Sequence[int]:
+    def _registers(self, command: codec.Command) -> Sequence[int]:
         registers = command.to_registers()
         return registers if self._individual or self._scissor else registers[: self.USED]
 
-    def _request(self, at: int, request: Request, stays: bool) -> Request:
+    def _request(self, at: int, request: codec.Request, stays: bool) -> codec.Request:
         pressing = self._status.axes[at].contact in _PRESSING
         if not (stays and (self._sent is None or pressing)):
             return request
-        return Request(self._kept(at).position, request.speed, request.force)
+        return codec.Request(self._kept(at).position, request.speed, request.force)
 
-    def _kept(self, at: int) -> Request:
+    def _kept(self, at: int) -> codec.Request:
         """Return the request that changes nothing for a motor."""
         if self._sent is not None:
             return self._sent.axes[at]
@@ -272,9 +260,9 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         if axis.contact in _PRESSING:
             first = self._status.axes[0].requested
             # Together, only finger a echoes a request; the others follow it.
-            echo = axis.requested or (first if at < FINGERS else 0)
-            return Request(echo or axis.position, 255, 255)
-        return Request(axis.position, 255, 255)
+            echo = axis.requested or (first if at < codec.FINGERS else 0)
+            return codec.Request(echo or axis.position, 255, 255)
+        return codec.Request(axis.position, 255, 255)
 
     def _stopping(self) -> Sequence[int]:
         axes = [self._kept(at) for at in range(4)]

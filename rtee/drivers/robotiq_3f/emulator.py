@@ -12,32 +12,27 @@ from typing import Any, ClassVar, Self
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
 from rtee.drivers.options import Duration, read_properties
+from rtee.drivers.robotiq_3f import codec
 from rtee.drivers.robotiq_3f.codec import FAULTS as FAULTS_BY_CODE
-from rtee.drivers.robotiq_3f.codec import (
-    FINGERS,
-    FORCE,
-    SPEED,
-    STROKE,
-    AxisStatus,
-    Command,
-    Contact,
-    Mode,
-    Motion,
-    Request,
-    Status,
-)
 from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
 from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties
 from rtee.drivers.scale import LinearScale
 
-_SCISSOR_OF = {Mode.BASIC: 0x89, Mode.PINCH: 0xDC, Mode.WIDE: 0x19, Mode.SCISSOR: 0x19}
+_SCISSOR_OF = {
+    codec.Mode.BASIC: 0x89,
+    codec.Mode.PINCH: 0xDC,
+    codec.Mode.WIDE: 0x19,
+    codec.Mode.SCISSOR: 0x19,
+}
 """Rest position of the scissor [counts]: 0x89 is in the manual's frames, the others are
 estimates."""
 
-_VELOCITY = LinearScale(COUNTS, (SPEED[0] * 255 / STROKE, SPEED[1] * 255 / STROKE))
+_VELOCITY = LinearScale(
+    COUNTS, (codec.SPEED[0] * 255 / codec.STROKE, codec.SPEED[1] * 255 / codec.STROKE)
+)
 """rSPx to [counts/s] of gPOx."""
 
-_FORCE = LinearScale(COUNTS, FORCE)
+_FORCE = LinearScale(COUNTS, codec.FORCE)
 """rFRx to [N]."""
 
 _OPEN = 6
@@ -74,7 +69,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
     def __init__(self, properties: Robotiq3FProperties | None = None) -> None:
         made = self.properties = properties or Robotiq3FProperties()
         fingers = [_axis(_OPEN, _OPEN) for _ in range(3)]
-        super().__init__(made, [*fingers, _axis(_SCISSOR_OF[Mode.BASIC], 0)])
+        super().__init__(made, [*fingers, _axis(_SCISSOR_OF[codec.Mode.BASIC], 0)])
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -83,26 +78,26 @@ class Robotiq3FEmulator(RobotiqEmulator):
         return cls(read_properties(Robotiq3FProperties, options, **found))
 
     def _power_up(self, activated: bool) -> None:
-        self._mode = Mode.BASIC
+        self._mode = codec.Mode.BASIC
         super()._power_up(activated)
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close; the scissor does not close on an object."""
-        return [Closing(axis, _OPEN, axis.upper, FORCE[1]) for axis in self.axes[:3]]
+        return [Closing(axis, _OPEN, axis.upper, codec.FORCE[1]) for axis in self.axes[:3]]
 
     # --- registers ---------------------------------------------------------------------------
 
     def _windows(self) -> Sequence[tuple[int, int]]:
         return [(INPUT, OUTPUT), (0, 0)]
 
-    def _command(self) -> Command:
-        return Command.from_registers(self.output)
+    def _command(self) -> codec.Command:
+        return codec.Command.from_registers(self.output)
 
-    def _staying(self) -> Command:
-        a, b, c, scissor = (Request(round(axis.position), 255, 255) for axis in self.axes)
-        return Command(activate=True, go=True, axes=(a, b, c, scissor))
+    def _staying(self) -> codec.Command:
+        a, b, c, scissor = (codec.Request(round(axis.position), 255, 255) for axis in self.axes)
+        return codec.Command(activate=True, go=True, axes=(a, b, c, scissor))
 
-    def status(self) -> Status:
+    def status(self) -> codec.Status:
         """Return what the gripper reports."""
         command = self._command()
         going = self._going(command)
@@ -114,15 +109,15 @@ class Robotiq3FEmulator(RobotiqEmulator):
             command.axes[3].position if command.scissor else 0,
         ]
         axes = tuple(
-            AxisStatus(contact, echo, _count(axis.measured), _current(axis))
+            codec.AxisStatus(contact, echo, _count(axis.measured), _current(axis))
             for contact, echo, axis in zip(contacts, echoes, self.axes, strict=True)
         )
-        return Status(
+        return codec.Status(
             activated=command.activate,
             mode=self._mode,
             going=going,
             progress=Progress.RESET if self._releasing else self._progress,
-            motion=_motion(contacts[:3]) if going else Motion.MOVING,
+            motion=_motion(contacts[:3]) if going else codec.Motion.MOVING,
             fault=self._reported_fault(command),
             axes=axes,
         )
@@ -132,7 +127,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
     def _apply(self, command: Any) -> None:
         moves = command.activate and not command.release and self._progress is Progress.DONE
         if not command.activate:
-            self._mode = Mode.BASIC
+            self._mode = codec.Mode.BASIC
         if moves and command.mode is not self._mode:
             self._change_mode(command.mode)
         else:
@@ -143,9 +138,9 @@ class Robotiq3FEmulator(RobotiqEmulator):
         if command.mode is self._mode:
             super()._obey(command)
 
-    def _follow(self, command: Command) -> bool:
+    def _follow(self, command: codec.Command) -> bool:
         fingers = list(command.axes[:3]) if command.individual else [command.axes[0]] * 3
-        scissor = Request(_SCISSOR_OF[self._mode], 255, 255)
+        scissor = codec.Request(_SCISSOR_OF[self._mode], 255, 255)
         requests = [*fingers, command.axes[3] if command.scissor else scissor]
         changed = False
         for axis, request in zip(self.axes, requests, strict=True):
@@ -157,12 +152,12 @@ class Robotiq3FEmulator(RobotiqEmulator):
             axis.target = target
         return changed
 
-    def _release(self, command: Command) -> None:
+    def _release(self, command: codec.Command) -> None:
         for axis in self.axes[:3]:
             axis.max_velocity = _VELOCITY.to_si(0)
             axis.target = _OPEN
 
-    def _change_mode(self, mode: Mode) -> None:
+    def _change_mode(self, mode: codec.Mode) -> None:
         if self._blocked():
             return
         self._mode = mode
@@ -176,7 +171,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
         super()._activate(dt)
         scissor = self.axes[3]
         if self._progress is Progress.ACTIVATING and scissor.target == scissor.lower:
-            scissor.target = _SCISSOR_OF[Mode.BASIC]
+            scissor.target = _SCISSOR_OF[codec.Mode.BASIC]
 
     def _progress_by(self, dt: float) -> None:
         super()._progress_by(dt)
@@ -188,26 +183,26 @@ class Robotiq3FEmulator(RobotiqEmulator):
 def _axis(position: float, lower: int) -> Axis:
     axis = Axis(position, lower=lower, upper=255, time_constant=0.01, friction=2.0, resolution=0.3)
     # Currents are reported relative to the strongest grip, independent of the commanded force.
-    axis.rating = FORCE[1]
+    axis.rating = codec.FORCE[1]
     return axis
 
 
-def _contact(axis: Axis, moving: bool) -> Contact:
+def _contact(axis: Axis, moving: bool) -> codec.Contact:
     if moving or axis.moving:
-        return Contact.MOVING
+        return codec.Contact.MOVING
     error = axis.target - axis.position
     if abs(error) <= 1.0:
-        return Contact.AT_REQUEST
-    return Contact.CLOSING if error > 0 else Contact.OPENING
+        return codec.Contact.AT_REQUEST
+    return codec.Contact.CLOSING if error > 0 else codec.Contact.OPENING
 
 
-def _motion(contacts: Sequence[Contact]) -> Motion:
-    if Contact.MOVING in contacts:
-        return Motion.MOVING
-    short = sum(contact is not Contact.AT_REQUEST for contact in contacts)
+def _motion(contacts: Sequence[codec.Contact]) -> codec.Motion:
+    if codec.Contact.MOVING in contacts:
+        return codec.Motion.MOVING
+    short = sum(contact is not codec.Contact.AT_REQUEST for contact in contacts)
     if not short:
-        return Motion.ALL_REACHED
-    return Motion.ALL_SHORT if short == FINGERS else Motion.SOME_SHORT
+        return codec.Motion.ALL_REACHED
+    return codec.Motion.ALL_SHORT if short == codec.FINGERS else codec.Motion.SOME_SHORT
 
 
 def _current(axis: Axis) -> int:
