@@ -8,12 +8,13 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from rtee.hand.validation import Section
+
 Amount = Annotated[float, Meta(ge=0.0, le=1e3)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
-@dataclass(frozen=True, slots=True)
-class Wear:
+class Wear(Section, frozen=True):
     """How an emulated device differs from its data sheet.
 
     The shares are of a motor's full travel.

@@ -3,36 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rtee.errors import CalibrationError
 from rtee.hand.files import make_folder, write_atomically
+from rtee.hand.validation import validated
 
 T = TypeVar("T")
 
 
-def read_calibration_file(path: Path, device: str, read: Callable[[Any], T], *, of: str = "") -> T:
+def read_calibration_file(path: Path, device: str, kind: type[T], *, of: str = "") -> T:
     """Return the content of a calibration file.
 
     Args:
         path: The file.
         device: The device's name, for the message.
-        read: Makes the result of the file's JSON value; `ValueError`, `TypeError` and `KeyError`
-            mean that the file holds something else.
+        kind: The type of the content.
         of: What the calibration is of, for the message, such as `` of servos``.
 
     Raises:
         CalibrationError: if the file is missing, or not such a calibration.
     """
     try:
-        return read(json.loads(path.read_text("utf-8")))
+        return validated(kind, json.loads(path.read_text("utf-8")))
     except FileNotFoundError:
         raise CalibrationError(
             device, f"there is no calibration at {path}; `rtee calibrate` makes one"
         ) from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError) as error:
         raise CalibrationError(device, f"{path} is not a calibration{of}: {error}") from error
 
 

@@ -6,14 +6,16 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
+
+from msgspec import structs
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.wear import Wear
 from rtee.drivers.axis import Axis, VirtualObject
-from rtee.errors import ConfigError, suggestion
-from rtee.hand.validation import Invalid, validated
+from rtee.errors import ConfigError
+from rtee.hand.validation import Fault, Invalid, validated
 from rtee.types import DeviceSpec
 
 OPTION = "object"
@@ -233,15 +235,12 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
             f"the emulated device's wear is '{state}'; write worn, ideal, or what differs from "
             "worn, such as {lag: 0.05}"
         )
-    names = [one.name for one in fields(Wear)]
-    for name in state:
-        if name not in names:
-            raise ConfigError(f"nothing wears by '{name}'; {suggestion(str(name), names)}")
-    # As plain data has it: tuples are lists there.
-    worn = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(kind.WEAR).items()}
     try:
-        return validated(Wear, {**worn, **state})
+        return validated(Wear, {**structs.asdict(kind.WEAR), **state})
     except Invalid as error:
+        if error.first.fault is Fault.UNKNOWN:
+            unknown = f"nothing wears by '{error.first.at[0]}'; {error.sentence}"
+            raise ConfigError(unknown) from None
         what = ".".join(map(str, error.first.at))
         raise ConfigError(f"wear '{what}' of the emulated device: {error.sentence}") from None
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -19,7 +19,7 @@ from msgspec import Meta
 from rtee.drivers.json_files import read_calibration_file
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.errors import CalibrationError, DeviceFault, HandshakeError, NotConnected
-from rtee.hand.validation import Section
+from rtee.hand.validation import Finite, Section
 from rtee.sample import FloatArray
 
 LATENCY = 1e-3
@@ -180,8 +180,7 @@ def fault_of(
     return DeviceFault(device, code, "; ".join(problems), hint=hint)
 
 
-@dataclass(frozen=True, slots=True)
-class Calibrated:
+class Calibrated(Section, frozen=True):
     """One calibrated servo.
 
     Attributes:
@@ -197,22 +196,17 @@ class Calibrated:
     model: int
     drive_mode: int
     homing_offset: int
-    zero: float
+    zero: Finite
+
+
+class _Calibration(Section, frozen=True):
+    servos: tuple[Calibrated, ...]
 
 
 def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
     """Return the calibrated servos by actuator; raises `CalibrationError`."""
-
-    def servos_of(stored: Any) -> list[Calibrated]:
-        servos = [Calibrated(**entry) for entry in stored["servos"]]
-        for servo in servos:
-            # `bool` is an `int`, and Python's JSON reader accepts NaN.
-            if type(servo.zero) not in (int, float) or not math.isfinite(servo.zero):
-                raise ValueError(f"the zero of '{servo.actuator}' is {servo.zero!r}, not a number")
-        return servos
-
-    servos = read_calibration_file(path, device, servos_of, of=" of servos")
-    return {servo.actuator: servo for servo in servos}
+    stored = read_calibration_file(path, device, _Calibration, of=" of servos")
+    return {servo.actuator: servo for servo in stored.servos}
 
 
 def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[float]:

@@ -12,13 +12,14 @@ from abc import abstractmethod
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
+from msgspec import structs
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
@@ -701,7 +702,7 @@ class ServoDriver(Driver, Generic[L]):
             scale.zero, scale.turns = self._zero(position - angle / scale.rad), 0
         self._use_scales()
         servos = self._calibrated()
-        write_json(path, {"servos": [asdict(servo) for servo in servos]})
+        write_json(path, {"servos": [structs.asdict(servo) for servo in servos]})
         return servos
 
     def _zero(self, position: float) -> float:

@@ -102,8 +102,9 @@ class Invalid(ValueError):
     """
 
     def __init__(self, mistakes: list[Mistake]) -> None:
-        super().__init__(mistakes[0].words)
         self.mistakes = mistakes
+        place = ".".join(map(str, self.first.at))
+        super().__init__(f"{place}: {self.sentence}" if place else self.sentence)
 
     @property
     def first(self) -> Mistake:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from msgspec import Meta, field
+from msgspec import Meta, field, to_builtins
 
 from rtee.actions.openings import model_of
 from rtee.errors import ActionError, ConfigError
@@ -147,46 +146,12 @@ def write_correspondence(folder: Path, hand: Hand, found: Correspondence) -> Pat
         f"How a person's hand moves this one, made by `rtee retarget {hand.name} --save`.",
         "Yours to change: which finger follows which human one, how far, and where tips meet.",
     )
-    write_atomically(path, emit(_document(found), lines))
+    write_atomically(path, emit(_plain(to_builtins(found)), lines))
     return path
 
 
-def _document(found: Correspondence) -> dict[str, Any]:
-    palm, fingers = found.palm, found.fingers
-    return {
-        "format": found.format,
-        "model": found.model,
-        "palm": {
-            "palmar": list(palm.palmar),
-            "radial": list(palm.radial),
-            "distal": list(palm.distal),
-        },
-        "fingers": {
-            name: {
-                "human": str(each.human),
-                "base": list(each.base),
-                "tip": list(each.tip),
-                "reach": each.reach,
-                "scale": each.scale,
-                "follow": each.follow,
-            }
-            for name, each in fingers.items()
-        },
-        **_unless_empty("closed", found.closed),
-        **_unless_empty("pinches", [_pinch(pinch) for pinch in found.pinches]),
-    }
-
-
-def _pinch(pinch: Pinch) -> dict[str, Any]:
-    return {
-        "fingers": list(pinch.fingers),
-        **_unless_empty("contact", pinch.contact),
-        **_unless_empty("widths", list(pinch.widths)),
-        **_unless_empty("positions", pinch.positions),
-    }
-
-
-def _unless_empty(
-    key: str, value: Mapping[str, Any] | list[float] | list[dict[str, Any]]
-) -> dict[str, Any]:
-    return {key: value} if value else {}
+def _plain(value: Any) -> Any:
+    """Return plain data with lists instead of tuples, without what is empty."""
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items() if each not in ({}, ())}
+    return [*map(_plain, value)] if isinstance(value, tuple) else value

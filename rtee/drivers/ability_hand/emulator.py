@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
-from msgspec import Meta
+from msgspec import Meta, structs
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.wear import TYPICAL, Wear
@@ -80,7 +79,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     """
 
     # Words of the sensors of one finger of a real hand, while nothing touches them.
-    WEAR = replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
+    WEAR = structs.replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
     FAULTS = Emulator.FAULTS | {"silent", "hot"}
     BAUDRATES = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Self
+
+from msgspec import structs
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.wear import TYPICAL
@@ -28,7 +29,7 @@ class Cia402Emulator(Emulator, Grasps):
     """
 
     # The encoder of a drive sits on its motor and is homed: it sees neither play nor an offset.
-    WEAR = replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
+    WEAR = structs.replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
     FAULTS = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from msgspec import Meta, structs
 
 from rtee import monotonic
 from rtee.buses.retry import patiently
@@ -14,6 +15,7 @@ from rtee.drivers.inspire_rh56.codec import COUNT, FINGERS, KEEP, Register, Repo
 from rtee.drivers.inspire_rh56.link import Rh56Link
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.errors import CalibrationError
+from rtee.hand.validation import Section
 
 _SPEED = 250
 """Speed at which the hand opens first [0.1 %]: a quarter of the largest."""
@@ -26,8 +28,7 @@ _IDLE = 100
 """Largest plausible reading of an idle finger [g]: published force curves begin there."""
 
 
-@dataclass(frozen=True, slots=True)
-class ForceZeros:
+class ForceZeros(Section, frozen=True):
     """Readings of the force sensors of an idle hand.
 
     Attributes:
@@ -36,7 +37,7 @@ class ForceZeros:
     """
 
     unit: int
-    grams: tuple[int, ...]
+    grams: Annotated[tuple[int, ...], Meta(min_length=COUNT, max_length=COUNT)]
 
     def __str__(self) -> str:
         pairs = zip(FINGERS, self.grams, strict=True)
@@ -45,14 +46,7 @@ class ForceZeros:
 
 def read_zeros(path: Path, device: str, unit: int) -> tuple[int, ...]:
     """Return the stored zeros of a hand [g]; raises `CalibrationError`."""
-
-    def zeros_of(stored: Any) -> ForceZeros:
-        zeros = ForceZeros(int(stored["unit"]), tuple(int(g) for g in stored["grams"]))
-        if len(zeros.grams) != COUNT:
-            raise ValueError(f"it has {len(zeros.grams)} forces instead of {COUNT}")
-        return zeros
-
-    zeros = read_calibration_file(path, device, zeros_of)
+    zeros = read_calibration_file(path, device, ForceZeros)
     # Sensors differ from hand to hand, so the zeros of another hand are wrong here.
     if zeros.unit != unit:
         raise CalibrationError(
@@ -107,7 +101,7 @@ async def calibrate(
                 device,
                 f"{finger} reads {grams} g although the hand is idle: does it touch something?",
             )
-    write_json(path, asdict(zeros))
+    write_json(path, structs.asdict(zeros))
     return zeros
 
 

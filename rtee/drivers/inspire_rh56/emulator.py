@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Self
+
+from msgspec import structs
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
 from rtee.buses.wear import TYPICAL, Wear
@@ -39,7 +40,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
 
     # Recorded with real hands: 44 to 70 ms from a command to the motion, 281 to 2222 counts/s where
     # the sheet's 0.3 s for the whole way are 3333, and force sensors that read a few grams.
-    WEAR = replace(TYPICAL, lag=0.066, pace=2222.0 / 3333.0, force=(5, -12, 0, 8, -4, 0))
+    WEAR = structs.replace(TYPICAL, lag=0.066, pace=2222.0 / 3333.0, force=(5, -12, 0, 8, -4, 0))
     FAULTS = ModbusEmulator.FAULTS | FAULTS | {"silent"}
     BAUDRATES = frozenset(codec.BAUDRATES)
     EXCEPTIONS = True

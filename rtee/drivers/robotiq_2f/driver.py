@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from msgspec import Meta
+from msgspec import Meta, structs
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
@@ -27,6 +27,7 @@ from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.scale import FingerScale
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import BusError, CalibrationError, HandshakeError
+from rtee.hand.validation import Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -57,8 +58,7 @@ class Robotiq2FOptions(RobotiqOptions, frozen=True):
     """Modbus function to read with; by default 3, or 4 with ``register_base``."""
 
 
-@dataclass(frozen=True, slots=True)
-class EndStops:
+class EndStops(Section, frozen=True):
     """The measured end stops of a gripper. It has no serial number, so model and unit identify it.
 
     Attributes:
@@ -243,7 +243,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         closed = await self._end_stop(255)
         opened = await self._end_stop(0)
         stops = self._checked(EndStops(self.options.model, self.options.unit, opened, closed))
-        write_json(path, asdict(stops))
+        write_json(path, structs.asdict(stops))
         return stops
 
     async def _end_stop(self, request: int) -> int:
@@ -267,7 +267,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     def _read_stops(self, path: Path) -> EndStops:
         """Return the stored calibration of this gripper; raises `CalibrationError`."""
         device, model, unit = self.spec.name, self.options.model, self.options.unit
-        stops = read_calibration_file(path, device, lambda stored: EndStops(**stored))
+        stops = read_calibration_file(path, device, EndStops)
         if (stops.model, stops.unit) != (model, unit):
             raise CalibrationError(
                 device,
