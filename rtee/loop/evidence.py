@@ -292,7 +292,7 @@ class ContactMonitor:
             return False
         closing = watched.target - watched.start
         return rules.holds(
-            self._touch(i),
+            self.touch(i),
             word=measured.grasped[i] == 1,
             denied=measured.grasped[i] == 0,
             away=False,
@@ -349,7 +349,7 @@ class ContactMonitor:
         felt = self._felt.get(finger)
         return None if felt is None else self._now - felt <= _FELT
 
-    def _touch(self, i: int) -> bool | None:
+    def touch(self, i: int) -> bool | None:
         """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
         if not self._felt:
             return None
@@ -453,7 +453,7 @@ class ContactMonitor:
             watched.blocked_at = stamp
         watched.pressed = own_report or not abs(measured.effort[i]) < self._stopping(i, limit)
         if rules.holds(
-            self._touch(i) if watched.presses is None else watched.presses,
+            self.touch(i) if watched.presses is None else watched.presses,
             word=own_report,
             denied=measured.grasped[i] == 0,
             away=away,
@@ -561,7 +561,7 @@ class ContactMonitor:
         push = reference - watched.hold_position
         spec = self._actuators[i]
         return rules.lost(
-            self._touch(i),
+            self.touch(i),
             word=word,
             moved=(measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0),
             push=push,

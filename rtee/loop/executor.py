@@ -292,15 +292,22 @@ class Executor:
         return grip is not None and not self._bending.isdisjoint(grip.indices)
 
     def _may_be_nothing(self, run: _Run, measured: Measured) -> bool:
-        """Return whether what seems to be held, or touched, may be the hand itself."""
+        """Return whether what seems to be held, or touched, may be the hand itself.
+
+        Or else whether what is touched, but not gripped by the tips, may be held: by what else
+        of the hand touches it, or by its weight on the fingers.
+        """
         plan, contact = run.plan, self._contact
-        seems = bool(self._reflexes.touched) or any(contact.grasping(i) for i in plan.involved)
-        if plan.grip is None or not seems:
+        grasped = any(contact.grasping(i) for i in plan.involved)
+        if plan.grip is None or not (self._reflexes.touched or grasped):
             return False
         # Fingers that bend as they press have an opening only where they met the object.
         met = run.touched if run.touched and self._bends(run) else measured.position
         opening, doubt = plan.grip.opening(met), plan.grip.doubt(met)
-        return rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved))
+        if rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved)):
+            return True
+        last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
+        return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
 
     def _grip_values(
         self, run: _Run, measured: Measured, grasped: bool, aborted: bool

@@ -15,7 +15,7 @@ from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import ContactMonitor
-from rtee.loop.grip import Grip
+from rtee.loop.grip import ELSEWHERE, Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
 from rtee.loop.profiles import Profile
@@ -63,13 +63,12 @@ _UNEVEN = 0.15
 """Sides may differ by twice this share by the weight between them; then their mean is the force.
 What is more comes from fingers that press on one another."""
 
+_ONE_SIDE = 1.3
+"""One side presses no further above this multiple of the force: a palm, or another finger, holds
+against it, and the other side may never come."""
+
 _SENSED = 0.05
 """Error of sensors at the fingertips, as a share of the force."""
-
-_JUDGED = 0.6
-"""Error of a force by the efforts of several actuators, likewise: in simulation, the least exact
-estimates, of HERI II and Allegro, are off by 0.53 and 0.58. Where exactly a finger touches decides
-how much of an effort a joint bears, and which part its friction takes."""
 
 _SETTLE = 0.15
 """Time for which the force must have arrived [s]: some exchanges of the slowest device."""
@@ -208,7 +207,7 @@ class ForceEstimate:
         grip, touch, force = self._grip, measured.touch, self.of(measured)
         least = grip.tip_force(touch)
         if least != least:
-            return _JUDGED * force
+            return ELSEWHERE * force
         uneven = 0.0
         if not grip.around:
             one, other = (sum(touch[f] for f in side) for side in (grip.fingers, grip.others))
@@ -400,7 +399,7 @@ class Pressing:
         foreseen = self.felt + _LOOKS_AHEAD * self._rate
         speed = (wanted - foreseen) / (self._stiffness * _FOLLOW)
         speed = min(max(speed, -self._speed), self._speed)
-        if speed > 0.0 and self._exhausted(measured):
+        if speed > 0.0 and (self._exhausted(measured) or self._one_sided(wanted, measured)):
             speed = 0.0
         at = min(max(self._grip.intensity_of(measured.position), 0.0), self._grip.intensity[-1])
         slope = max(self._grip.slope_at(at), 1e-6)
@@ -423,6 +422,12 @@ class Pressing:
         elif self._depth >= _FIRST and self._velocity > 0.0:
             least, most = (wanted / depth for depth in reversed(_DEPTHS))
             self._stiffness = min(max((self.felt - self._first) / self._depth, least), most)
+
+    def _one_sided(self, wanted: float, measured: Measured) -> bool:
+        """Return whether one side presses with more than the force, on what others hold against."""
+        touch = measured.touch
+        sides = (self._grip.fingers, self._grip.others) if touch and not self._grip.around else ()
+        return any(sum(touch[f] for f in side) > _ONE_SIDE * wanted for side in sides)
 
     def _exhausted(self, measured: Measured) -> bool:
         """Return whether all actuators that press do so with all that they may."""
