@@ -9,7 +9,6 @@ The tree::
     │   ├── ModelError             URDF, SRDF, meshes
     │   │   ├── ExpressionError    a non-linear mimic expression
     │   │   └── UnknownJoint · UnknownActuator · UnknownFinger · UnknownLink
-    │   ├── ExtractionError        a model from which no action can be extracted
     │   ├── ActionError            an action's file or definition
     │   │   └── UnknownAction
     │   ├── CalibrationError       a calibration that does not fit the device
@@ -291,10 +290,6 @@ class UnknownLink(_UnknownName):
     """A link that the model does not have."""
 
     what = "link"
-
-
-class ExtractionError(UserError):
-    """The model loads, but no action can be extracted from it."""
 
 
 class ActionError(UserError, ValueError):

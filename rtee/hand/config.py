@@ -127,21 +127,11 @@ class HandConfig(Section, frozen=True, kw_only=True):
             raise ValueError("driver is 'devices' but no devices are given")
 
 
-def read_config(path: Path | str) -> HandConfig:
-    """Read a hand.yaml, or the one in a folder.
-
-    Raises:
-        ConfigError: The file cannot be read or a value is wrong; the message names file, line and
-            field.
-    """
-    return read_document(path)[0]
-
-
 def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:
-    """Read a hand.yaml; also return the document it came from, which knows the lines.
+    """Read a hand.yaml, or the one in a folder; also return its document, which has the lines.
 
     Raises:
-        ConfigError: As `read_config`.
+        ConfigError: If the file cannot be read or a value is wrong; with file, line and field.
     """
     file = Path(path)
     document = read_yaml(file / FILE_NAME if file.is_dir() else file, FILE_NAME)

@@ -177,12 +177,6 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
     return parts_of(path) if series else [path]
 
 
-def is_ours(path: Path, hand: str) -> bool:
-    """Return whether name and content of a file are those of a recording of this hand."""
-    file = parse_name(path)
-    return file is not None and file.owner == file.hand == hand
-
-
 class Retention:
     """Limits the disk space of recordings in a folder by removing the oldest.
 

@@ -11,7 +11,7 @@ import pytest
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Composed, Generic, Primitive, Timed
 from rtee.drivers.registry import find_driver
-from rtee.hand.config import DEFAULTS, HandConfig, read_config
+from rtee.hand.config import DEFAULTS, HandConfig, read_document
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.validation import validated
@@ -43,7 +43,7 @@ def hand(name: str) -> Hand:
 
 @pytest.fixture
 def config(name: str) -> HandConfig:
-    return read_config(CONFIG / name)
+    return read_document(CONFIG / name)[0]
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from hand.models import YAML, line_of
 from rtee.errors import ConfigError
-from rtee.hand.config import HandConfig, read_config
+from rtee.hand.config import HandConfig, read_document
 from rtee.hand.load import load_configured, load_hand
 
 
@@ -156,11 +156,11 @@ def test_two_devices_for_one_actuator(configured: Path) -> None:
 def test_not_a_mapping(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "hand.yaml").write_bytes(content)
     with pytest.raises(ConfigError, match=re.escape(message)):
-        read_config(tmp_path)
+        read_document(tmp_path)
 
 
 def test_missing(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"hand\.yaml does not exist"):
-        read_config(tmp_path)
+        read_document(tmp_path)
     with pytest.raises(ConfigError, match=r"is not a hand.s folder: it has no hand\.yaml"):
         load_hand(tmp_path)

@@ -17,7 +17,7 @@ from rtee.errors import LogError
 from rtee.hand.config_schema import Recorded
 from rtee.hand.model import Hand
 from rtee.log import read, rotation
-from rtee.log.rotation import being_written, is_ours, parse_name, parts_of, recordings
+from rtee.log.rotation import being_written, parse_name, parts_of, recordings
 from rtee.types import Event
 
 
@@ -148,7 +148,8 @@ def test_files_are_rotated_by_size(claw: Hand, tmp_path: Path) -> None:
     for path in paths:
         assert read(path).finished
         assert read(path).urdf == claw.urdf.text
-        assert is_ours(path, "claw")
+        assert (file := parse_name(path))
+        assert file.owner == file.hand == "claw"
     whole = read(paths[1], series=True)
     assert whole.paths == tuple(paths)
     assert whole.actuator_states.tick.tolist() == list(range(600))
@@ -270,7 +271,7 @@ def test_recordings_of_other_hands_do_not_make_room(claw: Hand, tmp_path: Path) 
     log.run(0, 2000)
     log.writer.close()
     assert other.exists()
-    assert not is_ours(other, "paw")
+    assert not ((file := parse_name(other)) and file.owner == file.hand == "paw")
 
 
 def test_a_recording_that_another_process_writes_is_not_removed(claw: Hand, tmp_path: Path) -> None:
