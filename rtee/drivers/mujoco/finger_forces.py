@@ -11,6 +11,8 @@ from rtee.drivers.mujoco.pairs import LINK
 from rtee.hand.model import Hand
 from rtee.sample import FloatArray
 
+_NONE = 0.0, 0.0, 0.0
+
 
 class FingerForces:
     """Reads the force on each finger.
@@ -48,34 +50,25 @@ class FingerForces:
         felt = self._felt(data) if data.ncon else []
         if not felt:
             return np.zeros(len(self._belongs))
-        sizes = np.zeros(self._rows)
         # Plain numbers: for so few contacts, in every cycle, numpy takes several times as long.
-        forces: dict[int, list[float]] = {}
-        for row, _, (x, y, z) in felt:
-            if row >= 0:
-                total = forces.setdefault(row, [0.0, 0.0, 0.0])
-                total[0] -= x
-                total[1] -= y
-                total[2] -= z
-        for _, row, (x, y, z) in felt:
-            if row >= 0:
-                total = forces.setdefault(row, [0.0, 0.0, 0.0])
-                total[0] += x
-                total[1] += y
-                total[2] += z
+        forces: dict[int, tuple[float, float, float]] = {}
+        for row, x, y, z in felt:
+            a, b, c = forces.get(row, _NONE)
+            forces[row] = a + x, b + y, c + z
+        sizes = np.zeros(self._rows)
         for row, (x, y, z) in forces.items():
             sizes[row] = math.sqrt(x * x + y * y + z * z)
         return np.asarray(self._belongs @ sizes)
 
-    def _felt(self, data: mujoco.MjData) -> list[tuple[int, int, tuple[float, float, float]]]:
-        """Return the rows of the two sides of each contact that counts, and its force [N].
+    def _felt(self, data: mujoco.MjData) -> list[tuple[int, float, float, float]]:
+        """Return the row of each side of a contact that is felt, and the force on it [N].
 
-        Rows are -1 where nothing is felt; the force is along the world's axes, on the second side.
+        Forces are along the world's axes; those on the first sides come first.
         """
         contact = data.contact
         rows, of_hand, tips = self._row_of_geom, self._of_hand, self._tips
-        found = []
-        frames, forces = contact.frame, data.efc_force
+        firsts, seconds = [], []
+        frames, forces = contact.frame.tolist(), data.efc_force.tolist()
         starts = contact.efc_address.tolist()
         for number, (one, other) in enumerate(contact.geom.tolist()):
             start, first, second = starts[number], rows[one], rows[other]
@@ -85,9 +78,12 @@ class FingerForces:
             # Within the hand, only two fingertips feel each other.
             if of_hand[one] and of_hand[other] and not (0 <= first < tips and 0 <= second < tips):
                 continue
-            a, b, c, d, e, f, g, h, i = frames[number].tolist()
+            a, b, c, d, e, f, g, h, i = frames[number]
             # The first three rows of an elliptic contact are its force in its own frame.
-            x, y, z = forces[start : start + 3].tolist()
-            force = (a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z)
-            found.append((first, second, force))
-        return found
+            x, y, z = forces[start : start + 3]
+            x, y, z = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+            if first >= 0:
+                firsts.append((first, -x, -y, -z))
+            if second >= 0:
+                seconds.append((second, x, y, z))
+        return firsts + seconds

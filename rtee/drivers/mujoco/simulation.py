@@ -234,7 +234,7 @@ class Simulation:
             mask: Which actuators are meant ``(n,)``.
             max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; by default the actuators' own.
         """
-        self._target[mask] = position[mask]
+        np.copyto(self._target, position, where=mask)
         if max_velocity is not None:
             self._speed[mask] = np.minimum(self._fastest, np.maximum(max_velocity, 0.0))[mask]
         # Limits rarely change from one exchange to the next.

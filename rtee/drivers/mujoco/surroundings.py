@@ -23,7 +23,7 @@ TABLE = "table"
 CONTAINER = "container"
 """Prefix of the names of a container's geoms."""
 
-_STANDS_FOR = np.array([50.0] * 3 + [10.0] * 3)
+_STANDS_FOR = [50.0] * 3 + [10.0] * 3
 """What an arm resists along and about its axes before it yields [N, N·m]: a cobot's collaborative
 limit, and the same at a lever of 200 mm."""
 
@@ -71,13 +71,16 @@ class Surroundings:
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
             for axis in AXES
         ]
-        self._wanted = np.zeros(len(AXES))
-        self._yielded = np.zeros(len(AXES))
+        self._wanted = [0.0] * len(AXES)
+        self._yielded = [0.0] * len(AXES)
         self._axes = [
             (axis, int(model.jnt_dofadr[model.actuator_trnid[motor, 0]]), motor)
             for axis, motor in enumerate(self._motors)
             if motor >= 0
         ]
+        self._dofs = np.array([dof for _, dof, _ in self._axes], dtype=int)
+        # Views of the state, since MuJoCo makes one each time that it is asked for it.
+        self._pushing, self._control = data.qfrc_constraint, data.ctrl
         self._touched = 0.0
         self._last = 0.0
         if self.has_object:
@@ -100,7 +103,7 @@ class Surroundings:
     def reset(self) -> None:
         """Put the object where it began and hold it again."""
         self._touched = self._last = 0.0
-        self._yielded[:] = self._wanted[:] = 0.0
+        self._yielded, self._wanted = [0.0] * len(AXES), [0.0] * len(AXES)
         if self.has_object:
             self._data.qpos[self._qpos : self._qpos + 7] = self._start
             self._hold(self._support != "table")
@@ -138,10 +141,10 @@ class Surroundings:
 
     def _give_way(self) -> None:
         """Move the carrier's set-points with a force that is too large, and back without it."""
-        for axis, dof, motor in self._axes:
-            # What contacts exert along the axis; forces inside of the hand add up to nothing.
-            force = float(self._data.qfrc_constraint[dof])
-            most, gave = float(_STANDS_FOR[axis]), float(self._yielded[axis])
+        # What contacts exert along the axes; forces inside of the hand add up to nothing.
+        forces = self._pushing.take(self._dofs).tolist()
+        for (axis, _, motor), force in zip(self._axes, forces, strict=True):
+            most, gave = _STANDS_FOR[axis], self._yielded[axis]
             if not gave and -most <= force <= most:
                 continue
             # What is left of the limit, on the side from which the arm comes back.
@@ -150,7 +153,7 @@ class Surroundings:
             after = gave + step
             # It comes back to where it is to be, and no farther.
             self._yielded[axis] = after if abs(force) > most or after * gave > 0.0 else 0.0
-            self._data.ctrl[motor] = self._wanted[axis] + self._yielded[axis]
+            self._control[motor] = self._wanted[axis] + self._yielded[axis]
 
     @property
     def on_table(self) -> bool:
@@ -275,9 +278,9 @@ class Surroundings:
 
         Motions that the carrier does not have are ignored.
         """
-        self._wanted = np.array(pose)
+        self._wanted = pose.tolist()
         for axis, _, motor in self._axes:
-            self._data.ctrl[motor] = self._wanted[axis] + self._yielded[axis]
+            self._control[motor] = self._wanted[axis] + self._yielded[axis]
 
     def jump(self, pose: FloatArray) -> None:
         """Put the carrier where `carry` would send it, at once and at rest."""
