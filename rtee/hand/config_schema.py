@@ -334,6 +334,9 @@ class LogSection(Section, frozen=True):
     """The oldest recordings of the hand are deleted beyond this size of all [bytes]."""
     max_folder_size: Positive = 1e11
     """The oldest recordings of all hands in the folder are deleted beyond this size [bytes]."""
+    common_directory: Path | None = None
+    """Folder above ``directory`` in which several hands have theirs: what is recorded anywhere
+    below it counts together for all these bounds, and the oldest of it makes room."""
     reserve: NotNegative = 1e9
     """So much of the disk stays free [bytes]: the oldest recordings in the folder make room, and
     when there are none, recording pauses."""

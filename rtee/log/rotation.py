@@ -74,8 +74,8 @@ class RecordingFile:
         session: The start of the recording.
         part: Number of the part; ``None`` for a file of the flight recorder.
         owner: The hand by the file's content; empty if rtee did not write it.
-        run: Number of the recording among those in its folder, which no clock changes; 0 in files
-            of earlier versions.
+        run: Number of the recording among those bounded together, which no clock changes; 0 in
+            files of earlier versions.
     """
 
     path: Path
@@ -119,10 +119,10 @@ def _head(path: Path, inode: int) -> tuple[str, int]:
     return _heads.get((path, inode), ("", 0))
 
 
-def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
+def recordings(folder: Path, hand: str | None = None, *, pattern: str = "*") -> list[RecordingFile]:
     """Return the files in a folder that are recordings by their names, oldest first."""
     try:
-        paths = list(folder.glob("*.mcap"))
+        paths = list(folder.glob(f"{pattern}.mcap"))
     except OSError:
         return []
     files = [file for path in paths if (file := parse_name(path)) is not None]
@@ -138,9 +138,15 @@ def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
     )
 
 
-def next_run(folder: Path) -> int:
-    """Return the number of a recording that begins now in a folder."""
-    return 1 + max((file.run for file in recordings(folder)), default=0)
+def bounded(settings: RecorderSettings) -> list[RecordingFile]:
+    """Return the recordings whose size is bounded together, oldest first."""
+    common = settings.common_directory
+    return recordings(settings.folder) if common is None else recordings(common, pattern="**/*")
+
+
+def next_run(settings: RecorderSettings) -> int:
+    """Return the number of a recording that begins now."""
+    return 1 + max((file.run for file in bounded(settings)), default=0)
 
 
 def free_space(folder: Path) -> int:
@@ -178,7 +184,7 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
 
 
 class Retention:
-    """Limits the disk space of recordings in a folder by removing the oldest.
+    """Limits the disk space of recordings by removing the oldest.
 
     The limits of the settings are that of the hand's own recordings, that of all hands', and what
     stays free of the disk. Removes only files that are recordings by name and by content, and none
@@ -197,7 +203,7 @@ class Retention:
         self._own = sum(file.size for file in files if file.hand == self._hand)
 
     def _files(self, current: tuple[Path, ...]) -> list[RecordingFile]:
-        return [each for each in recordings(self._settings.folder) if each.path not in current]
+        return [each for each in bounded(self._settings) if each.path not in current]
 
     def short(self) -> bool:
         """Return whether less of the disk is free than the reserve."""

@@ -85,7 +85,7 @@ class DiskSink:
         # Before the file is made, which may fail: each later chunk then tries again.
         self.wanted = self.begun = True
         self._session = session_name(wall_ns)
-        self._run = next_run(self._settings.folder)
+        self._run = next_run(self._settings)
         self._part = 0
         self._open(wall_ns)
 
@@ -195,7 +195,7 @@ class DiskSink:
         path = flight_path(settings.folder, self._contents.hand.name, session_name(wall_ns))
         # Hidden until it is complete, so that no program reads half a file.
         partial = path.with_name(f".{path.name}{_PARTIAL}")
-        run = self._run or next_run(settings.folder)
+        run = self._run or next_run(settings)
         preamble = self._contents.preamble(chunks[0].start, cause=cause, run=str(run))
         try:
             settings.folder.mkdir(parents=True, exist_ok=True)

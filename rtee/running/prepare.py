@@ -16,6 +16,7 @@ from rtee.actions.resting import pinch_at_rest
 from rtee.actions.types import Primitive
 from rtee.drivers.objects import between_fingers
 from rtee.drivers.registry import find_driver
+from rtee.errors import ConfigError
 from rtee.hand.config import HandConfig, read_document
 from rtee.hand.config_schema import Lines
 from rtee.hand.load import hand_folder, load_configured
@@ -118,7 +119,15 @@ class PreparedHand:
         # recorded before.
         if (not recorded and folder is None) or options.driver == "replay":
             settings["flight_recorder"] = 0.0
-        return RecorderSettings(**settings)
+        found = RecorderSettings(**settings)
+        common = found.common_directory
+        if common and not found.folder.absolute().is_relative_to(common.absolute()):
+            raise ConfigError(
+                f"log: common_directory '{common}' should be above the folder of the recordings, "
+                f"'{found.folder}'",
+                path=self.folder / "hand.yaml",
+            )
+        return found
 
 
 def open_to_everybody(folder: Path) -> list[str]:

@@ -241,6 +241,13 @@ def test_all_hands_keep_a_reserve_of_the_disk(
     shared.run(0, 100)
     shared.writer.close()
     assert [file.run for file in recordings(tmp_path)] == [3]
+    # In folders of their own, below one that is common.
+    apart = settings(tmp_path / "claw", max_folder_size=1.0, common_directory=tmp_path)
+    last = Log(claw, apart)
+    last.run(0, 100)
+    last.writer.close()
+    assert not recordings(tmp_path)
+    assert [file.run for file in recordings(tmp_path / "claw")] == [4]
 
 
 def test_goals_alone_are_recorded_with_what_was_before_and_after(
