@@ -10,12 +10,15 @@ export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo quick test tests times heavy ros2-peers device-peers lerobot wheels bundle checks lint types layers docs bench format clean
 
-# The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
-.venv/.ready: pyproject.toml constraints.txt
+.venv/.pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "rtee needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version). Try: make PYTHON=python3.12 …"; exit 2; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	@touch $@
+
+# The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
+.venv/.ready: pyproject.toml constraints.txt | .venv/.pip
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable ".[all]" --group dev
 	@# pip compiles on one processor, and what is hardly ever imported, too. Not all is for this Python.
 	$(BIN)/python -m compileall -qq -j 0 -x '$(SELDOM)' .venv/lib || true
@@ -32,16 +35,16 @@ quick: .venv/.ready
 	RTEE_QUICK=1 $(BIN)/python -m pytest -q -n 3
 
 # Types, layers and lint beside the tests, which wait half of the time for wires, sockets and a browser.
-test: .venv/.ready
+test:
 	@$(MAKE) --no-print-directory --jobs 5 checks tests
 
-tests: .ros2-peers/.ready .device-peers/.ready
+tests: .venv/.ready .ros2-peers/.ready .device-peers/.ready
 	$(BIN)/python -m pytest -m "not browser" -n $(TEST_PROCESSES) --durations 25
 	@# After the others: pages that the processors draw leave too little of them to real time.
 	$(BIN)/python -m pytest -m browser tests/gui/browser -n $(TEST_PROCESSES) --durations 10
 
 # How long the files of tests take, by which they are shared out: the longest first.
-times: .ros2-peers/.ready .device-peers/.ready
+times: .venv/.ready .ros2-peers/.ready .device-peers/.ready
 	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --junitxml=.times.xml
 	$(BIN)/python tests/long_files.py .times.xml && rm .times.xml
 
@@ -51,7 +54,7 @@ heavy: .venv/.ready .device-peers/.ready .rosidl/.ready
 	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -m heavy -n 2
 
 # Other implementations of ROS 2 over Zenoh, which tests run against in processes of their own.
-.ros2-peers/.ready: tests/ros2/peers/requirements.txt .venv/.ready
+.ros2-peers/.ready: tests/ros2/peers/requirements.txt | .venv/.pip
 	$(BIN)/python -m pip install --quiet --upgrade --no-deps --target .ros2-peers -r $<
 	@touch $@
 
@@ -79,7 +82,7 @@ lerobot: .lerobot/.ready
 	@# Training has no end of five minutes.
 	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -o faulthandler_timeout=0 tests/docs/test_lerobot_page.py
 
-ros2-peers: .ros2-peers/.ready
+ros2-peers: .venv/.ready .ros2-peers/.ready
 	$(BIN)/python -m pytest -v tests/ros2/test_ros2_peers.py
 
 # The wheel as a user gets it: in an empty environment of each Python there is, and on ARM.
