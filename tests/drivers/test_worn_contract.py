@@ -42,6 +42,10 @@ of the way, since where it stops depends on them as well."""
 _FAULTS = frozenset({"delay", "drop"})
 
 
+_KINDS = ("cia402", "dynamixel", "heri_ethercat", "robotiq_2f", "schunk_svh", "wsg50")
+"""One family of each kind of bus, which are tested at each commit."""
+
+
 def suite_of(family: str) -> type[DriverContract]:
     """Return the suite of a family, with what it tests differently."""
     module = importlib.import_module(f"tests.drivers.{family}.test_{family}_contract")
@@ -76,7 +80,8 @@ for _family in FAMILIES:
             "test_unplugging_again_and_again_leaks_nothing",
         )
     )
-    globals()[_name] = type(_name, (_suite,), {"case": worn(_suite.case), **_wire})
+    _mark = {} if _family in _KINDS else {"pytestmark": pytest.mark.heavy}
+    globals()[_name] = type(_name, (_suite,), {"case": worn(_suite.case), **_wire, **_mark})
 
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))

@@ -6,6 +6,8 @@ import base64
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from rtee.hand.embedded_meshes import embed_meshes, with_mesh_addresses
 from rtee.hand.load import load_model
 
@@ -33,6 +35,7 @@ async (text) => {
 """
 
 
+@pytest.mark.heavy
 def test_a_browser_loads_every_mesh_of_a_description(context: BrowserContext, shared: Path) -> None:
     folder = shared / "hands" / "robotiq_2f_85"
     hand = load_model(folder / "robotiq_2f_85.urdf")

@@ -42,6 +42,7 @@ def toggle(window: Window, label: str) -> None:
     window.pictured_anew(before)
 
 
+@pytest.mark.heavy
 def test_contact_forces_are_drawn_and_told(squeezer: Window) -> None:
     window = squeezer
     grasp(window)
