@@ -11,7 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.register_blocks import ExchangeKind
 
 TARGETS = 0x0000
@@ -36,14 +36,14 @@ class OnRobotOptions(DeviceOptions, frozen=True):
     port: str | None = None
     """Instead of ``host``: tty, socket://, rfc2217:// (RTU) or tcp://host:port."""
     unit: Annotated[int, Meta(ge=0, le=255)] = 65
-    """65; 66 and 67 on a dual quick changer."""
+    """Modbus number: 65; 66 and 67 on a dual quick changer."""
     baudrate: Annotated[int, Meta(gt=0)] = 1_000_000
-    """Of a direct line (8E1)."""
+    """Rate of a direct line (8E1) [baud]."""
     exchange: ExchangeKind = "auto"
-    """Function 23, or 16 and 3."""
+    """How registers are exchanged: function 23, or 16 and 3."""
     rate: Positive = 50.0
     """Exchanges per second through the Compute Box."""
-    settle: Annotated[float, Meta(ge=0.0)] = 0.1
+    settle: NotNegative = 0.1
     """A reference that rests this long is gripped at with force [s]."""
 
     @property

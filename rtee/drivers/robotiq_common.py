@@ -64,14 +64,14 @@ class RobotiqOptions(DeviceOptions, frozen=True):
     """Options of all of Robotiq's grippers."""
 
     port: str = "/dev/ttyUSB0"
-    """Tty, socket://, rfc2217:// (RTU) or tcp://."""
+    """A tty, socket://, rfc2217:// (RTU) or tcp://."""
     unit: Annotated[int, Meta(ge=0, le=255)] = 9
     """Modbus number of the gripper."""
     baudrate: Annotated[int, Meta(gt=0)] = 115200
     home: Literal["on_demand", "on_connect"] = "on_demand"
     """When an inactive gripper is activated, which moves all fingers."""
     exchange: ExchangeKind = "auto"
-    """Function 23, or 16 and a read."""
+    """How registers are exchanged: function 23, or 16 and a read."""
     check_fingers: bool = True
     """Refuse a gripper whose registers are those of another number of fingers."""
     activation_timeout: Positive = 15.0

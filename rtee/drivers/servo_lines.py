@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from rtee.drivers.json_files import read_calibration_file
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.errors import CalibrationError, DeviceFault, HandshakeError, NotConnected
 from rtee.hand.validation import Finite, Section
 from rtee.sample import FloatArray
@@ -55,7 +55,7 @@ class ServoOptions(Section, frozen=True, kw_only=True):
     model: int | None = None
     torque_per_ampere: Positive | None = None
     id: Annotated[int, Meta(ge=0, le=253)]
-    zero: Annotated[float, Meta(ge=0.0)] | None = None
+    zero: NotNegative | None = None
     p: Annotated[int, Meta(ge=0)] | None = None
     i: Annotated[int, Meta(ge=0)] | None = None
     d: Annotated[int, Meta(ge=0)] | None = None
@@ -65,7 +65,7 @@ class LineOptions(DeviceOptions, frozen=True):
     """Options of a line of servos that all kinds have."""
 
     port: str = "/dev/ttyUSB0"
-    """Tty, socket:// or rfc2217://."""
+    """A tty, socket:// or rfc2217://."""
     baudrate: int = 1_000_000
     """Rate of the line [baud]."""
     calibration: Path | None = None
@@ -81,9 +81,9 @@ class LineOptions(DeviceOptions, frozen=True):
     outside: Positive = 0.35
     """How far a joint may be outside its limits before its zero is doubted."""
     deadline: Positive = 0.1
-    """For an exchange [s]."""
+    """Longest time for an exchange [s]."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Meta(ge=0.0)] = LATENCY
+    turnaround: NotNegative = LATENCY
     """Time per answer that the bytes do not explain [s]."""
 
 

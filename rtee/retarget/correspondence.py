@@ -12,7 +12,7 @@ from rtee.actions.openings import model_of
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
-from rtee.hand.validation import Section, checked
+from rtee.hand.validation import Amount, Section, checked
 from rtee.hand.yamlfile import read_yaml
 from rtee.hand.yamlwrite import emit
 
@@ -65,9 +65,9 @@ class FingerMap(Section, frozen=True):
     human: Human
     base: Vector
     tip: Vector
-    reach: Annotated[float, Meta(ge=0.0)]
-    scale: Annotated[float, Meta(ge=0.0)] = 1.0
-    follow: Annotated[float, Meta(ge=0.0)] = 1.0
+    reach: Amount
+    scale: Amount = 1.0
+    follow: Amount = 1.0
 
 
 class Pinch(Section, frozen=True):

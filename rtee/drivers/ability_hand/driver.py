@@ -24,7 +24,7 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.tare import Tare
 from rtee.errors import DeviceFault, FrameError, RteeError
 from rtee.sample import ActuatorState, FloatArray
@@ -43,7 +43,7 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
     port: str = "/dev/ttyUSB0"
     """A tty, socket:// or rfc2217://."""
     address: Annotated[int, Meta(ge=1, le=255)] = codec.ADDRESS
-    """Of the hand; 80 (hexadecimal 50) from the factory."""
+    """Address of the hand; 80 (hexadecimal 50) from the factory."""
     baudrate: Literal[
         460_800, 1200, 38_400, 56_000, 57_600, 76_800, 115_200, 230_400, 250_000, 921_600, 1_000_000
     ] = 460_800
@@ -66,10 +66,10 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
     """With ``mode: velocity``: velocity by position error [1/s]."""
     stiffness: Positive = 8.0
     """With ``mode: current``: effort by position error [N·m/rad]."""
-    damping: Annotated[float, Meta(ge=0.0)] = 0.05
+    damping: NotNegative = 0.05
     """With ``mode: current``: effort against velocity [N·m·s/rad]."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
-    turnaround: Annotated[float, Meta(ge=0.0)] = 0.0
+    turnaround: NotNegative = 0.0
     """Time per answer that the bytes do not explain [s]."""
 
     def __post_init__(self) -> None:

@@ -31,7 +31,7 @@ from rtee.drivers.allegro.link import PATIENCE, AllegroLink
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.wiring import numbers_of
 from rtee.errors import (
     BusError,
@@ -44,8 +44,6 @@ from rtee.errors import (
 )
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
-
-NotNegative = Annotated[float, Meta(ge=0.0)]
 
 
 class AllegroOptions(DeviceOptions, frozen=True):

@@ -66,7 +66,7 @@ class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
     reboot_time: Positive = 3.0
     """Longest time for a reboot [s]."""
     deadline: Positive = 0.03
-    """For one exchange, retries included [s]."""
+    """Longest time for one exchange, retries included [s]."""
 
     def __post_init__(self) -> None:
         """Check that the options fit each other."""

@@ -84,7 +84,7 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
     """Options of a line of Feetech servos."""
 
     family: FamilyName
-    """Of all servos: their registers and byte order."""
+    """Family of all servos: their registers and byte order."""
     servos: dict[str, ServoOptions]
     """The servo of each actuator, by the actuator's name; those of pairs by any."""
     differential: DifferentialOptions | None = None
@@ -96,7 +96,7 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
     torque_per_ampere: Positive | None = None
     """Torque per current of each servo [N·m/A]."""
     acceleration: Annotated[int, Meta(ge=0, le=254)] | None = None
-    """Of STS, SMS and HLS [100 counts/s²], 0: the largest."""
+    """Acceleration of STS, SMS and HLS [100 counts/s²], 0: the largest."""
     read: Literal["auto", "sync", "single"] = "auto"
     """One request for all servos, or one for each; ``auto``: by the family."""
     check_every: Annotated[int, Meta(ge=1)] = 10

@@ -13,7 +13,7 @@ from rtee.drivers import wiring
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE, OPEN
 from rtee.drivers.inspire_rh56.tactile import AREAS, Area
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.errors import ConfigError
 from rtee.hand.validation import Section, values_given
@@ -151,7 +151,7 @@ class InspireRh56Options(DeviceOptions, frozen=True):
     """Options of an RH56."""
 
     port: str = "/dev/ttyUSB0"
-    """Tty, socket:// or rfc2217:// (serial), or tcp://host:6000 (Modbus TCP)."""
+    """A tty, socket:// or rfc2217:// (serial), or tcp://host:6000 (Modbus TCP)."""
     protocol: Literal["frames", "modbus"] = "frames"
     """On a serial line: the hand's own frames, or Modbus RTU."""
     unit: Annotated[int, Meta(ge=1, le=254)] = 1
@@ -177,7 +177,7 @@ class InspireRh56Options(DeviceOptions, frozen=True):
     check_every: Annotated[int, Meta(ge=1)] = 50
     """Set-points are read back every so many exchanges."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
-    turnaround: Annotated[float, Meta(ge=0.0)] = TURNAROUND
+    turnaround: NotNegative = TURNAROUND
     """Time per answer that the bytes do not explain [s]."""
 
     @property

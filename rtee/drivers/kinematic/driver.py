@@ -13,7 +13,7 @@ from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import read_options
+from rtee.drivers.options import NotNegative, read_options
 from rtee.errors import (
     BusBroken,
     CommandRejected,
@@ -144,7 +144,7 @@ class KinematicOptions(Section, frozen=True):
     full_effort_at: Annotated[float, Meta(gt=0)] = 0.1
     temperatures: bool = False
     ambient: float = 25.0
-    heating: Annotated[float, Meta(ge=0)] = 60.0
+    heating: NotNegative = 60.0
     thermal_time: Annotated[float, Meta(gt=0)] = 60.0
 
 

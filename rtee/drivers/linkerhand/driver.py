@@ -23,7 +23,7 @@ from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.scale import LinearScale
 from rtee.errors import (
     CommandRejected,
@@ -60,7 +60,7 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
     interface: str = "socketcan"
     """Python-can interface of the channel."""
     bitrate: Annotated[int, Meta(gt=0)] = codec.BITRATE
-    """Of CAN [bit/s]."""
+    """Rate of CAN [bit/s]."""
     unit: Annotated[int, Meta(ge=1, le=247)] = codec.RIGHT
     """39 is a right, 40 a left hand; its identifier on CAN, too."""
     motors: dict[str, Motor] = field(default_factory=dict)
@@ -73,7 +73,7 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
     """Refuse a hand that tells another number of motors (RS-485)."""
     health_every: Annotated[int, Meta(ge=1)] = 10
     """Faults and temperatures are read once in so many exchanges."""
-    spacing: Annotated[float, Meta(ge=0.0)] | None = None
+    spacing: NotNegative | None = None
     """Pause between two frames [s]; by default 0.03 (O6), 0.005 (L10, CAN)."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
 

@@ -46,7 +46,7 @@ class OrcaTouchOptions(DeviceOptions, frozen=True):
     """Options of the touch board."""
 
     port: str = "/dev/ttyACM0"
-    """Tty, socket:// or rfc2217://."""
+    """A tty, socket:// or rfc2217://."""
     baudrate: Literal[921_600, 2_000_000] = 921_600
     """921600 of the board's own adapter, 2000000 of the shared line."""
     content: Literal["taxels", "resultants", "both"] = "both"

@@ -19,7 +19,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command
 from rtee.drivers.qb_softhand.link import QbLink
@@ -149,7 +149,7 @@ class QbSoftHandOptions(DeviceOptions, frozen=True):
     status_every: Annotated[int, Meta(ge=1)] = 50
     deadline: Positive = 0.03
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Meta(ge=0.0)] = codec.TURNAROUND
+    turnaround: NotNegative = codec.TURNAROUND
 
 
 class QbSoftHandDriver(Driver):

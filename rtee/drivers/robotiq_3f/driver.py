@@ -39,7 +39,7 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
     function: Literal[3, 4] | None = None
     """Modbus function to read with; by default 4 on tcp://, else 3."""
     current_per_count: Positive = 0.01
-    """[A]; the manuals contradict each other about it."""
+    """Current per count [A]; the manuals contradict each other about it."""
     activation_timeout: Positive = 30.0
     """Longest time [s]."""
 

@@ -207,11 +207,11 @@ class SchunkEguOptions(DeviceOptions, frozen=True):
     """Options of an EGU or EGK."""
 
     port: str = "/dev/ttyUSB0"
-    """Tty, socket:// or rfc2217://."""
+    """A tty, socket:// or rfc2217://."""
     unit: Annotated[int, Meta(ge=1, le=247)] = 12
     """Modbus number of the gripper."""
     baudrate: Annotated[int, Meta(gt=0)] = 115200
-    """Of the line (8E1)."""
+    """Rate of the line (8E1) [baud]."""
     opens: Literal["up", "down"] = "up"
     """Whether its position grows or falls while the fingers open."""
     speed: Positive = 0.02

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.schunk_svh.channels import CHANNELS, Channel
 from rtee.drivers.schunk_svh.codec import TURNAROUND
 from rtee.hand.validation import Misfit, Section, values_given
@@ -72,7 +72,7 @@ class SchunkSvhOptions(DeviceOptions, frozen=True):
     status_every: Annotated[int, Meta(ge=1)] = 50
     deadline: Positive = 0.05
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Meta(ge=0.0)] = TURNAROUND
+    turnaround: NotNegative = TURNAROUND
 
     def applied_to(self, table: tuple[Channel, ...]) -> tuple[Channel, ...]:
         """Return the channels of the table with these changes."""
