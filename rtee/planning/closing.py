@@ -48,6 +48,39 @@ _FARTHEST: Final = 0.05
 _MOVES: Final = 1e-6
 """Actuators whose set-points differ by less don't move [rad | m]."""
 
+SEVERAL: Final = 3
+"""So many fingertips may close along one axis, or from all around."""
+
+_DECIDED: Final = 4.0
+"""They close along an axis if their motion along it has this many times the square of the next."""
+
+_TAKES_PART: Final = 0.1
+"""A fingertip moves along that axis if it goes this part of the path of the fastest one."""
+
+_STILL: Final = 1e-3
+"""Motion of fingertips below this is none [m]."""
+
+
+def opposition(motions: FloatArray, out: FloatArray) -> tuple[FloatArray | None, FloatArray]:
+    """Return the axis ``(3,)`` along which fingertips close, and which side each is on ``(k,)``.
+
+    There is no axis when they close from all around, or are fewer than three. Sides are -1, 1, or 0
+    for a fingertip that takes no part.
+
+    Args:
+        motions: The motions of the closing fingertips ``(k, 3)`` [m].
+        out: The unit vector ``(3,)`` along which the hand reaches out.
+    """
+    # Only motion across the reach closes on an object; curling tips also move along it.
+    motions = motions - np.outer(motions @ out, out)
+    sizes, axes = np.linalg.eigh(motions.T @ motions)
+    along = motions @ axes[:, -1]
+    least = _TAKES_PART * float(np.abs(along).max())
+    # A tip that moves along the axis starts at its lower end: on side -1.
+    sides = np.where(along > least, -1.0, np.where(along < -least, 1.0, 0.0))
+    decided = len(motions) >= SEVERAL and sizes[-1] >= max(_DECIDED * sizes[-2], _STILL**2)
+    return axes[:, -1] if decided else None, sides
+
 
 @dataclass(frozen=True)
 class ActionPath:

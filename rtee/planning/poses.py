@@ -23,7 +23,7 @@ from rtee.planning.approaches import (
     interleaved,
     near_side,
 )
-from rtee.planning.closing import HandClosing
+from rtee.planning.closing import SEVERAL, HandClosing, opposition
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
@@ -58,15 +58,6 @@ _PROBED: Final = 3e-4
 
 _BACK: Final = 0.03
 """How far behind the fingertips' middle an object is held that comes from the palm's front [m]."""
-
-_SEVERAL: Final = 3
-"""So many fingertips may close along one axis, or from all around."""
-
-_DECIDED: Final = 4.0
-"""They close along an axis if their motion along it has this many times the square of the next."""
-
-_TAKES_PART: Final = 0.1
-"""A fingertip moves along that axis if it moves this share of the fastest one's distance."""
 
 _STILL: Final = 1e-3
 """Motion below this is none [m]."""
@@ -150,7 +141,7 @@ class Poses:
         self._probe = coal.Sphere(_PROBE)
         self._shift = 0.0
         """How far out from the fingertips' middle there is most room between them [m]."""
-        if len(self._fingers) < _SEVERAL:
+        if len(self._fingers) < SEVERAL:
             rooms = {shift: self._room(shift) for shift in _SHIFTS}
             self._shift = next(s for s in _SHIFTS if rooms[s] >= _ROOMY * max(rooms.values()))
 
@@ -198,21 +189,13 @@ class Poses:
         that takes no part.
         """
         count = len(self._fingers)
-        if count < _SEVERAL:
+        if count < SEVERAL:
             return None, np.array([-1.0, 1.0][:count])
-        motions = self._paths[-1] - self._paths[0]
-        # Only motion across the reach closes on an object; curling tips also move along it.
-        motions = motions - np.outer(motions @ self._out, self._out)
-        sizes, axes = np.linalg.eigh(motions.T @ motions)
-        along = motions @ axes[:, -1]
-        least = _TAKES_PART * float(np.abs(along).max())
-        # A tip that moves along the axis starts at its lower end: on side -1.
-        sides = np.where(along > least, -1.0, np.where(along < -least, 1.0, 0.0))
-        # Without one clear axis, or with all tips on one side of it, they close from all around.
-        decided = sizes[-1] >= max(_DECIDED * sizes[-2], _STILL**2)
-        if not decided or not ((sides > 0).any() and (sides < 0).any()):
+        axis, sides = opposition(self._paths[-1] - self._paths[0], self._out)
+        # Without an axis, or with all tips on one side of it, they close from all around.
+        if axis is None or not ((sides > 0).any() and (sides < 0).any()):
             return None, np.zeros(count)
-        return axes[:, -1], sides
+        return axis, sides
 
     def _at(self, step: int) -> tuple[FloatArray, FloatArray]:
         """Return the middle between the fingertips and the unit axis of closing at a step."""
@@ -236,7 +219,7 @@ class Poses:
         self._shift = shift
         # Beyond the ends of open jaws all is free, and nothing is between them. Hands with further
         # fingers also compare places between others, and do not need this.
-        if shift and len(self._scene.hand.fingers) < _SEVERAL and self._beyond():
+        if shift and len(self._scene.hand.fingers) < SEVERAL and self._beyond():
             return 0.0
         return max(self._gap(0), self._gap(STEP_MIDDLE))
 
@@ -313,7 +296,7 @@ class Poses:
     def gaps(self) -> FloatArray:
         """How far apart the fingertips are along the path ``(steps + 1,)`` [m]."""
         # A gap takes many distances of each fingertip: with more tips, fewer gaps are measured.
-        steps = np.arange(0, len(self._closing.table), 2 if len(self._fingers) < _SEVERAL else 4)
+        steps = np.arange(0, len(self._closing.table), 2 if len(self._fingers) < SEVERAL else 4)
         found = [self._gap(int(step)) for step in steps]
         return np.interp(np.arange(len(self._closing.table)), steps, found)
 
@@ -333,7 +316,7 @@ class Poses:
         search goes on when `bring_in` has found its depth.
         """
         between = at_most(self._between_tips(turns, most), most)
-        if len(self._fingers) < _SEVERAL or len(self._directions()) == 1:
+        if len(self._fingers) < SEVERAL or len(self._directions()) == 1:
             yield from between
             return
         wrapped = self._in_palm(turns, most)
@@ -352,7 +335,7 @@ class Poses:
             there = np.flatnonzero(self.gaps >= width + GAP)
             step = int(there[there >= open_at].max(initial=open_at))
             placed = self._placed(step, turns[number], self._directions())
-            if len(self._fingers) < _SEVERAL:
+            if len(self._fingers) < SEVERAL:
                 there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
                 wide = int(there[there >= open_at].max(initial=open_at))
                 # Only where one jaw is fixed: where both move, the two places are the same one, and

@@ -13,7 +13,7 @@ from rtee.actions.types import Primitive as PrimitiveAction
 from rtee.drivers.mujoco.scene import approach, tip_geoms, tip_middles
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
-from rtee.planning.closing import ActionPath
+from rtee.planning.closing import ActionPath, opposition
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -45,15 +45,6 @@ _WAY = 9
 
 _MOVES = 1e-3
 """An actuator that an action moves less stays at rest [rad | m]."""
-
-_SEVERAL = 3
-"""So many fingertips may close along one axis, or from all around."""
-
-_DECIDED = 4.0
-"""They close along an axis if their motion along it has this many times the square of the next."""
-
-_TAKES_PART = 0.1
-"""A fingertip moves along that axis if it goes this part of the way of the fastest one."""
 
 _BACK = 2e-3
 """How far an object is moved back at a time until the hand is clear of it [m]."""
@@ -166,21 +157,13 @@ class Places:
         close from all around, or when they are fewer than three; then all weigh the same.
         """
         tips = self._tips(0.0)
-        even: FloatArray = np.full(len(tips), 1.0 / len(tips))
-        ways = self._tips(1.0) - tips
-        ways -= np.outer(ways @ outward, outward)
-        # The principal axis of the fingertips' motion across the reach.
-        sizes, axes = np.linalg.eigh(ways.T @ ways)
-        if len(tips) < _SEVERAL or sizes[-1] < max(_DECIDED * sizes[-2], _MOVES**2):
-            return None, even
-        along = ways @ axes[:, -1]
-        least = _TAKES_PART * float(np.abs(along).max())
-        sides = (along > least, along < -least)
-        # All move the same way, so that there are no two sides to balance.
-        if not all(side.any() for side in sides):
-            return axes[:, -1], even
-        weights: FloatArray = sum((0.5 * side / side.sum() for side in sides), np.zeros(len(tips)))
-        return axes[:, -1], weights
+        axis, sides = opposition(self._tips(1.0) - tips, outward)
+        both = [sides < 0.0, sides > 0.0]
+        # Where all move the same way, there are no two sides to balance.
+        if axis is None or not all(side.any() for side in both):
+            return axis, np.full(len(tips), 1.0 / len(tips))
+        weights: FloatArray = sum((0.5 * side / side.sum() for side in both), np.zeros(len(tips)))
+        return axis, weights
 
     @staticmethod
     def _poses(
