@@ -165,12 +165,13 @@ def _search_line(
     y, value, slope = origin
     below, above, t = 0.0, np.inf, 1.0
     best: _Point | None = None
+    here = y.tolist()
     steepness = dot(slope, direction)
     for count in range(_MOST_TRIALS):
         there = resolution.snap(y + t * direction)
         inside = within(there, bounds)
         # The step is shorter than a unit of the lattice.
-        if (inside == y).all():
+        if inside.tolist() == here:
             return best, count
         new, rise = function(inside)
         new = resolution.rounded_value(new)

@@ -178,19 +178,23 @@ class MultiPinchGoal:
     def value(self) -> float:
         """Return the value [m]."""
         gaps = self._scene.distances(self._pairs)
-        # Only the gaps of the tree are closed: the tips are linked without the others.
-        tree = spanning_tree(self._size, self._ends, gaps)
         value = sum(min(gap, 0.0) for gap in gaps)
-        value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)
+        value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in self._tree(gaps))
         for pair in self._touched:
             value += _PULL * max(0.0, -self._scene.distance(pair))
         return value
+
+    def _tree(self, gaps: Sequence[float]) -> Sequence[int]:
+        """Return the pairs whose gaps are to be closed: the tips are linked without the others."""
+        if max(gaps) <= -_MARGIN:  # there is none
+            return ()
+        return spanning_tree(self._size, self._ends, gaps)
 
     def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the value [m] and its derivative ``(k,)``."""
         scene = self._scene
         gaps = scene.distances(self._pairs)
-        tree = set(spanning_tree(self._size, self._ends, gaps))
+        tree = set(self._tree(gaps))
         value, terms = 0.0, []
         for i, (pair, gap) in enumerate(zip(self._pairs, gaps, strict=True)):
             # The penalty ends at the margin, so that it does not press a pair deeper.

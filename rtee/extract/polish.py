@@ -245,12 +245,11 @@ def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
     size = len(block)
     for k, pivot in enumerate(block):
         for i in range(k + 1, size):
-            row = block[i]
-            factor = row[k] / pivot[k]
+            # What is below the diagonal equals what is above it.
+            factor = pivot[i] / pivot[k]
             if factor:
-                row[k + 1 :] = [
-                    a - factor * b for a, b in zip(row[k + 1 :], pivot[k + 1 :], strict=True)
-                ]
+                row = block[i]
+                row[i:] = [a - factor * b for a, b in zip(row[i:], pivot[i:], strict=True)]
     plain, even = [0.0] * size, [0.0] * size
     for k in range(size - 1, -1, -1):
         row = block[k]

@@ -37,6 +37,8 @@ _DISTANCE: Final = 6
 """Costs of queries of two meshes, for contact and for distance: about 2 and 12 ms for some thousand
 triangles."""
 
+_sum = np.add.reduce
+
 
 class Scene:
     """A hand's links at a posture.
@@ -225,7 +227,7 @@ class Scene:
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
         torques = matmul(np.array(rows), self._jacobian())
         torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
-        slope: FloatArray = vecmat(torques.sum(axis=0), self._moved(space))
+        slope: FloatArray = vecmat(_sum(torques, axis=0), self._moved(space))
         return slope
 
     def _moved_by(
