@@ -9,11 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from rtee.actions.types import Action
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.errors import UserError
 from rtee.hand.files import make_folder
+from rtee.hand.model import Hand
 from rtee.log import Recorder, read
 from rtee.log.figure import By, figure
 from rtee.log.playback import fingers
@@ -22,8 +25,10 @@ from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.bench import Bench, bench
+from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
+from rtee.trials.planned import PRESSED
 from rtee.trials.recorded import recorder_for
 from rtee.trials.robust_places import robust_places
 from rtee.trials.trial import Trial, TrialResult, run_trial
@@ -80,6 +85,24 @@ class Outcome:
         """Note a value that has to be smaller than a limit, both in the unit that is printed."""
         self.check(value < limit, what, f"{value:{form}} {unit}", f"< {limit:g} {unit}")
 
+    def touches(
+        self, what: str, pressed: float, held_by: Sequence[str], fingers: Sequence[str]
+    ) -> None:
+        """Note what every grasp has to be: the action's fingers alone hold, and nothing is hit.
+
+        Args:
+            what: Which grasp it is.
+            pressed: The largest force of another contact [N]; see `Touching`.
+            held_by: The fingers that touch the lifted object.
+            fingers: Those of the action.
+        """
+        self.below(f"{what}: presses elsewhere", pressed, PRESSED, "N")
+        self.check(
+            set(held_by) <= set(fingers),
+            f"{what}: held by its fingers alone",
+            ", ".join(held_by),
+        )
+
     def above(self, what: str, value: float, limit: float, unit: str, form: str = ".1f") -> None:
         """Note a value that has to be larger than a limit, both in the unit that is printed."""
         self.check(value > limit, what, f"{value:{form}} {unit}", f"> {limit:g} {unit}")
@@ -126,6 +149,37 @@ class Steps(Observer):
         if feedback.inner != self._now:
             self._now = feedback.inner
             self._call(self._now)
+
+
+class Touching:
+    """Notes what a hand touches from the start of a trial: a watch of it.
+
+    Attributes:
+        pressed: The largest force of the hand on what is not the object, or on the object with
+            other links than those of the action's fingers [N].
+        held_by: The fingers that touch the lifted object.
+    """
+
+    def __init__(self, hand: Hand, action: Action) -> None:
+        """Nothing is touched yet."""
+        self.fingers = fingers_of(hand, action)
+        self.pressed = 0.0
+        self.held_by: tuple[str, ...] = ()
+        self._hand = hand
+        self._links = frozenset(link for name in self.fingers for link in hand.finger(name).body)
+
+    def __call__(self, moment: str, headless: HeadlessHand[Simulation]) -> None:
+        """Begin to look at the start; look which fingers hold what is lifted."""
+        around = headless.simulation.surroundings
+        if moment == "start":
+            headless.before_tick(lambda _: self.look(around))
+        if moment == "lift":
+            touching = set(around.touching())
+            self.held_by = tuple(f.name for f in self._hand.fingers if touching & set(f.body))
+
+    def look(self, around: Surroundings) -> None:
+        """Look at the contacts of now."""
+        self.pressed = max(self.pressed, around.pressing(self._links))
 
 
 class TrialStills:
@@ -217,9 +271,16 @@ def hold(
         view: Vector ``(3,)`` in the world towards the camera; chosen for the hand unless given.
     """
     ready = bench(name)
+    touching = Touching(ready.hand, ready.library.find(trial.action, trial.elements))
     stills = TrialStills(Stills.of_trial(ready.hand, view)) if pictures else None
     # Once at each place, and again at the best one, to record nothing else.
     skip = steadiest(ready, trial)
+
+    def watch(moment: str, headless: HeadlessHand[Simulation]) -> None:
+        for each in (touching, stills):
+            if each is not None:
+                each(moment, headless)
+
     with recording(ready, folder, outcome) as recorder:
         result = run_trial(
             ready.hand,
@@ -227,13 +288,14 @@ def hold(
             ready.settings,
             replace(trial, places=skip + 1),
             observers=[recorder] if stills is None else [recorder, stills.steps],
-            watch=stills,
+            watch=watch,
             skip=skip,
         )
     what = f"{name}: {' '.join((trial.action, *trial.elements))} on {trial.object}"
     outcome.check(result.held, f"{what} is lifted, held and shaken", result.reason or "held")
     if result.held:
         outcome.below(f"{what} slips in the hand", 1e3 * result.slip, 1e3 * slip, "mm")
+        outcome.touches(what, touching.pressed, touching.held_by, touching.fingers)
     if stills is not None and stills.stills.taken:
         taken = stills.stills.taken
         columns = -(-len(taken) // 2) if len(taken) > _ROW else None

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from msgspec import structs
 
-from experiments.common import Outcome, Steps, main, recording, strip
+from experiments.common import Outcome, Steps, Touching, main, recording, strip
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
@@ -85,6 +85,9 @@ class Use:
         forces: Forces on `HOLDERS` in the end [N].
         moved: How far the drill moved in the hand from GRASP3f to the end [mm].
         turned: How far it turned in the hand since it was given [degrees].
+        pressed_elsewhere: The largest force of a link of no finger on it [N].
+        held_by: The fingers that touch it in the end.
+        fingers: Those of the action.
     """
 
     ended: str
@@ -97,6 +100,9 @@ class Use:
     forces: tuple[float, ...]
     moved: float
     turned: float
+    pressed_elsewhere: float
+    held_by: tuple[str, ...]
+    fingers: tuple[str, ...]
 
     def note(self, outcome: Outcome) -> None:
         """Note all conditions."""
@@ -113,6 +119,7 @@ class Use:
             outcome.above(f"{finger} holds the drill 2 s after TrigOff", force, FORCE, "N")
         outcome.below("the drill moves in the hand", self.moved, MOVED, "mm")
         outcome.below("the drill turns since it was given", self.turned, TURNED, "degrees")
+        outcome.touches("drill", self.pressed_elsewhere, self.held_by, self.fingers)
 
     @property
     def good(self) -> bool:
@@ -180,9 +187,12 @@ def use(
         ready.hand, ready.library, ready.settings, simulation, [*observers, Steps(step)]
     )
     headless.before_tick(look)
+    touching = Touching(ready.hand, ready.library.find("drill"))
+    touching("start", headless)
     result = headless.do(Goal(Named("drill"), effort=EFFORT, goal_id="drill"))
     around.remove_support()
     headless.wait(_HELD)
+    touching("lift", headless)
     if watch is not None:
         watch("TrigOff", simulation)
     time, released, trigger, force = np.array(seen).T
@@ -199,6 +209,9 @@ def use(
         tuple(float(forces[fingers.index(name)]) for name in HOLDERS),
         1e3 * float(np.linalg.norm(around.position_in_hand - held[0])),
         float(np.degrees(_turned(around, start))),
+        touching.pressed,
+        touching.held_by,
+        touching.fingers,
     )
 
 

@@ -30,10 +30,6 @@ HAND = "heri_ii"
 
 HOLD = 2.0
 
-PRESSING = 20.0
-"""How hard the hand may press what it should not [N]: table and container, or the object with other
-links than those of the action's fingers."""
-
 
 def _into(action: str, elements: tuple[str, ...], obj: str) -> Transfer:
     return Transfer(
@@ -45,7 +41,6 @@ def _into(action: str, elements: tuple[str, ...], obj: str) -> Transfer:
         reach="down",
         container=True,
         places=6,
-        pressing=PRESSING,
     )
 
 
@@ -118,12 +113,9 @@ def run(
             )
             ticks = result.ticks
             outcome.below(f"{what}: moves in the hand", result.slide * 1e3, LOST * 1e3, "mm")
-            outcome.below(f"{what}: presses elsewhere", result.pressed, PRESSING, "N")
             action = ready.library.find(transfer.action, transfer.elements)
-            others = set(result.held_by) - set(fingers_of(ready.hand, action))
-            outcome.check(
-                not others, f"{what}: held by its fingers alone", ", ".join(result.held_by)
-            )
+            fingers = fingers_of(ready.hand, action)
+            outcome.touches(what, result.pressed, result.held_by, fingers)
             outcome.check(result.placed, f"{what}: in the container", result.reason or "yes")
             if stills is not None and stills.taken:
                 strip(folder / f"{HAND}_{transfer.action}.png", stills.taken, outcome, columns=4)

@@ -20,6 +20,7 @@ from experiments.wires import on_the_wire, wired
 from rtee.log import read
 from rtee.loop.choice import OPEN
 from rtee.trials.bench import bench
+from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.pictures import Stills
 from rtee.trials.variation import interval
 from rtee.types import Goal, Named
@@ -161,6 +162,8 @@ def in_dynamics(
     outcome.below(f"{name}: slides in the hand", result.slide * 1e3, SLIDE * 1e3, "mm")
     outcome.below(f"{name}: stands beside its target by", result.off * 1e3, OFF * 1e3, "mm")
     outcome.below(f"{name}: leans by", float(np.degrees(result.tilt)), np.degrees(TILT), "degrees")
+    action = ready.library.find(transfer.action, transfer.elements)
+    outcome.touches(name, result.pressed, result.held_by, fingers_of(ready.hand, action))
     if variations:
         outcome.check(
             found.survived * VARIATIONS >= ENOUGH * variations,

@@ -26,6 +26,7 @@ from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.planned import PRESSED
 from rtee.trials.scenario import Approach, Grasp, Lift, Scene, Step, Wait, Watch, mark
 from rtee.trials.variation import CHOOSING_FROM, Variation, draw
 from rtee.types import Goal, Named
@@ -123,7 +124,7 @@ class Transfer:
     variations: int = 0
     seed: int = 0
     container: bool = False
-    pressing: float = math.inf
+    pressing: float = PRESSED
 
 
 @dataclass(frozen=True, slots=True)
