@@ -67,7 +67,8 @@ class GraspPlan(Value):
         preshape: Intensity to which the hand closes before the object comes.
         opening: How far apart the fingertips are then [m].
         width: The object's width between the fingers [m].
-        effort: Share of the effort limits that carries three times the weight, at most 1.
+        effort: Share of the effort limits that carries three times the weight, at most 1; 20 times
+            where three fingers or more take the object from a table.
         load: How many times its weight the object can have, at full effort.
         quality: Radius of the largest ball of wrenches that is resisted, per newton of normal
             force (Ferrari and Canny).

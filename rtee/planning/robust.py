@@ -7,30 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
 from rtee.planning.approaches import GAP, PoseCandidate
 from rtee.planning.closing import ActionPath, Closure, HandClosing, close_all
-from rtee.planning.distance_bounds import DistanceBounds
+from rtee.planning.nearby import closed_nearby
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Poses
-from rtee.sample import FloatArray
-
-_BESIDE: Final = 0.008
-"""How far an object is moved along each axis to see whether it is held there, too [m]: as arms and
-cameras place it."""
-
-_TURNED: Final = 0.15
-"""… and how far it is turned about each axis [rad]."""
-
-_PUSHED: Final = 0.05
-"""How far the open hand may push an object before it as it comes [m]; farther, the fingertips no
-longer reach it."""
-
-_PUSH: Final = 0.002
-"""By how much at a time the object is pushed [m]."""
 
 _CANDIDATES: Final = 24
 """Poses between all fingers that are compared: two or three depths of each orientation."""
@@ -148,42 +131,8 @@ def _judged(
 ) -> RobustPose:
     """Return how well an object is held at a pose and nearby."""
     promises = [planner.promise(middle)]
-    nearby = _nearby(candidate.pose)
-    free = [_pushed(closing, pose, candidate.approach_from) for pose in nearby]
-    closures = close_all([(closing, pose) for pose in free if pose is not None])
+    closures = closed_nearby(closing, candidate)
     promises += [planner.promise(closure) for closure in closures if closure is not None]
     # Poses nearby that are not held count in the mean, as promising nothing.
-    count = len(nearby) + 1
+    count = len(closures) + 1
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
-
-
-def _pushed(closing: HandClosing, pose: FloatArray, approach_from: FloatArray) -> FloatArray | None:
-    """Return the pose to which the open hand pushes an object; ``None`` if out of reach."""
-    pose, length = pose.copy(), float(np.linalg.norm(approach_from))
-    at = closing.table[0]
-    for _ in range(round(_PUSHED / _PUSH)):
-        if DistanceBounds(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
-            return pose
-        # Without an approach, there is no direction to push it.
-        if not length:
-            return None
-        pose[:3, 3] += _PUSH * approach_from / length
-    return None
-
-
-def _nearby(pose: FloatArray) -> list[FloatArray]:
-    """Return poses that differ along or about one axis, to either side."""
-    found = []
-    for axis in np.eye(3):
-        for sign in (1.0, -1.0):
-            beside = pose.copy()
-            beside[:3, 3] += sign * _BESIDE * axis
-            found.append(beside)
-            x, y, z = sign * _TURNED * axis
-            turned = pose.copy()
-            small = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
-            # The nearest rotation: the first-order one would stretch the object.
-            u, _, v = np.linalg.svd(small)
-            turned[:3, :3] = u @ v @ pose[:3, :3]
-            found.append(turned)
-    return found
