@@ -76,6 +76,24 @@ def motors_of(
     return tuple(numbers_of(spec, option, indices, "motor"))
 
 
+_ROTATES = ("yaw", "rot", "oppos", "abduct")
+"""Parts of names that identify the motor that rotates the thumb."""
+
+
+def finger_motor(name: str, motors: Sequence[str]) -> str:
+    """Return the motor that an actuator's name suggests; empty if it suggests none.
+
+    Args:
+        name: The actuator's name.
+        motors: The motors of a hand: fingers, then what bends the thumb, then what rotates it.
+    """
+    # Some makers call little what others, and many models of hands, call pinky.
+    lowered, (*fingers, bends, rotates) = name.lower().replace("pinky", "little"), motors
+    if "thumb" in lowered:
+        return rotates if any(word in lowered for word in _ROTATES) else bends
+    return next((one for one in fingers if one.replace("pinky", "little") in lowered), "")
+
+
 def only_actuator(spec: DeviceSpec, what: str) -> ActuatorSpec:
     """Return the actuator of a device that has only one.
 

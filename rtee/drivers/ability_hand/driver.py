@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -32,9 +33,6 @@ from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
 
 Motor = Literal["index", "middle", "ring", "pinky", "thumb_flexor", "thumb_rotator"]
-
-_ROTATES = ("rot", "yaw", "oppos", "abduct")
-"""Parts of names that identify the motor that rotates the thumb."""
 
 
 class AbilityHandOptions(DeviceOptions, frozen=True):
@@ -90,18 +88,8 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
 
 def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
     """Return the motor of each actuator, by its index in `MOTORS`; raises `ConfigError`."""
-    return wiring.motors_of(spec, "motors", options.motors, codec.MOTORS, _motor_of)
-
-
-def _motor_of(name: str) -> str:
-    """Return the motor that an actuator's name suggests; empty if it suggests none."""
-    lowered = name.lower()
-    if "thumb" in lowered:
-        turns = any(word in lowered for word in _ROTATES)
-        return "thumb_rotator" if turns else "thumb_flexor"
-    if "little" in lowered:
-        return "pinky"
-    return next((motor for motor in codec.MOTORS[:4] if motor in lowered), "")
+    guess = partial(wiring.finger_motor, motors=codec.MOTORS)
+    return wiring.motors_of(spec, "motors", options.motors, codec.MOTORS, guess)
 
 
 _LEFT = 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -129,9 +130,6 @@ TURNAROUND = 0.0025
 """Time from a request to its answer beside that on the wire [s]: recorded exchanges of 29 bytes at
 115,200 baud took 6.6 ms, of which the bytes take 2.5 ms and the computer the rest."""
 
-_ROTATES = ("yaw", "rot", "oppos", "abduct")
-"""Parts of names that identify the motor that rotates the thumb."""
-
 
 class ForceOptions(Section, frozen=True):
     """A force calibration of one finger that replaces the default.
@@ -211,19 +209,8 @@ class InspireRh56Options(DeviceOptions, frozen=True):
 
 def motors_of(spec: DeviceSpec, options: InspireRh56Options) -> tuple[int, ...]:
     """Return the motor of each actuator, by its index in `FINGERS`; raises `ConfigError`."""
-    return wiring.motors_of(spec, "fingers", options.fingers, FINGERS, _finger_of)
-
-
-def _finger_of(name: str) -> str:
-    """Return the motor that an actuator's name suggests; empty if it suggests none."""
-    lowered = name.lower()
-    if "thumb" in lowered:
-        turns = any(word in lowered for word in _ROTATES)
-        return "thumb_rotate" if turns else "thumb_bend"
-    # The maker's name is little finger; in many models of hands it is pinky.
-    if "pinky" in lowered:
-        return "little"
-    return next((finger for finger in FINGERS[:4] if finger in lowered), "")
+    guess = partial(wiring.finger_motor, motors=FINGERS)
+    return wiring.motors_of(spec, "fingers", options.fingers, FINGERS, guess)
 
 
 def scales_of(
