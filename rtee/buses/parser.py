@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 F = TypeVar("F")
@@ -41,9 +41,11 @@ class Framing:
         most: Largest length.
         least: Smallest length.
         extra: Bytes that the length counts beside the body.
-        size: Bytes of the length, the low one first.
+        size: Bytes of the length, 1 or 2, the low one first.
         tail: Bytes of the check.
         error: What is raised for bytes that are no frame.
+        head: Bytes before the body.
+        around: Bytes of a frame that its length does not count.
     """
 
     header: bytes
@@ -56,28 +58,31 @@ class Framing:
     tail: int = 1
     error: type[ValueError] = ValueError
 
-    @property
-    def head(self) -> int:
-        """Bytes before the body."""
-        return len(self.header) + self.fields + self.size
+    head: int = field(init=False)
+    around: int = field(init=False)
 
-    @property
-    def around(self) -> int:
-        """Bytes of a frame that its length does not count."""
-        return self.head + self.tail - self.extra
+    def __post_init__(self) -> None:
+        # Computed once, since every frame needs them.
+        head = len(self.header) + self.fields + self.size
+        object.__setattr__(self, "head", head)
+        object.__setattr__(self, "around", head + self.tail - self.extra)
 
     def length(self, raw: bytes | bytearray, at: int = 0) -> int:
         """Return the bytes of the frame that begins at an index; 0 if it is impossible."""
-        end = at + self.head
-        length = int.from_bytes(raw[end - self.size : end], "little")
+        end = at + self.head - 1
+        length = raw[end] if self.size == 1 else raw[end - 1] | raw[end] << 8
         return length + self.around if self.least <= length <= self.most else 0
 
     def sealed(self, fields: Sequence[int], body: bytes) -> bytes:
         """Return a frame as sent; raises `error` for one that is too long or short."""
         length = len(body) + self.extra
-        if not self.least <= length <= self.most or not all(0 <= one <= 0xFF for one in fields):
+        counted = (length,) if self.size == 1 else (length & 0xFF, length >> 8)
+        try:
+            raw = self.header + bytes((*fields, *counted)) + body
+        except ValueError:  # more than a byte
+            length = -1
+        if not self.least <= length <= self.most:
             raise self.error(f"no frame can carry {len(body)} bytes with {list(fields)}")
-        raw = self.header + bytes(fields) + length.to_bytes(self.size, "little") + body
         return raw + self.check(raw)
 
     def opened(self, raw: bytes) -> tuple[bytes, bytes]:
@@ -88,9 +93,10 @@ class Framing:
         if len(raw) != self.length(raw):
             length = raw[self.head - self.size : self.head].hex(" ")
             raise self.error(f"a length of {length} does not fit {len(raw)} bytes")
-        if self.check(raw[: -self.tail]) != raw[-self.tail :]:
+        sealed, tail = raw[: -self.tail], raw[-self.tail :]
+        if self.check(sealed) != tail:
             raise self.error("the checksum does not match")
-        return raw[len(self.header) : self.head - self.size], raw[self.head : -self.tail]
+        return raw[len(self.header) : self.head - self.size], sealed[self.head :]
 
 
 class FramedParser(ABC, Generic[F]):
