@@ -231,7 +231,7 @@ def test_an_emulator_that_fails_leaves_nobody_waiting() -> None:
             port.write(b"x")
             assert line._thread is not None
             line._thread.join()
-        with pytest.raises(RteeError, match="'fragile' is not played any more"):
+        with pytest.raises(RteeError, match="'fragile' is no longer emulated"):
             line.power_cycle()
 
 
