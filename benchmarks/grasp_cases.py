@@ -44,6 +44,9 @@ WATCHED: Final = 2.0
 _BESIDE: Final = 0.002
 """How far off the middle an object is along each axis at most [m]: as a person presents it."""
 
+_PRESENTED: Final = 0.1
+"""For this long an object is there before the goal begins [s]."""
+
 _FRICTION: Final = (0.6, 1.0)
 """Range of the friction."""
 
@@ -335,6 +338,9 @@ class _Try:
     def run(self) -> Truth:
         """Grasp, wait, and judge."""
         headless, around = self._headless, self._around
+        # What is presented may overlap a finger at first, and is pushed out: that is no blow.
+        headless.wait(_PRESENTED)
+        self._forces.clear()
         result = headless.do(self._goal)
         before = len(headless.events)  # what was lost on the way is not this grasp
         start = around.object_frame if around.has_object else np.eye(4)

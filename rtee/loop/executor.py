@@ -332,7 +332,7 @@ class Executor:
         if felt == felt:
             # Better known: by finger, and without what weight and friction take.
             force, error = felt, doubt
-            if elsewhere:
+            if elsewhere or doubt != doubt:
                 force, error, source = math.nan, math.nan, ""
         elif elsewhere:
             error = max(error, ELSEWHERE * force)

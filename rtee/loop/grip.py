@@ -472,4 +472,6 @@ def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float,
     if known is not None and source:
         # By finger, and without what weight and friction take, as in the result.
         force, error = known.tolist()
+        if error != error:
+            force, source = math.nan, ""
     return grip.opening(position), force, error, source

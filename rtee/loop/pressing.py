@@ -180,6 +180,8 @@ class ForceEstimate:
         self._hand, self._grip, self._tare = hand, grip, tare
         closing = (math.copysign(1.0, t - r) for t, r in zip(grip.target, grip.rest, strict=True))
         self._closing = dict(zip(grip.indices, closing, strict=True))
+        names = (hand.actuators[i].name for i in grip.indices)
+        self._hunts = any(d.ki for name in names if (d := hand.dynamics.get(name)) is not None)
 
     @property
     def weight(self) -> Callable[[int], float]:
@@ -203,11 +205,14 @@ class ForceEstimate:
         return min(0.5 * both, (1.0 + _UNEVEN) * least)
 
     def error(self, measured: Measured) -> float:
-        """Return the error of the force [N]: that of the sensors, and what one side bears more."""
+        """Return the error of the force [N]: that of the sensors, and what one side bears more.
+
+        ``NaN`` for the efforts of servos that integrate, which go to and fro within dry friction.
+        """
         grip, touch, force = self._grip, measured.touch, self.of(measured)
         least = grip.tip_force(touch)
         if least != least:
-            return ELSEWHERE * force
+            return math.nan if self._hunts else ELSEWHERE * force
         uneven = 0.0
         if not grip.around:
             one, other = (sum(touch[f] for f in side) for side in (grip.fingers, grip.others))
