@@ -128,7 +128,7 @@ class Needs:
             certificates=_certificates(prepared),
             addresses=_addresses(options, prepared.config.remote),
             cpus=tuple(prepared.config.realtime.cpus),
-            log=prepared.config.log.folder,
+            log=prepared.config.log.common_directory or prepared.config.log.folder,
             log_size=prepared.config.log.max_total_size,
         )
 

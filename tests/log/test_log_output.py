@@ -460,7 +460,7 @@ def test_wrong_options_are_said(story: Path, tmp_path: Path) -> None:
         run("export", story, tmp_path, "--format", "xls")
     with pytest.raises(LogError, match=r"OUT should be a folder, .*; give --format parquet"):
         run("export", story, tmp_path / "story.parquet")
-    with pytest.raises(LogError, match=r"OUT ends with '\.json', which is none of csv"):
+    with pytest.raises(LogError, match=r"OUT ends with '\.json', which is not csv, parquet or npz"):
         run("export", story, tmp_path / "story.json")
     assert not (tmp_path / "story.json").exists()
     with pytest.raises(LogError, match="one file only"):
