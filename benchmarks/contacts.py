@@ -20,7 +20,7 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import RteeError
 from rtee.hand.catalog import hand_names
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import OBJECTS, mass_of
@@ -108,7 +108,7 @@ class Seen:
     held: bool
 
 
-def grasp_of(ready: Bench) -> Action:
+def grasp_of(ready: TrialBench) -> Action:
     """Return the action with which a hand grasps."""
     return next(
         action

@@ -26,7 +26,7 @@ from rtee.loop.measured import Measured
 from rtee.loop.plan import Plan
 from rtee.loop.planning import make_plan
 from rtee.sample import FloatArray
-from rtee.trials.bench import Bench
+from rtee.trials.bench import TrialBench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP, TURN, said_lost, turned
@@ -76,7 +76,7 @@ _DEPTH: Final = 0.03
 """Extents of a box across the closing [m]: those of a fingertip or two."""
 
 
-class Thing(StrEnum):
+class TestObject(StrEnum):
     """The object; the value is what people read."""
 
     NONE = "none"
@@ -90,7 +90,7 @@ class Thing(StrEnum):
     @property
     def holds(self) -> bool:
         """Whether a hand that grasps it can keep it."""
-        return self not in (Thing.NONE, Thing.HEAVY, Thing.SLIPPERY)
+        return self not in (TestObject.NONE, TestObject.HEAVY, TestObject.SLIPPERY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Case:
         elements: Fingers to use; empty: those of the hand's best action.
     """
 
-    thing: Thing
+    thing: TestObject
     width: float
     force: float | None
     speed: float | None = None
@@ -161,11 +161,11 @@ def _shape(case: Case) -> str:
     """Return the object as on the command line; empty: none."""
     width = f"{case.width:.6f}"
     match case.thing:
-        case Thing.NONE:
+        case TestObject.NONE:
             return ""
-        case Thing.SPHERE:
+        case TestObject.SPHERE:
             return f"sphere:{0.5 * case.width:.6f}"
-        case Thing.CYLINDER:
+        case TestObject.CYLINDER:
             return f"cylinder:{0.5 * case.width:.6f}x0.06"
         case _:
             # As wide along z, which may lie along the closing, too.
@@ -175,9 +175,9 @@ def _shape(case: Case) -> str:
 def _mass(case: Case) -> float:
     """Return the mass of the object [kg]."""
     force = _UNASKED if case.force is None else case.force
-    if case.thing is Thing.HEAVY:
+    if case.thing is TestObject.HEAVY:
         return _HEAVY * force / _GRAVITY
-    if case.thing is Thing.SLIPPERY:
+    if case.thing is TestObject.SLIPPERY:
         return _HEAVY * _SLIPPERY * force / _GRAVITY
     least, most = _MASS
     return min(max(_LIGHT * force / _GRAVITY, least), most)
@@ -271,7 +271,7 @@ class Contacts:
         return best if best < far else math.nan
 
 
-def try_case(ready: Bench, case: Case) -> Truth:
+def try_case(ready: TrialBench, case: Case) -> Truth:
     """Do one try.
 
     Args:
@@ -299,7 +299,7 @@ def try_case(ready: Bench, case: Case) -> Truth:
         object=_shape(case),
         object_mass=_mass(case),
         carrier="lift",  # so that the hand reaches down, and the object falls out of it
-        friction=_SLIPPERY if case.thing is Thing.SLIPPERY else friction,
+        friction=_SLIPPERY if case.thing is TestObject.SLIPPERY else friction,
     )
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
     around = simulation.surroundings
@@ -310,7 +310,7 @@ def try_case(ready: Bench, case: Case) -> Truth:
         pose = places[0].pose.copy()
         pose[:3, 3] += beside
         simulation.reset()
-        if case.thing is Thing.SOFT:
+        if case.thing is TestObject.SOFT:
             _soften(simulation)
         around.place(around.base_pose @ pose)
     return _Try(ready, case, goal, plan, simulation).run()
@@ -320,7 +320,7 @@ class _Try:
     """One try, from the goal to the verdict."""
 
     def __init__(
-        self, ready: Bench, case: Case, goal: Goal, plan: Plan, simulation: Simulation
+        self, ready: TrialBench, case: Case, goal: Goal, plan: Plan, simulation: Simulation
     ) -> None:
         self._goal, self._simulation, self._shape = goal, simulation, _shape(case)
         self._contacts = Contacts(simulation, ready.hand, plan)

@@ -31,7 +31,7 @@ from rtee.errors import RteeError
 from rtee.objects.table import Table as Plane
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.plan import plan_grasps
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.trials.planned import check_plan, checked
 from rtee.trials.store import FILE_NAME, read_results
 from rtee.trials.trial import Trial, run_trial
@@ -52,7 +52,7 @@ SHAPES = ("box:0.05x0.04x0.03", "cylinder:0.025x0.12", "box:0.12x0.03x0.02", "sp
 SEED = 13  # of the random actions, so that runs can be compared
 
 
-def best_stored(ready: Bench) -> Action:
+def best_stored(ready: TrialBench) -> Action:
     """Return the action that held most of the standard objects; the first one of several."""
     results = read_results(ready.folder / FILE_NAME).values()
     held = Counter((r.trial.action, r.trial.elements) for r in results if r.held)
@@ -61,7 +61,7 @@ def best_stored(ready: Bench) -> Action:
     return there[known[0]] if known else next(iter(ready.library))
 
 
-def tried(ready: Bench, action: Action, obj: GraspObject, places: int) -> bool:
+def tried(ready: TrialBench, action: Action, obj: GraspObject, places: int) -> bool:
     """Return whether an action holds an object at one of the places that `rtee try` finds."""
     trial = Trial(action.name, action.elements, obj.name, mass=obj.mass, places=places)
     try:
@@ -70,7 +70,7 @@ def tried(ready: Bench, action: Action, obj: GraspObject, places: int) -> bool:
         return False
 
 
-def planned(ready: Bench, obj: GraspObject) -> tuple[str, bool, bool, float, float]:
+def planned(ready: TrialBench, obj: GraspObject) -> tuple[str, bool, bool, float, float]:
     """Return the first choice, whether it holds, whether any of those that ``--check`` tries does.
 
     And how long planning took: wall and processor time [s].

@@ -20,11 +20,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from common import Table
-from grasp_cases import RATE, Case, Thing, Truth, Unfit, try_case
+from grasp_cases import RATE, Case, TestObject, Truth, Unfit, try_case
 
 from rtee.errors import RteeError, SimulationUnstable
 from rtee.loop.planning import make_plan
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.types import Around, Fingers, Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -37,13 +37,13 @@ NEAR = 0.1  # share by which a measured force may be off
 THIN = (0.002, 0.004, 0.008)  # widths of plates [m]
 
 
-def range_of(ready: Bench) -> tuple[float, float]:
+def range_of(ready: TrialBench) -> tuple[float, float]:
     """Return the narrowest and the widest opening of a hand [m]."""
     openings = list(ready.library.openings.tables)
     return min(o.narrowest for o in openings), max(o.widest for o in openings)
 
 
-def forces_at(ready: Bench, width: float) -> tuple[float, ...]:
+def forces_at(ready: TrialBench, width: float) -> tuple[float, ...]:
     """Return the forces to ask for at a width [N]."""
     plan = make_plan(Goal(Fingers(), Around(width)), ready.hand, ready.library, ready.settings)
     assert plan.grip is not None
@@ -51,7 +51,7 @@ def forces_at(ready: Bench, width: float) -> tuple[float, ...]:
     return tuple(float(f"{low + share * (high - low):.2g}") for share in FORCES)
 
 
-def force_cases(ready: Bench, quick: bool) -> Iterator[Case]:
+def force_cases(ready: TrialBench, quick: bool) -> Iterator[Case]:
     """Yield the tries of the blow and the force."""
     narrow, wide = range_of(ready)
     for share in (0.3, 0.7) if quick else SHARES:
@@ -61,13 +61,13 @@ def force_cases(ready: Bench, quick: bool) -> Iterator[Case]:
         except RteeError:
             continue
         for force in forces[1:2] if quick else forces:
-            for thing in (Thing.BOX, Thing.SPHERE):
+            for thing in (TestObject.BOX, TestObject.SPHERE):
                 for speed in (None,) if quick else (None, 0.02):
                     for numb in (False, True):
                         yield Case(thing, width, force, speed, numb)
 
 
-def held_cases(ready: Bench, quick: bool) -> Iterator[Case]:
+def held_cases(ready: TrialBench, quick: bool) -> Iterator[Case]:
     """Yield the tries of what is said to be held."""
     narrow, wide = range_of(ready)
     middle = round(narrow + 0.5 * (min(wide, 0.09) - narrow), 4)
@@ -79,10 +79,10 @@ def held_cases(ready: Bench, quick: bool) -> Iterator[Case]:
                     force = forces_at(ready, max(width, narrow))[1]
                 except RteeError:
                     continue
-                yield Case(Thing.NONE, width, force, None, numb)
+                yield Case(TestObject.NONE, width, force, None, numb)
         for width in plates[:1] if quick else plates:
-            yield Case(Thing.BOX, width, forces_at(ready, width)[1], None, numb)
-        for thing in (Thing.CYLINDER, Thing.SOFT, Thing.HEAVY, Thing.SLIPPERY):
+            yield Case(TestObject.BOX, width, forces_at(ready, width)[1], None, numb)
+        for thing in (TestObject.CYLINDER, TestObject.SOFT, TestObject.HEAVY, TestObject.SLIPPERY):
             try:
                 force = forces_at(ready, middle)[1]
             except RteeError:
@@ -151,7 +151,7 @@ class Row:
         return None if self.opening is None else 1e3 * (self.opening - self.width)
 
 
-def tried(ready: Bench, hand: str, part: str, case: Case) -> Row:
+def tried(ready: TrialBench, hand: str, part: str, case: Case) -> Row:
     """Do a try, and return what it came to."""
     began = time.process_time()
     truth: Truth | None = None
@@ -224,7 +224,7 @@ def tables(rows: Sequence[Row]) -> None:
             rate([max(map(abs, r.offs)) <= NEAR for r in got]),
             span([off for r in got for off in r.offs], "+.0%"),
             rate([right for r in got if (right := r.said_right) is not None]),
-            rate([abs(w) <= (ROUND if thing == Thing.SPHERE else FLAT) for thing, w in wide]),
+            rate([abs(w) <= (ROUND if thing == TestObject.SPHERE else FLAT) for thing, w in wide]),
             span([w for _, w in wide], "+.1f"),
         )
     print("\nWhat is said to be held.\n")
@@ -233,13 +233,13 @@ def tables(rows: Sequence[Row]) -> None:
     )
     for hand, numb in groups:
         some = [r for r in done if (r.hand, r.numb) == (hand, numb)]
-        things = [r for r in some if r.thing != Thing.NONE]
+        things = [r for r in some if r.thing != TestObject.NONE]
         table.row(
             hand,
             "no" if numb else "yes",
-            rate([r.said for r in some if r.thing == Thing.NONE]),
+            rate([r.said for r in some if r.thing == TestObject.NONE]),
             rate([r.said and not r.held for r in things]),
-            rate([not (r.said or r.unknown) for r in things if Thing(r.thing).holds]),
+            rate([not (r.said or r.unknown) for r in things if TestObject(r.thing).holds]),
             rate([r.unknown for r in some]),
         )
     print("\nWhat is said of what is held, and of what is not.\n")

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtee.trials.bench import bench
-from rtee.trials.tasks import RATE, End, Task, TaskTrial, Way, run_task
+from rtee.trials.tasks import RATE, End, GraspMode, Task, TaskTrial, run_task
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 
@@ -28,10 +28,10 @@ HANDS = {
 """The task of each hand, with the force to begin with and the largest force."""
 
 
-def cell(hand: str, task: Task, way: Way, tries: int) -> str:
+def cell(hand: str, task: Task, mode: GraspMode, tries: int) -> str:
     """Return how many of so many variations succeeded, and how the others ended."""
     ready = bench(str(CONFIG / hand), RATE)
-    trial = replace(HANDS[hand], task=task, way=way)
+    trial = replace(HANDS[hand], task=task, mode=mode)
     ends = Counter(run_task(ready, trial, number).end for number in range(tries))
     others = ", ".join(f"{count} {end}" for end, count in ends.items() if end is not End.HELD)
     return f"{ends[End.HELD]} of {tries}" + (f" ({others})" if others else "")
@@ -48,9 +48,9 @@ def main() -> None:
     for hand in HANDS:
         if arguments.hand not in (None, hand):
             continue
-        for way in Way:
-            shown = " | ".join(cell(hand, task, way, arguments.trials) for task in Task)
-            print(f"| {hand} | {way} | {shown} |", flush=True)
+        for mode in GraspMode:
+            shown = " | ".join(cell(hand, task, mode, arguments.trials) for task in Task)
+            print(f"| {hand} | {mode} | {shown} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def section(driver: str) -> str:
     )
     return "\n".join(
         [
-            "What is not seen on a device by the authors, by what it is about. `rtee doctor "
+            "What the authors have not confirmed on a device, by topic. `rtee doctor "
             "--first-contact HAND` [confirms or refutes it](../how-to/first-contact.md) on yours.",
             "",
             "| about | assumed | source |",

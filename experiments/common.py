@@ -18,13 +18,13 @@ from rtee.errors import UserError
 from rtee.hand.files import make_folder
 from rtee.hand.model import Hand
 from rtee.log import Recorder, read
-from rtee.log.figure import By, figure
+from rtee.log.figure import PlotSubject, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
 from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
@@ -213,7 +213,7 @@ class TrialStills:
 
 
 @contextmanager
-def recording(ready: Bench, folder: Path, outcome: Outcome) -> Iterator[Recorder]:
+def recording(ready: TrialBench, folder: Path, outcome: Outcome) -> Iterator[Recorder]:
     """Record into a folder; afterwards plot what was recorded beside it."""
     make_folder(folder)
     before = set(folder.glob("*.mcap"))
@@ -229,11 +229,11 @@ def recording(ready: Bench, folder: Path, outcome: Outcome) -> Iterator[Recorder
 def plot_of(path: Path) -> Path:
     """Plot a recording, with the spans of the actions, beside it; returns the picture's path."""
     found, plot = read(path), path.with_suffix(".png")
-    write_png(figure(found, by=By.ACTUATOR, fingers=fingers(found)), plot)
+    write_png(figure(found, by=PlotSubject.ACTUATOR, fingers=fingers(found)), plot)
     return plot
 
 
-def steadiest(ready: Bench, trial: Trial) -> int:
+def steadiest(ready: TrialBench, trial: Trial) -> int:
     """Return at which of a trial's places the object slides least, counted from 0."""
     hand, library, settings = ready.hand, ready.library, ready.settings
     options = SimOptions(object=trial.object, object_mass=trial.mass, carrier="arm")

@@ -17,7 +17,7 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.loop.observer import LoopObserver
 from rtee.sample import FloatArray
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.variation import Variation, draw, interval
 from rtee.types import Goal, Named
@@ -146,7 +146,7 @@ def given(simulation: Simulation, pose: FloatArray) -> FloatArray:
 
 
 def use(
-    ready: Bench,
+    ready: TrialBench,
     variation: Variation | None = None,
     observers: Sequence[LoopObserver] = (),
     watch: Callable[[str, Simulation], None] | None = None,
@@ -275,7 +275,7 @@ def run(folder: Path, *, pictures: bool = True, variations: int = 20, seed: int 
     return outcome
 
 
-def _tried(ready: Bench, seed: int, variations: int) -> tuple[int, str]:
+def _tried(ready: TrialBench, seed: int, variations: int) -> tuple[int, str]:
     """Return in how many variations the drill was used well, and that in words."""
     good = sum(use(ready, draw(seed, number)).good for number in range(variations))
     low, high = interval(good, variations)

@@ -16,7 +16,7 @@ from experiments.common import Outcome, main, recording, strip
 from experiments.transfer import LOST, WAYS, Transfer, run_transfer
 from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.log import read
-from rtee.log.figure import By, Figure, figure
+from rtee.log.figure import Figure, PlotSubject, figure
 from rtee.log.labels import Band, bands_of
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
@@ -78,7 +78,7 @@ def with_currents(shown: Figure) -> Figure:
 def plot(path: Path) -> None:
     """Plot the recording again, with currents and the spans to the end of holding."""
     found = read(path)
-    shown = with_currents(figure(found, by=By.ACTUATOR, fingers=fingers(found)))
+    shown = with_currents(figure(found, by=PlotSubject.ACTUATOR, fingers=fingers(found)))
     write_png(replace(shown, bands=held_spans(found)), path.with_suffix(".png"))
 
 

@@ -54,7 +54,7 @@ millimetres and finds it wherever it stood, and so high that no finger touches t
 
 ABOVE = replace(
     standing(np.array([0.0, 0.0, 0.22]), np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])),
-    way=np.array([0.0, 0.0, 1.0]),
+    approach=np.array([0.0, 0.0, 1.0]),
     back=0.03,
 )
 """How the 3FG15 comes to the can: from above, down to its top and back by 30 mm. The rising levers

@@ -42,7 +42,7 @@ class Stance:
         place: Pose ``(4, 4)`` in the hand's base frame where the object would be after the approach
             if nothing touched it; the palm pushes one that would be inside it.
         mount: How the hand is turned in the world ``(3, 3)``.
-        way: The unit vector ``(3,)`` in the base frame along which the hand comes.
+        approach: The unit vector ``(3,)`` in the base frame along which the hand comes.
         lands: Where the object is left ``(3,)`` [m], in the base frame of the hand that opens; at
             its place unless given.
         back: How far the hand goes back [m] after it came on until it felt the object; unless given
@@ -51,7 +51,7 @@ class Stance:
 
     place: FloatArray
     mount: FloatArray
-    way: FloatArray
+    approach: FloatArray
     lands: FloatArray | None = None
     back: float | None = None
 
@@ -67,8 +67,8 @@ class Stance:
         # The object stands in the world as before, so that it is the hand that turns.
         mount: FloatArray = self.mount @ self.place[:3, :3] @ place[:3, :3].T
         # The hand comes along the same line in the world.
-        way: FloatArray = mount.T @ self.mount @ self.way
-        return Stance(place, mount, way, lands, self.back)
+        approach: FloatArray = mount.T @ self.mount @ self.approach
+        return Stance(place, mount, approach, lands, self.back)
 
     def varied(self, variation: Variation, shape: ObjectShape) -> tuple[FloatArray, FloatArray]:
         """Return where a varied object is in the hand ``(4, 4)``, and the hand's turn ``(3, 3)``.
@@ -87,17 +87,17 @@ class Stance:
         return place, mount
 
 
-def standing(position: FloatArray, up: FloatArray, way: FloatArray) -> Stance:
+def standing(position: FloatArray, up: FloatArray, approach: FloatArray) -> Stance:
     """Return the stance in which an upright object is somewhere in the hand.
 
     Args:
         position: Where it is in the hand's base frame ``(3,)`` [m].
         up: Its upward axis ``(3,)`` in the base frame.
-        way: About where the hand moves ``(3,)`` in the base frame as it comes; only what is
+        approach: About where the hand moves ``(3,)`` in the base frame as it comes; only what is
             horizontal of it counts.
     """
     up = up / np.linalg.norm(up)
-    along = way - (way @ up) * up
+    along = approach - (approach @ up) * up
     along = along / np.linalg.norm(along)
     place = np.eye(4)
     place[:3, :3] = np.stack([along, np.cross(up, along), up], axis=1)
@@ -127,7 +127,7 @@ def find_stances(
     axis, down = approach(hand), downward(hand)
     least, largest = (_ALONG, 1.0) if reach == "down" else (0.0, 1.0 - _ALONG)
     for place in robust_places(simulation, library, action, thing, most):
-        if float(place.way @ axis) <= 0.0:
+        if float(place.approach_from @ axis) <= 0.0:
             continue
         alike = _alike(place.pose, thing)
         pose = next((p for p in alike if least <= abs(p[:3, 2] @ axis) <= largest), None)

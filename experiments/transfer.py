@@ -27,7 +27,7 @@ from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.planned import PRESSED
-from rtee.trials.scenario import Approach, Grasp, Lift, Scene, Step, Wait, Watch, mark
+from rtee.trials.scenario import ApproachStep, Grasp, Lift, Step, TrialScene, Wait, Watch, mark
 from rtee.trials.variation import CHOOSING_FROM, Variation, draw
 from rtee.types import Goal, Named
 
@@ -321,8 +321,8 @@ class _Bench:
             container=(float(x), float(y)) if transfer.container else None,
         )
         # Before the first step: a varied object may be inside the hand at the end of the way.
-        way = _AWAY * mount @ stance.way
-        simulation.surroundings.jump(np.concatenate([-way, np.zeros(3)]))
+        approach = _AWAY * mount @ stance.approach
+        simulation.surroundings.jump(np.concatenate([-approach, np.zeros(3)]))
         quiet = variation is not None
         headless = HeadlessHand(
             hand,
@@ -334,8 +334,8 @@ class _Bench:
         )
         fingers = [hand.finger(name) for name in fingers_of(hand, self._action)]
         links = frozenset(link for finger in fingers for link in finger.body)
-        scene = Scene(headless, None if quiet else self._watch)
-        result = _Run(scene, transfer, links, mount @ lands, way, stance.back).result()
+        scene = TrialScene(headless, None if quiet else self._watch)
+        result = _Run(scene, transfer, links, mount @ lands, approach, stance.back).result()
         if not quiet:
             # Only what is recorded takes time of the recording.
             self._ticks = headless.ticks
@@ -347,11 +347,11 @@ class _Run:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: TrialScene,
         transfer: Transfer,
         links: frozenset[str],
         expected: FloatArray,
-        way: FloatArray,
+        approach: FloatArray,
         back: float | None,
     ) -> None:
         """Prepare.
@@ -361,11 +361,11 @@ class _Run:
             transfer: What is done.
             links: The links that may press on the object.
             expected: Where it is to be left, from the hand's base, in the world ``(3,)`` [m].
-            way: How the hand comes, in the world ``(3,)`` [m].
+            approach: How the hand comes, in the world ``(3,)`` [m].
             back: How far it goes back after it felt the object [m].
         """
         self._scene, self._transfer, self._links = scene, transfer, links
-        self._expected, self._way, self._back = expected, way, back
+        self._expected, self._approach, self._back = expected, approach, back
         self._around = scene.around
         self._down: FloatArray = np.eye(4)
         self._held: FloatArray | None = None
@@ -382,7 +382,7 @@ class _Run:
         ticks = scene.headless.ticks
         grasp = Goal(Named(transfer.action, transfer.elements), goal_id=f"grasp-{ticks}")
         steps: list[Step] = [
-            Approach(self._way, self._feel),
+            ApproachStep(self._approach, self._feel),
             Grasp(grasp),
             Wait(_SETTLE, "grasp"),
             self._closed,
@@ -422,45 +422,45 @@ class _Run:
             lands=self._lands,
         )
 
-    def _feel(self, scene: Scene) -> None:
+    def _feel(self, scene: TrialScene) -> None:
         """Come on slowly until the hand touches the object, then go back."""
         if self._back is None:
             return
-        way = self._way / np.linalg.norm(self._way)
+        approach = self._approach / np.linalg.norm(self._approach)
         come = 0.0
         while not self._around.touching() and come < _FARTHER:
-            scene.go(scene.at[:3] + _SLOW * _STEP * way, _STEP)
+            scene.go(scene.at[:3] + _SLOW * _STEP * approach, _STEP)
             come += _SLOW * _STEP
-        scene.go(scene.at[:3] - self._back * way, self._back / _SLOW)
+        scene.go(scene.at[:3] - self._back * approach, self._back / _SLOW)
 
-    def _closed(self, scene: Scene) -> None:
+    def _closed(self, scene: TrialScene) -> None:
         # A hand that felt for the object closes elsewhere than where the approach ended.
         closing = np.array(scene.base)
-        closing[:3, 3] += self._way
+        closing[:3, 3] += self._approach
         closing[:3, 3] += scene.at[:3]
         place = (np.linalg.inv(closing) @ scene.before)[:3, 3]
         if self._around.touching():
             self._shift = float(np.linalg.norm(self._around.position_in_hand - place))
         self._in_air = True
 
-    def _lifted(self, scene: Scene) -> str:
+    def _lifted(self, scene: TrialScene) -> str:
         touching = set(self._around.touching())
         fingers = scene.headless.hand.fingers
         self._held_by = tuple(f.name for f in fingers if touching & set(f.body))
         return "it fell while it was lifted" if self._lost() else ""
 
-    def _carry(self, scene: Scene) -> None:
+    def _carry(self, scene: TrialScene) -> None:
         goal = scene.at + np.array([*self._transfer.by, 0.0, 0.0, 0.0, self._transfer.turn])
         scene.to(goal, 2.0)
 
-    def _carried(self, _: Scene) -> str:
+    def _carried(self, _: TrialScene) -> str:
         if self._lost():
             return "it fell while it was carried"
         around = self._around
         self._held = np.asarray(np.linalg.inv(around.base_pose) @ around.object_frame)
         return ""
 
-    def _set_down(self, scene: Scene) -> None:
+    def _set_down(self, scene: TrialScene) -> None:
         """Go down slowly until the object stands; over a container's floor, a little back up."""
         height = scene.at[2]
         # As far as the contact, not to a height: the object may have slid in the hand.
@@ -477,12 +477,12 @@ class _Run:
         self._down = self._around.base_pose
         scene.tell("set down")
 
-    def _open(self, scene: Scene) -> None:
+    def _open(self, scene: TrialScene) -> None:
         scene.headless.do(Goal(Named(OPEN), goal_id=f"open-{scene.headless.ticks}"))
 
-    def _retreat(self, scene: Scene) -> None:
-        way = _turned(self._transfer.turn) @ self._way
-        scene.go(scene.at[:3] - way, 1.0)
+    def _retreat(self, scene: TrialScene) -> None:
+        approach = _turned(self._transfer.turn) @ self._approach
+        scene.go(scene.at[:3] - approach, 1.0)
 
     def _note(self, _: float) -> None:
         self._pressed = max(self._pressed, self._around.pressing(self._links))
@@ -493,10 +493,10 @@ class _Run:
         # In the air it can touch the table only if it hangs far out of the hand.
         return not self._around.touching() or self._slide > LOST or self._around.on_table
 
-    def _judge(self, scene: Scene) -> str:
+    def _judge(self, scene: TrialScene) -> str:
         now, down = self._around.object_frame, self._down
         # Targets are told from where the way to the object ends.
-        base = scene.base[:3, 3] + self._way
+        base = scene.base[:3, 3] + self._approach
         self._lands = down[:3, :3].T @ (now[:3, 3] - down[:3, 3])
         expected = np.array(scene.before)
         expected[:3, 3] = base + self._expected

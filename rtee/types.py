@@ -255,7 +255,7 @@ class OnContact(StrEnum):
 
 
 class Aim(StrEnum):
-    """What a goal is for, which decides whether it has succeeded."""
+    """The aim of a goal, which decides whether it has succeeded."""
 
     POSTURE = "posture"
     OBJECT = "object"
@@ -270,7 +270,7 @@ class Outcome(StrEnum):
     WRONG_WIDTH = "wrong_width"
     """It holds an object of another width."""
     UNKNOWN = "unknown"
-    """Whether it holds something thin, or nothing, cannot be told."""
+    """It is unknown whether something thin is held, or nothing."""
     EMPTY = "empty"
     """It has closed and holds, or has touched, nothing."""
     TOUCHED = "touched"
@@ -338,7 +338,7 @@ class Fingers(Value):
 
 @dataclass(frozen=True, slots=True)
 class Intensity(Value):
-    """A posture on the way of an action.
+    """A posture on the path of an action.
 
     Attributes:
         share: 0 (rest posture) to 1 (the action's posture).
@@ -557,7 +557,7 @@ class Result(Value):
         within: Whether an object is held at its width, within the tolerance; ``None``: no width was
             asked for, or the opening was not measured.
         touched: Fingers with a reaction to contacts that touched something.
-        unknown: Whether it cannot be told if something thin is held, or nothing: the fingertips are
+        unknown: Whether it is undecidable if something thin is held, or nothing: the fingertips are
             as near to one another as those of the empty hand.
         aim: What the goal was for.
     """

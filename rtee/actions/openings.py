@@ -202,7 +202,7 @@ def doubtful(action: Action) -> bool:
 def crowded(action: Action, opening: Opening) -> bool:
     """Return whether fingers of one side press on one another where the action leads.
 
-    Then they meet on the way, before they reach an object, and sensors feel them as one.
+    Then they meet before they reach an object, and sensors feel them as one.
     """
     if not (isinstance(action, Primitive) and action.evidence):
         return False

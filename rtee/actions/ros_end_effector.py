@@ -172,7 +172,7 @@ def import_folder(hand: Hand, folder: Path) -> ImportedActions:
         paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
     except OSError as error:  # a folder may vanish during the search, such as below /proc
         raise ActionError(f"cannot be searched: {reason(error)}", path=folder) from None
-    reader = _Reader(hand)
+    reader = _ActionReader(hand)
     entries: list[_Source] = []
     for path in paths:
         document = read_document(path)
@@ -220,7 +220,7 @@ def _type_of(source: _Source) -> int | None:
     return int(kind)
 
 
-class _Reader:
+class _ActionReader:
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
         self.library = ActionLibrary(hand)

@@ -116,7 +116,7 @@ DEEPEST: Final = "deepest"
 """What follows the name of a primitive, after an ``@``, to ask for its deepest posture."""
 
 SHALLOW: Final = 0.5
-"""Share of the deepest posture's depth below which people are told of that posture."""
+"""Share of the deepest posture's depth below which a note mentions that posture."""
 
 _SEPARATOR: Final = re.compile("[:,]")
 """What stands between the name and the elements of an action in a text, if no space does."""

@@ -33,12 +33,12 @@ class Agent:
 
     Args:
         name: The hand's name.
-        limits: What a person lets the agent do with it.
+        limits: The permissions of the agent.
         endpoint: Its address; ``None``: on this computer.
 
     Attributes:
         name: The hand's name.
-        limits: What a person lets the agent do with it.
+        limits: The permissions of the agent.
         endpoint: Its address; ``None``: on this computer.
         notes: Numbered events and results, oldest first.
     """
@@ -83,8 +83,8 @@ class Agent:
 
         Args:
             goal: The goal.
-            words: What the agent wants, for the person who approves it.
-            obj: What the hand closes on in simulation; empty: nothing.
+            words: The request, for the person who approves it.
+            obj: The object in simulation; empty: none.
 
         Raises:
             GoalRejected: if the gate does not let it through, with the reason.

@@ -1,4 +1,4 @@
-"""What an agent reads: plain data, with texts from outside marked as such."""
+"""The texts that an agent reads: plain data, with texts from outside marked as such."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _LONGEST: Final = 300
 def outside(text: str) -> dict[str, str] | None:
     """Return a text from outside, marked, cut, and without characters that are not printable.
 
-    ``None`` stands for an empty text.
+    ``None`` represents an empty text.
     """
     return {UNTRUSTED: foreign(text)[:_LONGEST]} if text else None
 

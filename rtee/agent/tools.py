@@ -60,7 +60,7 @@ Number = Annotated[int, Field(strict=True, ge=0, description="Only later numbers
 
 
 class Tools:
-    """What an agent can call; each takes the name of a hand where there are several."""
+    """The tools of an agent; each takes the name of a hand where there are several."""
 
     def __init__(self, agents: Sequence[Agent]) -> None:
         self.agents: Mapping[str, Agent] = {agent.name: agent for agent in agents}

@@ -1,6 +1,7 @@
 """The host's end of a simulated line on simulated time: in the host's own event loop.
 
-A pseudo-terminal or a socket would pass bytes on in real time, for which nobody waits there.
+A pseudo-terminal or a socket would pass bytes on in real time, for which simulated time does not
+wait.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Framing:
         extra: Bytes that the length counts beside the body.
         size: Bytes of the length, 1 or 2, the low one first.
         tail: Bytes of the check.
-        error: What is raised for bytes that are no frame.
+        error: Raised for bytes that are not a frame.
         head: Bytes before the body.
         around: Bytes of a frame that its length does not count.
     """

@@ -3,7 +3,7 @@
 With it, emulators, the model of the wire, drivers and the loop live in one time that only they use
 up. Ten seconds of homing take as long as their computations, and every deadline is exact on any
 computer under any load. Everything must happen in this process: what comes over a real port or from
-another process would come too late, since nobody waits for it.
+another process would come too late, since time does not wait for it.
 """
 
 from __future__ import annotations

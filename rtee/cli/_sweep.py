@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rtee.trials.work import Answer, Task
 
 _EVERY: Final = 60.0
-"""How often progress is told where no terminal shows it [s]."""
+"""Interval of progress messages without a terminal [s]."""
 
 JobsOption = Annotated[
     int, typer.Option("--jobs", "-j", min=0, help="Processes; 0: one per processor.")

@@ -65,7 +65,7 @@ def emulate(
         list[str] | None, typer.Option(metavar="NAME", help="A fault that it has from the start.")
     ] = None,
 ) -> None:
-    """Emulate a device for other software until Ctrl-C; lines typed meanwhile cause faults."""
+    """Emulate a device for other software until Ctrl-C; typed lines cause faults."""
     from rtee.drivers.emulator_server import Player
     from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, ObjectInHand, grasping
 

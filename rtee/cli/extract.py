@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rtee.actions.types import Primitive
     from rtee.exchange.reading import ReadableModel
     from rtee.extract.extraction import Extraction
-    from rtee.extract.report import Tried
+    from rtee.extract.report import TrialSummary
     from rtee.hand.model import Hand as HandModel
     from rtee.hand.subtree import Subtree
 
@@ -192,10 +192,12 @@ def _report(hand: HandModel, extraction: Extraction, folder: Path | None, jobs: 
         return make_report(hand, extraction, custom, trials=tried, jobs=jobs, progress=progress)
 
 
-def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tried], list[str]]:
+def _tried(
+    folder: Path | None, library: ActionLibrary | None
+) -> tuple[list[TrialSummary], list[str]]:
     """Return the results of `rtee try --all` for the report, and notes about them."""
     from rtee.actions.fingerprints import Fingerprints
-    from rtee.extract.report import Tried
+    from rtee.extract.report import TrialSummary
     from rtee.trials.store import FILE_NAME, read_results
 
     if folder is None or library is None:
@@ -210,7 +212,7 @@ def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tri
             f" earlier method; `rtee try {folder.name} --all` repeats them"
         )
     tried = [
-        Tried(
+        TrialSummary(
             result.trial.what,
             result.trial.object,
             result.held,

@@ -72,7 +72,7 @@ async def follow_headset(
     """Move a running hand by the joints of a hand in WebXR, a frame of them in each line.
 
     Raises:
-        UserError: The joints are none, or not those of that side.
+        UserError: There are no joints, or not those of that side.
         RemoteError: The hand does not run, or refuses the stream.
     """
     from rtee.errors import needing_extra

@@ -150,16 +150,16 @@ def plot(
     png: Annotated[bool, typer.Option(help="Make a picture.")] = True,
 ) -> None:
     """Plot positions, references and efforts with the spans of the actions."""
-    from rtee.log.figure import By, figure, read_for
+    from rtee.log.figure import PlotSubject, figure, read_for
     from rtee.log.playback import fingers
 
-    if by is not None and by not in list(By):
+    if by is not None and by not in list(PlotSubject):
         raise LogError(f"--by should be 'actuator' or 'finger', not '{by}'")
     pieces = read_for(_paths(file, series), start, end)
     recording = next(pieces)
     drawing = figure(
         chain((recording,), pieces),
-        by=None if by is None else By(by),
+        by=None if by is None else PlotSubject(by),
         actuators=actuator or (),
         start=start,
         end=end,
@@ -278,14 +278,14 @@ def lerobot(
     Example: rtee log lerobot logs --out datasets/cups
     """
     from rtee.log.dataset.convert import Choice, write_dataset
-    from rtee.log.dataset.episodes import By
+    from rtee.log.dataset.episodes import EpisodeBoundary
     from rtee.messages.features import quantities
 
-    if episodes not in list(By):
+    if episodes not in list(EpisodeBoundary):
         raise LogError(f"--episodes should be marks or goals, not '{episodes}'")
     chosen = quantities(observe or ())
     actions, cameras = tuple(action or ()), tuple(camera or ())
-    choice = Choice(fps, By(episodes), task, actions, chosen, cameras)
+    choice = Choice(fps, EpisodeBoundary(episodes), task, actions, chosen, cameras)
     made = write_dataset(files, output, choice)
     for note in made.notes:
         _print_safely(f"note: {note}")

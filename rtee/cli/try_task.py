@@ -80,7 +80,7 @@ def _trials(
     action: str, elements: tuple[str, ...], objects: Sequence[str], options: TaskOptions
 ) -> list[TaskTrial]:
     from rtee.errors import ConfigError, suggestion
-    from rtee.trials.tasks import FORCE, MOST, Task, TaskTrial, Way
+    from rtee.trials.tasks import FORCE, MOST, GraspMode, Task, TaskTrial
     from rtee.units import FORCE as NEWTONS
     from rtee.units import LENGTH, quantity
 
@@ -96,19 +96,28 @@ def _trials(
     if most < force:
         raise ConfigError(f"--max-force must be at least --force, {force:g} N, not {most:g} N")
     width = None if options.width is None else quantity(options.width, LENGTH, "width")
-    ways = [way for way in Way if options.reflexes in (None, way is Way.REFLEXES)]
+    modes = [mode for mode in GraspMode if options.reflexes in (None, mode is GraspMode.REFLEXES)]
     return [
         TaskTrial(
-            Task(name), action, elements, shape, way, width, options.mass, force, most, options.seed
+            Task(name),
+            action,
+            elements,
+            shape,
+            mode,
+            width,
+            options.mass,
+            force,
+            most,
+            options.seed,
         )
         for shape in objects or ("sphere:0.03",)
         for name in dict.fromkeys(options.tasks)
-        for way in ways
+        for mode in modes
     ]
 
 
 def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
-    from rtee.trials.tasks import End, Way
+    from rtee.trials.tasks import End, GraspMode
     from rtee.trials.variation import interval
 
     held = sum(result.end is End.HELD for result in results)
@@ -116,13 +125,13 @@ def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
     ends = Counter(result.end for result in results if result.end is not End.HELD)
     others = "".join(f"; {count} {end}" for end, count in ends.items())
     conditions = {
-        Way.EFFORT: "the hand's effort, no reflexes",
-        Way.FORCE: f"{trial.force:g} N, no reflexes",
-        Way.REFLEXES: f"{trial.force:g} to {trial.most:g} N, reflexes",
-    }[trial.way]
+        GraspMode.EFFORT: "the hand's effort, no reflexes",
+        GraspMode.FORCE: f"{trial.force:g} N, no reflexes",
+        GraspMode.REFLEXES: f"{trial.force:g} to {trial.most:g} N, reflexes",
+    }[trial.mode]
     peak = max(result.peak for result in results)
     grasp = " ".join((trial.action, *trial.elements))
-    if ends[End.STALLED] and trial.way is not Way.EFFORT:
+    if ends[End.STALLED] and trial.mode is not GraspMode.EFFORT:
         others += " (the effort for this force hardly moves the hand; try a larger --force)"
     return (
         f"{trial.task}, {grasp} on {trial.object}, {conditions}: {held} of {len(results)} succeed "
@@ -131,17 +140,17 @@ def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
 
 
 def _document(trial: TaskTrial, results: Sequence[TaskResult]) -> dict[str, Any]:
-    from rtee.trials.tasks import End, Way
+    from rtee.trials.tasks import End, GraspMode
 
     return {
         "task": str(trial.task),
         "action": trial.action,
         "elements": list(trial.elements),
         "object": trial.object,
-        "way": str(trial.way),
-        "reflexes": trial.way is Way.REFLEXES,
-        "force": None if trial.way is Way.EFFORT else trial.force,
-        "max_force": trial.most if trial.way is Way.REFLEXES else None,
+        "mode": str(trial.mode),
+        "reflexes": trial.mode is GraspMode.REFLEXES,
+        "force": None if trial.mode is GraspMode.EFFORT else trial.force,
+        "max_force": trial.most if trial.mode is GraspMode.REFLEXES else None,
         "succeeded": sum(result.end is End.HELD for result in results),
         "tries": len(results),
         "results": [{"end": str(result.end), "peak": result.peak} for result in results],

@@ -13,7 +13,7 @@ from rtee.actions.types import FARTHEST_CLEARANCE
 from rtee.extract.distance_queries import TOUCH
 from rtee.extract.envelopes import Envelopes
 from rtee.extract.goals import TipEdge, linked
-from rtee.extract.motion import DistanceBounds, Motion, StraightPath
+from rtee.extract.motion import LinkDistanceBounds, Motion, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
@@ -338,7 +338,7 @@ class CollisionChecker:
         self._margins = np.array([self._margin_of[pair.number] for pair in pairs])
         self._nested = nested
         self._carried = carried
-        self._known = DistanceBounds(self._motion, self.pairs)
+        self._known = LinkDistanceBounds(self._motion, self.pairs)
         self._paths: dict[bytes, Blocked | None] = {}
         # All pairs that any check may be of, and the bounds on their distances on the last path.
         groups = carried.groups.values() if carried else ()

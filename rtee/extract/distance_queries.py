@@ -35,7 +35,7 @@ _place, _measure = pin.updateGeometryPlacements, pin.computeDistances
 
 
 class DistanceQueries:
-    """Distances and contacts of two links, by convex parts, drafts of these, or original geometry.
+    """Distances and contacts of two links, by convex parts, coarse shapes, or original geometry.
 
     One call measures all couples of shapes, one of the first link and one of the second.
     Coal can use the end of a couple's last search as a guess for the next one, which changes the
@@ -59,7 +59,7 @@ class DistanceQueries:
         second: Sequence[int],
         bodies: Mapping[int, coal.CollisionGeometry],
         *,
-        draft: bool = False,
+        coarse: bool = False,
         slack: float = 0.0,
     ) -> None:
         """Prepare the couples of two links.
@@ -69,9 +69,9 @@ class DistanceQueries:
             shapes: All shapes.
             first: Indices of those of the first link.
             second: Indices of those of the second link.
-            bodies: Geometry of each shape, by its index: its convex part, its draft, or its
+            bodies: Geometry of each shape, by its index: its convex part, its coarse shape, or its
                 original geometry.
-            draft: Whether to measure for a search, with more precise depths of polytopes.
+            coarse: Whether to measure for a search, with more precise depths of polytopes.
             slack: Largest excess of the bodies' distance over that of the convex parts [m].
         """
         self.slack = slack
@@ -90,7 +90,7 @@ class DistanceQueries:
             self._model.addCollisionPair(pin.CollisionPair(number[i], number[j]))
         # Flat faces alone have exact depths.
         self._flat = [
-            draft and not any(isinstance(bodies[n], _ENDLESS) for n in couple)
+            coarse and not any(isinstance(bodies[n], _ENDLESS) for n in couple)
             for couple in self.couples
         ]
         self.forget()

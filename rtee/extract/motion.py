@@ -228,7 +228,7 @@ class Motion:
         return radii
 
 
-class DistanceBounds:
+class LinkDistanceBounds:
     """Lower bounds on distances of links, from distances at earlier postures and their motion."""
 
     def __init__(self, motion: Motion, pairs: Sequence[LinkPair]) -> None:

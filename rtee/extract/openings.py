@@ -131,7 +131,7 @@ def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
     fingers = _fingers(geometry.hand, action)
     if len(fingers) < 2:
         return None
-    way = _Way(geometry, action, fingers)
+    way = _TipPaths(geometry, action, fingers)
     sides = way.sides()
     if not sides:
         return None
@@ -149,7 +149,7 @@ def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
     return tuple(fingers)
 
 
-class _Way:
+class _TipPaths:
     """The path of an action from rest, with the gaps and motions of its tips."""
 
     def __init__(self, geometry: HandGeometry, action: Action, fingers: Sequence[str]) -> None:
@@ -306,7 +306,7 @@ def _two_sides(
 class _Table:
     """Samples the opening of one action, finer where it bends."""
 
-    def __init__(self, way: _Way, sides: tuple[tuple[str, ...], ...]) -> None:
+    def __init__(self, way: _TipPaths, sides: tuple[tuple[str, ...], ...]) -> None:
         self._way, self._sides = way, sides
         self._known: dict[float, _Sample] = {}
 

@@ -82,7 +82,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Card:
+class ReportCard:
     """One action.
 
     Attributes:
@@ -103,7 +103,7 @@ class Card:
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """Actions of one kind.
 
     Attributes:
@@ -112,11 +112,11 @@ class Section:
     """
 
     title: str
-    cards: Sequence[Card] = ()
+    cards: Sequence[ReportCard] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class TrialSummary:
     """Result of a trial of an action on an object.
 
     Attributes:
@@ -143,7 +143,7 @@ class _View:
     tips: tuple[str, ...] = ()
 
 
-_Plan = tuple[Card, tuple[_View, ...]]
+_Plan = tuple[ReportCard, tuple[_View, ...]]
 """A card without pictures, and the pictures to be taken for it."""
 
 
@@ -152,7 +152,7 @@ def make_report(
     extraction: Extraction,
     actions: Iterable[Action] | None = None,
     *,
-    trials: Iterable[Tried] = (),
+    trials: Iterable[TrialSummary] = (),
     size: tuple[int, int] = SIZE,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -190,7 +190,7 @@ def make_report(
     )
     taken = iter(shots[1:])
     cards = [
-        Section(
+        ReportSection(
             title, [replace(card, shots=tuple(islice(taken, len(views)))) for card, views in plans]
         )
         for title, plans in sections.items()
@@ -235,7 +235,7 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
     title = " + ".join(primitive.elements)
     sideways = abduction_sentence(hand, primitive, common_prefix(hand.actuator_names))
     summary = sideways or deeper_text(primitive)
-    return Card(title, fingers, (), primitive.posture, evidence, summary), (view,)
+    return ReportCard(title, fingers, (), primitive.posture, evidence, summary), (view,)
 
 
 def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
@@ -252,7 +252,7 @@ def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
                 fingers = _moved(hand, action.posture)
                 view = _View(_position(hand, action.posture), fingers)
                 summary = _summary(action)
-                plan = Card(action.name, fingers, (), action.posture, None, summary), (view,)
+                plan = ReportCard(action.name, fingers, (), action.posture, None, summary), (view,)
         groups.setdefault(action.action_kind, []).append(plan)
     return {kind.capitalize(): groups[kind] for kind in ActionKind if kind in groups}
 
@@ -280,7 +280,7 @@ def _timed(hand: Hand, action: Timed) -> _Plan:
         views.append(_View(u, _moved(hand, step.posture), caption))
     involved = {finger for view in views for finger in view.fingers}
     fingers = tuple(name for name in hand.finger_names if name in involved)
-    return Card(action.name, fingers, description=action.description), tuple(views)
+    return ReportCard(action.name, fingers, description=action.description), tuple(views)
 
 
 def _position(hand: Hand, posture: Posture) -> FloatArray:
@@ -322,14 +322,14 @@ def _page(
     template: Template,
     hand: Hand,
     picture: bytes,
-    sections: Iterable[Section],
+    sections: Iterable[ReportSection],
     notes: Sequence[str],
     seconds: float,
-    trials: Iterable[Tried] = (),
+    trials: Iterable[TrialSummary] = (),
 ) -> str:
     """Return the page; trials say what became of the actions when they were tried."""
     tried = list(trials)
-    rows: dict[str, dict[str, Tried]] = {}
+    rows: dict[str, dict[str, TrialSummary]] = {}
     for trial in tried:
         rows.setdefault(trial.action, {})[trial.object] = trial
     return template.render(

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 import pinocchio as pin
 
+from rtee.extract.coarse_shapes import CoarseShape, coarse_shape, least_width, outer
 from rtee.extract.couplings import Couplings
 from rtee.extract.distance_queries import TOUCH, DistanceQueries
-from rtee.extract.drafts import Draft, draft, least_width, outer
 from rtee.extract.hinge import TipShape, clip_tips
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.space import Space
@@ -45,9 +45,9 @@ class Scene:
 
     `place` moves all links to a posture, at which all other methods measure.
 
-    Distances and derivatives are those of drafts, which lie some 0.1 mm inside the convex parts of
-    cylinders and finely meshed links; `fine` measures the full parts. Contact, witnesses and all
-    stored values are always those of the full parts.
+    Distances and derivatives are those of coarse shapes, which lie some 0.1 mm inside the convex
+    parts of cylinders and finely meshed links; `fine` measures the full parts. Contact, witnesses
+    and all stored values are always those of the full parts.
 
     The signed distance of two links is the least over the pairs of their convex parts: the
     distance of the parts, or minus the depth, the shortest translation that separates them. Its
@@ -99,7 +99,7 @@ class Scene:
         self._convex: dict[int, DistanceQueries] = {}
         self._exact: dict[int, DistanceQueries] = {}
         self._searched = self._rough
-        self._drafts: dict[int, Draft] = {}
+        self._coarse_shapes: dict[int, CoarseShape] = {}
         self.query_cost = 0
         self._widths: dict[int, float] = {}
         self._outers: dict[tuple[int, ...], tuple[int, ...]] = {}
@@ -419,24 +419,24 @@ class Scene:
         finally:
             self._searched = before
 
-    def _draft(self, shape: int) -> Draft:
-        """Return the draft of a shape, which shapes with the same mesh share."""
+    def _coarse_shape(self, shape: int) -> CoarseShape:
+        """Return the coarse shape of a shape, which shapes with the same mesh share."""
         # By identity: shapes of one mesh share its geometry, which lives as long as the scene.
         exact = id(self.shapes[shape].exact)
-        if exact not in self._drafts:
-            self._drafts[exact] = draft(self.shapes[shape])
-        return self._drafts[exact]
+        if exact not in self._coarse_shapes:
+            self._coarse_shapes[exact] = coarse_shape(self.shapes[shape])
+        return self._coarse_shapes[exact]
 
     def _outer(self, link: tuple[int, ...]) -> tuple[int, ...]:
         """Return the shapes of a link that are not inside another one."""
         if link not in self._outers:
-            self._outers[link] = outer(self.shapes, {i: self._draft(i) for i in link}, link)
+            self._outers[link] = outer(self.shapes, {i: self._coarse_shape(i) for i in link}, link)
         return self._outers[link]
 
     def _width(self, shape: int) -> float:
         """Return a lower bound on the width of a shape's convex part [m]."""
         if shape not in self._widths:
-            self._widths[shape] = least_width(self.shapes[shape], self._draft(shape).shape)
+            self._widths[shape] = least_width(self.shapes[shape], self._coarse_shape(shape).shape)
         return self._widths[shape]
 
     def _queries(self, pair: LinkPair, known: dict[int, DistanceQueries]) -> DistanceQueries:
@@ -453,11 +453,11 @@ class Scene:
     def _drafted(self, pair: LinkPair) -> DistanceQueries:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
         ours, theirs = self._outer(first), self._outer(second)
-        slack = max(self._draft(i).slack for i in ours)
-        slack += max(self._draft(i).slack for i in theirs)
-        bodies = {i: self._draft(i).shape for i in (*ours, *theirs)}
+        slack = max(self._coarse_shape(i).slack for i in ours)
+        slack += max(self._coarse_shape(i).slack for i in theirs)
+        bodies = {i: self._coarse_shape(i).shape for i in (*ours, *theirs)}
         robot = self._model, self._data
-        return DistanceQueries(robot, self.shapes, ours, theirs, bodies, draft=True, slack=slack)
+        return DistanceQueries(robot, self.shapes, ours, theirs, bodies, coarse=True, slack=slack)
 
     def _undrafted(self, pair: LinkPair, *, convex: bool) -> DistanceQueries:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes

@@ -173,7 +173,7 @@ def minima(
         if before.value - deepest.value < _LITTLE * abs(deepest.value):
             break
     deepest = min(done, key=lambda m: m.value)
-    # The last steps on the full parts, since drafts are up to 0.1 mm thinner.
+    # The last steps on the full parts, since coarse shapes are up to 0.1 mm thinner.
     with function.fine():
         done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))

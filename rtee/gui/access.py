@@ -69,7 +69,7 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Headers of every response: nobody may frame, embed or store the page; it connects only here."""
+"""Headers of every response: no one may frame, embed or store the page; it connects only here."""
 
 _COOKIE: Final = "rtee_"
 """Prefix of the cookie's name; the port follows, since all ports of a host share cookies."""

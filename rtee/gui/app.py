@@ -40,7 +40,7 @@ class Page:
         session: The panels of the hand, or of the one that has gone.
         watch: What is known of the hand.
         narrow: Whether the window has no room for plots beside the hand.
-        key: What the window's bar knows and no other: people who watch cannot speak for it.
+        key: The secret of the window's bar: observers cannot act for it.
     """
 
     def __init__(self, app: App, stage: Stage) -> None:
@@ -308,7 +308,7 @@ class App:
 
 
 _LINKS: Final = {PageRole.OPERATOR: "GUI at", PageRole.OBSERVER: "to watch and stop only:"}
-"""What is printed before an address, by role."""
+"""Text before a printed address, by role."""
 
 
 def _announce(role: PageRole, link: str) -> None:

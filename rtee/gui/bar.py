@@ -30,7 +30,7 @@ _BEAT: Final = 3
 """Every third message is sent even if nothing has changed, so that the page knows it is alive."""
 
 _BUTTONS: Final = re.compile(r"stop|live|narrow|time [0-9]{1,9}\.[0-9]{3}")
-"""What a page says; the time is that of a recording to which somebody has pointed [s]."""
+"""A command of a page; the time is that of a recording at the pointer [s]."""
 
 _PARTS: Final = "".join(
     f"<{tag}>{Path(__file__).with_name(name).read_text(encoding='utf-8')}</{tag}>"

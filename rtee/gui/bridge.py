@@ -29,7 +29,7 @@ class Bridge:
 
     Attributes:
         stage: The window.
-        truth: What is true of the hand that the window shows.
+        truth: The known state of the hand that the window shows.
         role: What the hand lets this window's client do.
         refused: Why nothing is done for this window now, or an empty string.
     """

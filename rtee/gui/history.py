@@ -30,7 +30,7 @@ POINTS: Final = 200
 
 
 _SPANS: Final = 100
-"""Actions that are kept: more in a minute could not be told apart."""
+"""Stored actions: more in a minute could not be distinguished."""
 
 
 class PlotSource(Protocol):

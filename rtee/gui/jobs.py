@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from rtee.errors import RequestRejected
-from rtee.trials.job import LONGEST_LINE, Job, command, read_line
+from rtee.trials.job import LONGEST_LINE, TrialJob, command, read_line
 
 Report = Callable[[dict[str, Any]], None]
 """Receives a line of the process: ``progress`` and ``text``, ``result`` or ``ranking``."""
@@ -33,7 +33,7 @@ class Jobs:
         if self.running:
             raise RequestRejected(f"{self.running} is under way; wait for its end, or cancel it")
 
-    async def run(self, job: Job, title: str, report: Report) -> bool:
+    async def run(self, job: TrialJob, title: str, report: Report) -> bool:
         """Run a job to its end; return whether it was not cancelled.
 
         Raises `RequestRejected` if another job is running, or this one fails, with the reason, and
@@ -52,7 +52,7 @@ class Jobs:
                 process.kill()
                 await process.wait()
 
-    async def _run(self, job: Job, report: Report) -> bool:
+    async def _run(self, job: TrialJob, report: Report) -> bool:
         arguments, environment = command()
         process = self._process = await asyncio.create_subprocess_exec(
             *arguments,

@@ -141,7 +141,7 @@ class HandSession:
 
     @property
     def recorded(self) -> str:
-        """What of the past this window shows, or an empty string if it shows the hand."""
+        """The part of the past that this window shows, or an empty string if it shows the hand."""
         return "" if self._playback is None else self._recordings.place
 
     @property

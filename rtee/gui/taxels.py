@@ -16,7 +16,7 @@ from rtee.sample import FloatArray
 from rtee.touch import NEWTON, TouchSensor, TouchState
 
 _SHADES: Final = 32
-"""Colours between nothing and the largest value: finer steps cannot be told apart."""
+"""Colours between nothing and the largest value: finer steps cannot be distinguished."""
 
 _COLOURS: Final = np.array([ramp(k / (_SHADES - 1)) for k in range(_SHADES)], dtype=np.uint8)
 

@@ -195,7 +195,7 @@ class Visitors:
     def open_server(self, port: int) -> viser.ViserServer:
         """Start the browser's server at a port, or at the next free one if it is in use.
 
-        Raises `LoopError` if this version of viser opens its server in another way, unguarded.
+        Raises `LoopError` if this version of viser opens its server differently, unguarded.
         """
         serve = websockets.asyncio.server.serve
 

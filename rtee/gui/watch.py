@@ -55,7 +55,7 @@ class Watch:
 
     Attributes:
         name: The hand's name; ``None``: the only one at the endpoint.
-        truth: What is true of it.
+        truth: Its known state.
         hand: Its model, once it was connected.
         history: Its newest states.
         touched: Its touch sensors' newest states.

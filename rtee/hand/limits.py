@@ -115,7 +115,7 @@ def actuator_spec(
     Raises:
         UserError: Its limits are empty or wider than the URDF's, or it rests outside them.
     """
-    reader = _Reader(joint, urdf, overrides)
+    reader = _LimitReader(joint, urdf, overrides)
     lower, upper = reader.range()
     velocity, effort = reader.tighter("velocity"), reader.tighter("effort")
     notes = []
@@ -157,7 +157,7 @@ def actuator_spec(
     return spec, notes
 
 
-class _Reader:
+class _LimitReader:
     """Reads the values of one actuator; the configuration may only tighten the URDF's."""
 
     def __init__(self, joint: UrdfJoint, urdf: Urdf, overrides: Overrides) -> None:
@@ -254,7 +254,7 @@ def standing_position(
         UserError: Its configured rest position is outside its limits.
     """
     if joint.name in overrides.ignore or joint.name in overrides.rest:
-        rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
+        rest = _LimitReader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
         if rest is not None:
             return rest
     # Without a motor, springs and weight determine its position; rest is the best guess.
@@ -263,7 +263,7 @@ def standing_position(
 
 def soft_notes(joints: Sequence[UrdfJoint], urdf: Urdf, overrides: Overrides) -> list[str]:
     """Return a note on the actuators whose soft limits hold."""
-    soft = {joint.name: _Reader(joint, urdf, overrides).soft() for joint in joints}
+    soft = {joint.name: _LimitReader(joint, urdf, overrides).soft() for joint in joints}
     held = [
         f"'{joint.name}' {limits[0]:g} … {limits[1]:g} within {joint.lower:g} … {joint.upper:g}"
         for joint in joints
@@ -279,7 +279,7 @@ def soft_notes(joints: Sequence[UrdfJoint], urdf: Urdf, overrides: Overrides) ->
 
 def velocity_note(joints: Sequence[UrdfJoint], urdf: Urdf, overrides: Overrides) -> list[str]:
     """Return a note on the actuators whose velocity limit is assumed."""
-    lacking = [j for j in joints if _Reader(j, urdf, overrides).tighter("velocity") <= 0]
+    lacking = [j for j in joints if _LimitReader(j, urdf, overrides).tighter("velocity") <= 0]
     if not lacking:
         return []
     kinds = [JointKind(joint.kind) for joint in lacking]

@@ -67,7 +67,7 @@ _TOPICS = (
 )
 
 
-class By(StrEnum):
+class PlotSubject(StrEnum):
     """Subject of a row of the plot."""
 
     ACTUATOR = "actuator"
@@ -214,7 +214,7 @@ def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> I
 def figure(
     recording: Recording | Iterable[Recording],
     *,
-    by: By | None = None,
+    by: PlotSubject | None = None,
     actuators: Sequence[str] = (),
     start: float | None = None,
     end: float | None = None,
@@ -373,12 +373,12 @@ def _title(recording: Recording) -> str:
 
 
 def _groups(
-    names: Sequence[str], by: By | None, fingers: dict[str, tuple[str, ...]]
+    names: Sequence[str], by: PlotSubject | None, fingers: dict[str, tuple[str, ...]]
 ) -> dict[str, list[str]]:
     """Return the rows' titles with their actuators, every actuator once."""
     if by is None:
-        by = By.FINGER if len(names) > 6 and fingers else By.ACTUATOR
-    if by is By.ACTUATOR:
+        by = PlotSubject.FINGER if len(names) > 6 and fingers else PlotSubject.ACTUATOR
+    if by is PlotSubject.ACTUATOR:
         return {name: [name] for name in names}
     owners = {name: [f for f, its in fingers.items() if name in its] for name in names}
     groups: dict[str, list[str]] = {}

@@ -21,19 +21,20 @@ _SPEED_PER_FORCE: Final = 2e-3
 a 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
 
 _AROUND_SPEED: Final = 0.15
-"""Largest speed of the opening of fingers of several actuators on their way around an object [m/s]:
-servos that integrate their error overshoot by some 20 ms of their way, less than the margin."""
+"""Largest speed of the opening of fingers of several actuators on their path around an object
+[m/s]: servos that integrate their error overshoot by some 20 ms of their motion, less than the
+margin."""
 
 _BLOW: Final = 0.8
 """Share of the requested force that the blow of the closing fingers may have: the force itself is
 built up later."""
 
 _MOST_BLOW: Final = 1.3
-"""The same where they should not meet the object yet, on the way around it: what lies askew, or
+"""The same where they should not meet the object yet, on the path around it: what lies askew, or
 deep in the hand, is met there."""
 
 _LEAST_BLOW: Final = 1.0
-"""A blow may be as large as this in any case, or exceed the force by it on the way around [N]."""
+"""A blow may be as large as this in any case, or exceed the force by it on the path around [N]."""
 
 _STOPPING: Final = 0.0015
 """Time in which an object stops what moves with the fingers [s]: in MuJoCo, an EGU that closes at
@@ -73,7 +74,7 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
     """Return the share of the velocity limits for a leg of a plan.
 
     Around an object, fingers of several actuators are slower, since what is thrown past its place
-    there strikes the object. What they meet on the way they strike with no more than a grasp may.
+    there strikes the object. On the path, they strike with no more than a grasp may.
     As they close on it, the force of the impact, before any reflex acts, comes from the inertia of
     the motors and grows with the speed: the smaller the requested force, the slower the fingers
     meet the object.
@@ -91,12 +92,12 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
 
 
 def around_speed(force: float, grip: Grip, at: float) -> float:
-    """Return the largest speed of the opening on the way around an object [m/s].
+    """Return the largest speed of the opening on the path around an object [m/s].
 
     Args:
         force: The requested force [N].
         grip: The grip.
-        at: Intensity at which the way ends.
+        at: Intensity at which the path ends.
     """
     most = math.inf if len(grip.squeezing(at)) < 2 else _AROUND_SPEED
     blow = max(_MOST_BLOW * force, force + _LEAST_BLOW)

@@ -74,7 +74,7 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
     """Return whether an actuator's fingers touch something.
 
     Args:
-        felt: What the forces on its fingers say; ``None``: nothing.
+        felt: The verdict of the forces on its fingers, if any.
         pushes: Whether it needs more effort than free motion does.
         blocked: Whether it has stalled with more effort than friction takes, as far as that is
             known, or its device says that it holds something.
@@ -86,9 +86,9 @@ def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) ->
     """Return whether an actuator that hardly moves does so as slowly as its reference.
 
     Args:
-        moved: Its way since it was last known to move [rad | m].
-        wanted: The reference's way since then [rad | m].
-        left: What is left of the reference's way [rad | m].
+        moved: Its travel since it was last known to move [rad | m].
+        wanted: The reference's travel since then [rad | m].
+        left: The remaining travel of the reference [rad | m].
         tolerance: Position error that counts as none [rad | m].
     """
     # At rest a reference has no speed, though a yielding object creeps on.
@@ -113,7 +113,7 @@ def holds(
     that has not moved at all may be held by nothing else.
 
     Args:
-        felt: What the forces on its fingers say; ``None``: nothing.
+        felt: The verdict of the forces on its fingers, if any.
         word: Whether its device says so, of this motion.
         denied: Whether its device says that it holds nothing.
         away: Whether the motion leads away from what is, or just was, held.
@@ -168,8 +168,8 @@ def lost(
     """Return whether a grasp looks lost.
 
     Args:
-        felt: What the forces on the fingers say; ``None``: nothing.
-        word: What the device says of a grasp that it reported; ``None``: it reported none.
+        felt: The verdict of the forces on the fingers, if any.
+        word: The device's verdict on a grasp that it reported; ``None``: it reported none.
         moved: How far the actuator has closed since the grasp [rad | m].
         push: How far its reference leads into the object [rad | m].
         tolerance: Position error that counts as none [rad | m].

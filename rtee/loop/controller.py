@@ -155,7 +155,7 @@ class Controller:
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
-        """What it has computed besides the reference, by channel; empty: nothing."""
+        """Values computed besides the reference, by channel; empty: none."""
         found = {} if self.stream is None else dict(self.stream.channels)
         if self._reflexes.felt[0] == self._reflexes.felt[0]:
             found[GRIP_FORCE] = np.array(self._reflexes.felt)
@@ -163,7 +163,7 @@ class Controller:
 
     @property
     def learned_motion(self) -> dict[str, LearnedMotion]:
-        """What is known of the free motion of actuators, by name."""
+        """The learned free motion of actuators, by name."""
         return self._contact.learned_motion
 
     @property
@@ -178,13 +178,13 @@ class Controller:
 
     @property
     def moving(self) -> bool:
-        """Whether the reference is on its way or a goal is running."""
+        """Whether the reference is moving or a goal is running."""
         streams = self.stream is not None and self.stream.playing
         return self._profile.moving or self.running is not None or streams
 
     @property
     def measured(self) -> Measured:
-        """What was measured at the last tick."""
+        """The measurements of the last tick."""
         return self._measured
 
     @property
@@ -225,7 +225,7 @@ class Controller:
             self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
 
     def _in_place(self, plan: Plan) -> tuple[Plan, dict[int, float]]:
-        """Return a grasp without the way around the object, where that is held already.
+        """Return a grasp without the path around the object, where that is held already.
 
         Opening first would drop it. Returned, too, are the effort limits with which it is held, by
         actuator [N·m | N], from which the new force is built up.
@@ -239,8 +239,8 @@ class Controller:
     def _let_go(self, targets: Mapping[int, float], stamp: float) -> None:
         """Restart references that lead into an object from the actuators' measured positions.
 
-        On its way back out of the object, such a reference would press with the full effort limit.
-        Where the target leads further into the object, the grip is kept.
+        While it moves back out of the object, such a reference would press with the full effort
+        limit. Where the target leads further into the object, the grip is kept.
         """
         there: dict[int, float] = {}
         kept = self._kept.union(self._reflexes.held)

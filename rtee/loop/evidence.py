@@ -55,7 +55,7 @@ _STICTION = 2.0
 """Static friction is at most this multiple of what free motion takes."""
 
 _STEPS = 12
-"""Measurements of an actuator on its way before its current is judged: a slow device moves in
+"""Measurements of a moving actuator before its current is judged: a slow device moves in
 steps, of which some must be seen."""
 
 _SURGE = 1.5
@@ -711,7 +711,7 @@ class ContactMonitor:
 
     @property
     def learned_motion(self) -> dict[str, LearnedMotion]:
-        """What is known of the free motion of actuators, by name."""
+        """The learned free motion of actuators, by name."""
         pairs = zip(self._actuators, self._free, strict=True)
         return {actuator.name: free.state() for actuator, free in pairs if free.known}
 

@@ -25,7 +25,7 @@ from rtee.types import Around, Feedback, FirstContact, Intensity, JointKind, Res
 _RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
 of 0.01 is a small angle [rad], but in metres a fifth of the stroke of many a gripper's jaw. What is
-thinner than twice this share of the stroke cannot be told from nothing by the position."""
+thinner than twice this share of the stroke cannot be distinguished from nothing by the position."""
 
 _STEADY = 0.25
 """How long a grasp must be at rest before its result comes [s]: a blow is over, and what springs

@@ -42,13 +42,13 @@ _TAKEN: Final = 6
 """Measurements of a stretch of motion: two of them make a model known."""
 
 _COUNTS_OF_WAY: Final = 4.0
-"""Least way of a stretch in counts of the position: below, a step may be its noise."""
+"""Least length of a stretch in counts of the position: below, a step may be its noise."""
 
 _MOST_TAKEN: Final = 256
 """Measurements after which a stretch ends in any case: an actuator that stands still has none."""
 
 FREELY: Final = 0.5
-"""An actuator moves freely while it covers this share of the way of its reference or more."""
+"""An actuator moves freely while it covers this share of the motion of its reference or more."""
 
 _RELATIVE: Final = 0.5
 """Without a threshold in physical units, a deviation counts above this share of the largest effort
@@ -210,7 +210,7 @@ class FreeMotion:
 
 @dataclass(frozen=True, slots=True)
 class LearnedMotion:
-    """What a `FreeMotion` has learned, as it is kept between runs.
+    """The data that a `FreeMotion` has learned, as stored between runs.
 
     Attributes:
         parameters: Its three parameters [N·m | N].
@@ -239,10 +239,10 @@ class LearnedMotion:
 
 
 class Stretches:
-    """Efforts of an actuator on its way, from which its free motion is learned once it has gone on.
+    """Efforts of a moving actuator, from which its free motion is learned once it has gone on.
 
     A single measurement does not show whether anything is in the way: servos move in steps, and
-    stand still in between with the effort that friction takes. So the way is divided into
+    stand still in between with the effort that friction takes. So the motion is divided into
     stretches. A stretch on which the actuator kept up with its reference, and on the next one, too,
     was free motion as a whole.
     """
@@ -259,7 +259,7 @@ class Stretches:
         return self._step if self._step < math.inf else 0.0
 
     def restart(self) -> None:
-        """Forget the stretch on the way: another motion begins."""
+        """Forget the present stretch: another motion begins."""
         self._before: list[tuple[float, float, float]] = []
         self._now: list[tuple[float, float, float]] = []
         self._here = self._reference = self._was = math.nan

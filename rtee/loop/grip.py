@@ -69,7 +69,8 @@ _JOINTS: Final = 3e-3
 the table is made for. In MuJoCo, an empty Ability Hand's tips meet at 1.4 mm by its table."""
 
 _FIRST_ORDER: Final = 0.5
-"""Error of a correction by levers, as a share of it: they change over the way they are used for."""
+"""Error of a correction by levers, as a share of it: they change over the distance they are used
+for."""
 
 _AHEAD: Final = 0.01
 """A reference presses if it leads by more than this share of the action's travel: above

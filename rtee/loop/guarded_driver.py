@@ -32,7 +32,7 @@ _MOST_VALUES = 65_536
 """Most values of a channel or of touch: a picture of 256 by 256 pixels."""
 
 _MOST_WARNINGS = 20
-"""Most warnings of a state that are looked at; devices have as many bits in a status word."""
+"""Most warnings of a state that are read; devices have as many bits in a status word."""
 
 _LONGEST = 500
 """Longest text of a driver that is kept [characters]: some lines on a terminal."""

@@ -1,4 +1,4 @@
-"""What a controller is given at a tick: the newest measurements of all actuators and fingers."""
+"""The input of a controller at a tick: the newest measurements of all actuators and fingers."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class MotionLimits:
 
         Raises:
             ConfigError: if a velocity, acceleration or jerk limit is not a positive number, or the
-                position limits are the wrong way round.
+                position limits are reversed.
         """
         for actuator in actuators:
             for limit in ("velocity", "acceleration", "jerk"):

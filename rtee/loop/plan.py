@@ -1,4 +1,4 @@
-"""What the controller executes: the legs of a motion with their limits, checked before it moves."""
+"""A plan for the controller: the legs of a motion with their limits, checked before it moves."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Plan:
 
     @property
     def aim(self) -> Aim:
-        """What the goal is for, which decides whether it has succeeded."""
+        """The aim of the goal, which decides whether it has succeeded."""
         if isinstance(self.to, FirstContact):
             return Aim.CONTACT
         holds = isinstance(self.to, Around) or OnContact.SQUEEZE in self.on_contact.values()

@@ -1,4 +1,4 @@
-"""From a goal to its plan, one way down: the action, its legs, efforts, speed and timeout."""
+"""From a goal to its plan, in one direction: the action, its legs, efforts, speed and timeout."""
 
 from __future__ import annotations
 

@@ -185,7 +185,7 @@ class ForceEstimate:
 
     @property
     def weight(self) -> Callable[[int], float]:
-        """What an actuator takes besides the force [N·m | N]; ``NaN``: not known."""
+        """The effort of an actuator besides the force [N·m | N]; ``NaN``: not known."""
         return self._tare.of
 
     def known(self, measured: Measured, pressing: Iterable[int]) -> bool:

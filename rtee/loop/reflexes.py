@@ -82,7 +82,7 @@ class _LegReactions:
             ``None``: each actuator presses with an effort of its own.
         predicted: Efforts for the force, by the levers [N·m | N].
         meeting: Speed of the opening at which the fingers meet an object [m/s].
-        around: Whether the fingers are on the way around an object, which ends once one is felt.
+        around: Whether the fingers are on the path around an object, which ends once one is felt.
     """
 
     watched: dict[int, _ApproachingActuator]
@@ -152,7 +152,7 @@ class Reflexes:
 
     @property
     def around(self) -> bool:
-        """Whether the fingers are on the way around an object."""
+        """Whether the fingers are on the path around an object."""
         return self._approach is not None and self._approach.around
 
     @property

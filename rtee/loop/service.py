@@ -24,7 +24,7 @@ MAX_STATUS = 1000
 """Longest status line [characters]: it must fit into one datagram."""
 
 
-class Service:
+class ServiceReporter:
     """Reports the state of this process's hands to the service manager.
 
     It has no thread or timer: messages are sent by the ticks of the hands, so that a loop that

@@ -53,7 +53,7 @@ class LoopSettings(LoopSection, frozen=True):
         thermal: Temperature limits.
         feedback_rate: Highest rate of feedback [Hz].
         statistics_window: Interval of device status and loop statistics [s].
-        free_motion: What was known at the start of the free motion of actuators, by name.
+        free_motion: The free motion of actuators learned before the start, by name.
 
     Raises:
         ConfigError: if the rate is out of range.

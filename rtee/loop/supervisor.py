@@ -63,7 +63,7 @@ class Supervisor:
 
     At a tick the loop reads the connection's state and calls `exchange`; neither waits. With a
     driver that answers at once, the exchange is done when `exchange` returns; otherwise the task
-    waits for the answer. Further exchanges meanwhile count as overruns. All time comes from the
+    waits for the answer. Further exchanges until then count as overruns. All time comes from the
     ticks.
 
     Args:

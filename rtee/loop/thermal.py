@@ -20,7 +20,7 @@ last."""
 _AGAIN = 1.0
 """An actuator that is too hot but still driven is disabled again after this time [s]: its device
 did not answer, or somebody has recovered it. Longer than `_CONFIRM`, so that an actuator that has
-cooled meanwhile is left alone."""
+has cooled is left alone."""
 
 _HYSTERESIS = 2.0
 """A level ends this far below its threshold [K]: more than the resolution of 1 K of most

@@ -18,7 +18,7 @@ from rtee.sample import FloatArray
 
 _HOLDS: Final = 0.1
 """A lever is used for this long before it is computed again [s]: at the 0.1 rad/s of a touch, a
-finger turns by half a degree meanwhile."""
+finger turns by half a degree in that time."""
 
 
 class TipLevers:

@@ -1,6 +1,6 @@
 """Goals as flat options: in messages, on command lines and as arguments of calls.
 
-This is the only place that tells the kind of a goal from the options that are given.
+Only this module derives the kind of a goal from the given options.
 """
 
 from __future__ import annotations

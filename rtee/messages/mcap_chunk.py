@@ -1,6 +1,6 @@
 """Chunks of MCAP files of unknown origin, decompressed within bounds.
 
-A file of a megabyte may claim, or expand to, any size. What a chunk says of itself is checked
+A file of a megabyte may claim, or expand to, any size. The declarations of a chunk are checked
 before memory is used for it: against an absolute size, and against what compression of measurements
 gives.
 """

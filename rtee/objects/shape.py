@@ -21,7 +21,7 @@ from rtee.sample import FloatArray
 SHAPES: Final = (
     "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres) or drill"
 )
-"""Forms of an object that is no mesh, for messages."""
+"""Forms of an object other than a mesh, for messages."""
 
 NUMBERS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
 """Kinds of shapes with the number of their sizes."""
@@ -121,11 +121,11 @@ def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
     """Read an object as it is written on the command line.
 
     Args:
-        text: What is written.
+        text: The text.
         formats: Suffixes of the mesh files that can be used, such as ``.stl``.
 
     Raises:
-        ConfigError: if it is none of the forms there are.
+        ConfigError: if it has none of the known forms.
     """
     if text == DRILL:
         return ObjectShape(DRILL)
@@ -251,7 +251,7 @@ def refuse_paths(text: str) -> None:
     """Refuse anything but a shape in requests from outside: files that they name are not opened.
 
     Raises:
-        ConfigError: if it is no shape.
+        ConfigError: if it is not a shape.
     """
     if not is_shape(text):
         raise ConfigError(_no_object(text))

@@ -15,7 +15,7 @@ from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
 GAP: Final = 1e-3
-"""What an object leaves free at the hand when it is brought in [m]: models are that exact."""
+"""Gap between the object and the hand when it is brought in [m]: models are that exact."""
 
 APPROACH_LENGTH: Final = 0.15
 """Distance from which an object is brought in [m]: beyond the reach of open fingers."""

@@ -28,7 +28,7 @@ STEPS: Final = 16
 """Steps of the table of an action's path; a step of a finger is about 6 mm."""
 
 TICKS: Final = 120
-"""Intensities at which the hand is looked at; less than 1 mm of a fingertip's path apart."""
+"""Intensities at which the hand is checked; less than 1 mm of a fingertip's path apart."""
 
 _STEP: Final = 4
 """Ticks of a step while links touch: about 3 mm of a fingertip's path."""

@@ -27,13 +27,13 @@ _PRESSED: Final = 3e-3
 be missed, and as a soft pad gives."""
 
 
-class CollisionChecker:
+class GraspCollisions:
     """Looks for collisions of a hand, at one posture after another.
 
     Links count as their convex parts first; a pair that overlaps deeper than at rest is compared on
     the geometry as given, so that what is inside of a hollow palm does not collide. Adjacent links
     are left out, pairs that touch at rest, and those that the SRDF disables. The time is bounded:
-    each pair of links is looked at once a posture.
+    each pair of links is checked once per posture.
 
     Args:
         hand: The hand.

@@ -7,7 +7,7 @@ than the distance of the parts, inside of each other or not; so where the object
 grows or shrinks by what it moves along the normal, and where a shape of the hand moves, by no more
 than that shape moves.
 
-Many hands with the object are looked at together, since numpy takes about as long for one of them
+Many hands with the object are processed together, since numpy takes about as long for one of them
 as for a few.
 """
 
@@ -88,8 +88,8 @@ class DistanceBounds:
 
         Args:
             at: Where the hands are.
-            rows: Which rows are looked at; all unless given.
-            among: Which shapes are looked at ``(len(rows), shapes)``; all unless given.
+            rows: Which rows are checked; all unless given.
+            among: Which shapes are checked ``(len(rows), shapes)``; all unless given.
         """
         rows, bounds = self._of(rows)
         pairs, _ = self._pairs(bounds <= TOUCH, rows, among)
@@ -145,7 +145,7 @@ class DistanceBounds:
             at: Where the hands are.
             enough: More than this need not be exact; then it is what is returned. One for all, or
                 one for each row.
-            rows: Which rows are looked at; all unless given.
+            rows: Which rows are checked; all unless given.
             paces: How fast the shapes may come nearer ``(len(rows), shapes)`` [m per unit of time];
                 without them, distances are returned [m].
             among: Which shapes count ``(len(rows), shapes)``; all unless given.
@@ -182,7 +182,7 @@ class DistanceBounds:
     ) -> FloatArray:
         """Return limits ``(len(rows),)`` that are no higher than one distance of each row [m].
 
-        Without a pace that all shapes have, what is far away would be looked at, too.
+        Without a pace that all shapes have, distant shapes would be checked, too.
         """
         flat = bounds.reshape(len(rows), -1)
         nearest = flat.argmin(axis=1)

@@ -26,7 +26,7 @@ from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionPath
-from rtee.planning.collisions import CollisionChecker
+from rtee.planning.collisions import GraspCollisions
 from rtee.planning.frames import (
     checked_direction,
     checked_pose,
@@ -223,7 +223,7 @@ def reach_gripper_pose(
     palm = checked_pose(grasp.pose, "the gripper's pose") @ np.linalg.inv(there)
     direction = grasp.pose[:3, 0] if approach is None else checked_direction(approach)
     object_in_palm = np.linalg.inv(palm) @ checked_pose(object_pose, "the object's pose")
-    collisions = CollisionChecker(hand, tips.geometry, obj, object_in_palm)
+    collisions = GraspCollisions(hand, tips.geometry, obj, object_in_palm)
     goal, rest = ActionPath.of(hand, action).end, np.array(hand.rest)
     touching = collisions.at(from_rest(rest, goal, at), opening.fingers)
     early = collisions.at(from_rest(rest, goal, before), (), "pre_grasp")

@@ -36,7 +36,8 @@ from rtee.objects.shape import (
 from rtee.sample import FloatArray
 
 _MOST_TRIANGLES: Final = 300_000
-"""Triangles of a mesh that is no binary STL file; more take longer to read than to plan for."""
+"""Most triangles of a mesh that is not a binary STL file; more take longer to read than to plan
+for."""
 
 _AROUND: Final = 64
 """Corners of a circle; the polygon is 0.03 mm inside a circle of 25 mm."""
@@ -79,9 +80,9 @@ class GraspObject:
 
     Attributes:
         name: How it is written on the command line.
-        pieces: What it is made of.
+        pieces: Its convex pieces.
         mass: Its mass [kg].
-        notes: What was assumed about it, one sentence each.
+        notes: Assumptions about it, one sentence each.
     """
 
     name: str

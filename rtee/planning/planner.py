@@ -74,7 +74,7 @@ _HALF_PLACE: Final = 5.1e-5
 """Scores are rounded to four places: a lower one by no more than this may count as the same."""
 
 _MARGIN: Final = 0.01
-"""What a hand stands wider open than the object is wide, before it closes [m]."""
+"""Excess of the opening over the object's width before the hand closes [m]."""
 
 _SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
 """How far set-points go beyond the contact of sliding actuators [m], so that they press."""
@@ -83,10 +83,10 @@ _SQUEEZE_ANGLE: Final = 0.3
 """The same of turning ones [rad]: the full effort of a servo of ordinary stiffness."""
 
 _CLEAR: Final = 1e-3
-"""What a pre-shape leaves free between the hand and the object [m]: models are that exact."""
+"""Gap between the pre-shaped hand and the object [m]: models are that exact."""
 
 _FAR: Final = 0.05
-"""Clearance that is told exactly up to here [m]."""
+"""Largest clearance that is computed exactly [m]."""
 
 _PUSHED: Final = 0.015
 """How far fingers push what stands until they hold it [m], so that the grasp counts half."""
@@ -103,7 +103,7 @@ _MOST_CONTACTS: Final = 32
 
 @dataclass(frozen=True)
 class GraspTask:
-    """What is asked of a grasp.
+    """The requirements of a grasp.
 
     Attributes:
         friction: Coefficient of friction between hand and object.
@@ -120,7 +120,7 @@ class Planner:
 
     Attributes:
         scene: The hand and the object.
-        task: What is asked of a grasp.
+        task: The requirements of a grasp.
         too_wide: No action that was tried opens as wide as the object.
         widest: The widest opening of these actions [m].
         narrowest: The object's least width there [m].
@@ -319,7 +319,7 @@ class Planner:
     def _judged(self, grasp: FoundGrasp, least: float) -> GraspPlan | None:
         """Evaluate a grasp; ``None`` if its score is certainly below ``least``.
 
-        What it carries takes longest to work out, and can only lower the score.
+        The load takes longest to compute, and can only lower the score.
         """
         action, closing, candidate = grasp.search.action, grasp.search.closing, grasp.candidate
         closure = grasp.closure

@@ -60,7 +60,7 @@ _BACK: Final = 0.03
 """How far behind the fingertips' middle an object is held that comes from the palm's front [m]."""
 
 _STILL: Final = 1e-3
-"""Motion below this is none [m]."""
+"""Smaller motions count as none [m]."""
 
 _SAME: Final = 0.03
 """Two orientations of an object are one if its outlines differ by less than this part of its
@@ -469,4 +469,4 @@ def _share(most: int, turns: int) -> int:
 
 
 STEP_MIDDLE: Final = 8
-"""The step at which the axis of closing is looked at first: half of the path."""
+"""The step at which the axis of closing is evaluated first: half of the path."""

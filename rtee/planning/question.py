@@ -38,7 +38,7 @@ _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a plan is asked for.
+    """The request for a plan.
 
     Attributes:
         object: The object as on the command line; the mesh's name where there is one.
@@ -172,7 +172,7 @@ def ask(
 
     Args:
         folder: The hand's folder.
-        question: What is asked.
+        question: The request.
         started: Called with the process, which may be killed.
 
     Raises:

@@ -20,7 +20,7 @@ from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionPath
-from rtee.planning.collisions import CollisionChecker
+from rtee.planning.collisions import GraspCollisions
 from rtee.planning.frames import (
     checked_direction,
     checked_pose,
@@ -47,7 +47,7 @@ MARGIN: Final = 0.015
 """Room between fingertips and contacts before the grasp [m]: planners' poses are off by less."""
 
 _PROBE: Final = 5e-3
-"""A tip is looked at from this far inside the object [m]: there its nearest point and the normal
+"""A tip is probed from this far inside the object [m]: there its nearest point and the normal
 change smoothly over its edges, as those of a fingertip rounded with this radius."""
 
 _LENGTH: Final = 1e-3
@@ -141,7 +141,7 @@ def reach_contacts(
     if not (math.isfinite(retreat) and retreat >= 0.0):
         raise ConfigError(f"a retreat is 0 m or more, not {retreat:g}")
     there = np.linalg.inv(base) @ checked_pose(object_pose, "the object's pose")
-    collisions = CollisionChecker(hand, tips.geometry, obj, there)
+    collisions = GraspCollisions(hand, tips.geometry, obj, there)
     search = _PostureSearch(hand, tips, _starts(hand, actions), collisions)
     u, fingers = search.best(wanted)
     residuals = [search.residual(u, c, f) for c, f in zip(wanted, fingers, strict=True)]
@@ -229,7 +229,7 @@ class _PostureSearch:
         hand: Hand,
         tips: Fingertips,
         starts: Sequence[FloatArray],
-        collisions: CollisionChecker,
+        collisions: GraspCollisions,
     ) -> None:
         self._hand, self._tips, self._starts = hand, tips, starts
         self._collisions = collisions

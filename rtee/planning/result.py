@@ -59,7 +59,7 @@ class GraspPlan(Value):
         action: Name of the action; empty for one that was composed for the object and has no name.
         elements: Its elements, for a primitive.
         kind: ``primitive``, ``composed``, ``timed`` or ``generic``.
-        parts: What it is made of, if it was composed for the object.
+        parts: Its parts, if it was composed for the object.
         score: From 0 to 1; what the ranking is by. With a table, the share of such grasps that held
             in simulation.
         intensity: How far the action goes, 0 to 1, so that it presses.
@@ -142,7 +142,7 @@ class Ranking(Value):
             its own normal, that is against z of each plan's `table` instead.
         plans: The grasps, one for each action that can hold the object.
         rejected: The other actions, and why not.
-        notes: What was assumed, one sentence each.
+        notes: Assumptions, one sentence each.
         flange: The frame of the arm's flange; empty where hand.yaml does not say.
     """
 
@@ -173,6 +173,6 @@ def from_document(document: Mapping[str, Any]) -> Ranking:
     """Return a ranking from plain data.
 
     Raises:
-        Invalid: It is none; the error names all mistakes.
+        Invalid: If it is not a ranking; the error names all mistakes.
     """
     return validated(Ranking, document)

@@ -22,7 +22,7 @@ _OF_GROUP: Final = 8
 """The same between the fingers of a group."""
 
 _GROUPS: Final = 4
-"""Groups of fingers that are looked at, the largest first."""
+"""Groups of fingers that are checked, the largest first."""
 
 _JUDGED: Final = 12
 """Poses that are judged nearby, too: the most promising ones."""

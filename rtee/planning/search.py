@@ -31,7 +31,7 @@ class Search:
         poses: Finds poses of the object; ``None`` if the action moves nothing.
         candidates: The poses that are left to try, and the approaches on which they depend.
         enough: Grasps after which no other poses are tried.
-        grasps: What was found.
+        grasps: The grasps found.
         ready: Poses to try next.
         tried: How many poses were tried.
         ground: The table to keep clear of, if there is one.

@@ -23,7 +23,7 @@ from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
 CLEAR: Final = 4e-3
-"""What a hand keeps between itself and the table at least [m] …"""
+"""Least gap between a hand and the table [m] …"""
 
 _TILT: Final = math.tan(math.radians(5.0))
 """… and how much more for each metre beside the object: an arm and a camera are that exact."""

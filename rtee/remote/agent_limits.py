@@ -1,4 +1,4 @@
-"""What a person lets an agent do: a gate, and limits that hold behind every gate."""
+"""The permissions of an agent: a gate, and limits that hold behind every gate."""
 
 from __future__ import annotations
 

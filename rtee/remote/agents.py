@@ -51,7 +51,7 @@ class Agents:
 
     @property
     def told(self) -> str:
-        """What the status says: `out`, where an agent has been since the hand runs."""
+        """The text in the status: `out` if an agent has connected since the hand started."""
         return self._out if self._met else ""
 
     @property

@@ -24,7 +24,7 @@ WITHIN: Final = 120.0
 """Time in which a person answers [s]: long enough to go and look at the hand."""
 
 CALM: Final = 3.0
-"""Time after a no in which nobody is asked again [s]: questions without end make people say yes."""
+"""Time after a refusal before the next request [s]: questions without end make people say yes."""
 
 _LONGEST: Final = 4096
 """Longest question or answer [bytes]: a few sentences."""
@@ -38,7 +38,7 @@ async def approve(question: str) -> None:
     """Wait for a person's yes.
 
     Raises:
-        GoalRejected: if the person says no, or nobody is there to ask.
+        GoalRejected: if the person refuses, or no one is available.
         ConfigError: if the runtime folder cannot be trusted.
     """
     try:
@@ -83,7 +83,7 @@ async def answer_all(listener: SocketListener, ask: Callable[[str], Awaitable[bo
 
     Args:
         listener: From `listening`.
-        ask: Asks a person; cancelled when whoever wanted to know has given up.
+        ask: Asks a person; cancelled when the caller has given up.
     """
     one = anyio.Lock()
 

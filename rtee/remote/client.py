@@ -24,7 +24,7 @@ from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.messages.requests import Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.find import VARIABLE as CONNECT
-from rtee.remote.find import FoundHand, chosen_here, open_hand
+from rtee.remote.find import FoundSession, chosen_here, open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import ANSWER_WITHIN, Link, introduced
@@ -44,7 +44,7 @@ _RECOVER_WITHIN = 60.0
 
 _STOP_OPENS_WITHIN = 3.0
 """Time to open a session for a stop [s]: TCP repeats a lost first packet after 1 s, and over a VPN
-the rest takes up to 1 s. Then somebody has to be told that the hand is out of reach."""
+the rest takes up to 1 s. Then the user must learn that the hand is out of reach."""
 
 _CONFIRMED_WITHIN = 0.5
 """Time in which devices that have not confirmed are stopped again [s]: then they count as lost."""
@@ -235,7 +235,7 @@ class RemoteHand:
             max_velocity: Velocity limit [rad/s | m/s]; ``None``: the actuators' own limits.
 
         Raises:
-            GoalRejected: if a value is no number or beyond a limit, or an actuator is unknown.
+            GoalRejected: if a value is not a number or beyond a limit, or an actuator is unknown.
         """
         await self._send_values("jog", "", positions, max_velocity)
         self._lease.jogged = True
@@ -348,7 +348,7 @@ async def stop_hand(
     """Stop a hand without connecting first; return its name and which devices confirmed.
 
     On this computer the stop goes through a socket of its own. Elsewhere it is sent without
-    ``hello``, so that no limit of clients and requests stands before it. The arguments and errors
+    ``hello``, so that no limit of clients and requests applies. The arguments and errors
     are those of `connect`; a hand that does not answer within a second, or that cannot be reached
     within three over a network, raises `NoHand`.
     """
@@ -443,7 +443,7 @@ def connect(
 
     Raises:
         NoHand: if no such hand runs.
-        ConfigError: if several hands run and none is named, or an argument is no text.
+        ConfigError: if several hands run and none is named, or an argument is not a text.
     """
     for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
         if not isinstance(value, str) and (value is not None or what == "client"):
@@ -468,7 +468,7 @@ async def _connected(
 
 @contextlib.asynccontextmanager
 async def _linked(
-    opening: Awaitable[FoundHand], client: str
+    opening: Awaitable[FoundSession], client: str
 ) -> AsyncIterator[tuple[Link, Path | None]]:
     """Open a link to a hand, which does not know this client yet, and find its stop socket."""
     found = await opening

@@ -1,8 +1,9 @@
 """The files of this process that Zenoh opens: their number, whose they are, and how they close.
 
-Zenoh accepts whoever may connect, does not limit the sessions of one user, and does not tell whose
-a message is. Its sockets are files of this process, so they are found among these, and those that
-are too many are shut down. Whose a client is, it shows by a socket of its own when it says hello.
+Zenoh accepts every permitted client, does not limit the sessions of one user, and does not report
+whose a message is. Its sockets are files of this process, so they are found among these, and those
+that are too many are shut down. Whose a client is, it shows by a socket of its own when it says
+hello.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _NO_LINGER = struct.pack("ii", 0, 0)
 """SO_LINGER off: closing a socket returns at once."""
 
 _CREDENTIALS = struct.Struct("3i")
-"""Process, user and group of the other side, as Linux tells them."""
+"""Process, user and group of the other side, as Linux reports them."""
 
 
 def _connected() -> Iterator[tuple[socket.socket, Any]]:

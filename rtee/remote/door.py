@@ -44,8 +44,7 @@ log = logging.getLogger(__name__)
 
 _MOST_SILENT = 256
 """Most connections that have not shown a certificate yet; beyond it the oldest are closed. Who has
-one shows it in a few round trips, so a flood must be faster than thousands a second to be in the
-way."""
+one shows it in a few round trips, so only a flood of thousands a second can block others."""
 
 _SILENT_FOR = 3.0
 """Time to show a certificate [s]: several round trips of a slow VPN."""

@@ -31,7 +31,7 @@ _ANSWER_WITHIN = 1.0
 """Time for the hands at an endpoint to report that they are alive [s]: a round trip or two."""
 
 
-class FoundHand(NamedTuple):
+class FoundSession(NamedTuple):
     """A session with a hand, its name, and the access path.
 
     The access path is `HERE`, `PLAIN`, or the name of this user's certificate. A hand on this
@@ -55,7 +55,7 @@ async def open_hand(
     wait: float | str,
     on_wait: Callable[[str], object] | None = None,
     within: float | None = None,
-) -> FoundHand:
+) -> FoundSession:
     """Find a hand and open a session with it.
 
     Args:
@@ -97,7 +97,7 @@ def chosen_here(hand: str | None) -> Running:
     return hands[_chosen(hand, hands, "on this computer")]
 
 
-async def open_here(there: Running, within: float | None = None) -> FoundHand:
+async def open_here(there: Running, within: float | None = None) -> FoundSession:
     """Open a session with a hand that runs on this computer; raises `NoHand`."""
     try:
         session = await anyio.to_thread.run_sync(open_client, there.endpoints, within)
@@ -107,14 +107,14 @@ async def open_here(there: Running, within: float | None = None) -> FoundHand:
         ) from None
     # A server announces one endpoint here, its Unix socket.
     endpoint = there.endpoints[0]
-    return FoundHand(session, there.hand, way_to(endpoint), stop_path(endpoint))
+    return FoundSession(session, there.hand, way_to(endpoint), stop_path(endpoint))
 
 
-async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> FoundHand:
+async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> FoundSession:
     session = await anyio.to_thread.run_sync(open_client, [endpoint], within)
     try:
         names = await anyio.to_thread.run_sync(alive, session)
-        return FoundHand(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
+        return FoundSession(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
     except BaseException:  # cancellation, too, since an open session keeps threads
         close_session(session)
         raise

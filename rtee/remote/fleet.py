@@ -1,7 +1,7 @@
 """The hands of a computer and of a site: discovery and common monitoring.
 
 Hands come and go. A `Fleet` searches for them every two seconds, introduces itself to each, and
-asks all at once when somebody wants to know. What is reached through one endpoint shares a session.
+asks all at once on demand. Hands behind one endpoint share a session.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rtee.errors import NoHand, RteeError
 from rtee.messages.requests import WATCHES
 from rtee.messages.state import State
 from rtee.remote.directory import Running
-from rtee.remote.find import FoundHand, alive, hands_running, open_here
+from rtee.remote.find import FoundSession, alive, hands_running, open_here
 from rtee.remote.link import introduced
 from rtee.remote.monitoring import HandStatus, Monitoring
 from rtee.remote.session import close_session, open_client, way_to
@@ -36,7 +36,7 @@ _ANSWER_WITHIN = 2.0
 _POLL = 0.02
 """Time between two looks whether all have answered for the first time [s]."""
 
-Opened = AbstractAsyncContextManager[FoundHand]
+Opened = AbstractAsyncContextManager[FoundSession]
 """A hand in a session, which is closed with the context unless others share it."""
 
 
@@ -53,7 +53,7 @@ class Look:
     """What a hand answered.
 
     Attributes:
-        place: The hand. Without a name: all at an endpoint where nobody answers.
+        place: The hand. Without a name: all at an endpoint that does not answer.
         status: Its status; ``None`` if it did not answer.
         state: Its state; ``None`` if it did not answer.
         trouble: Why there is no answer, in a sentence, or an empty string.
@@ -157,7 +157,7 @@ class Fleet:
                     self._troubles[nowhere] = "no hand runs there"
                     for name in await anyio.to_thread.run_sync(alive, session):
                         self._troubles.pop(nowhere, None)
-                        found = FoundHand(session, name, path)
+                        found = FoundSession(session, name, path)
                         self._begin(group, HandAddress(name, endpoint), nullcontext(found))
                 except NoHand as error:
                     self._troubles[nowhere] = str(error)
@@ -199,7 +199,7 @@ class Fleet:
 
 
 @contextlib.asynccontextmanager
-async def _opened_here(running: Running) -> AsyncIterator[FoundHand]:
+async def _opened_here(running: Running) -> AsyncIterator[FoundSession]:
     found = await open_here(running)
     try:
         yield found

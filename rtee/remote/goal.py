@@ -123,7 +123,8 @@ class GoalClient:
             action: Its name; case and underscores do not matter. Or the name with elements and
                 scale, such as ``trig:ring*0.8``.
             elements: Fingers or actuator of a primitive, in any order.
-            on_feedback: Called with the feedback meanwhile; an error of it cancels the goal.
+            on_feedback: Called with the feedback until the goal ends; an error of it cancels the
+                goal.
             options: See below.
 
         Raises:
@@ -160,7 +161,7 @@ class GoalClient:
         Args:
             speed: Share of the velocity limits, above 0 up to 1; as for `do`.
             effort: Effort limits, as for `do`.
-            on_feedback: Called with the feedback meanwhile.
+            on_feedback: Called with the feedback until the goal ends.
 
         Raises:
             GoalRejected: if a value cannot be used, or the hand refuses the goal, with the reason.
@@ -184,7 +185,7 @@ class GoalClient:
             fingers: The fingers that open or close; by default those of the hand's best action for
                 that opening.
             tip_speed: Speed at which the opening changes [m/s]; by default as fast as the hand can.
-            on_feedback: Called with the feedback meanwhile.
+            on_feedback: Called with the feedback until the goal ends.
 
         Raises:
             GoalRejected: if a value cannot be used, or the hand refuses the goal, with the reason.
@@ -213,7 +214,7 @@ class GoalClient:
 
         Args:
             width: Width of the object [m]; or a text such as ``30mm``.
-            on_feedback: Called with the feedback meanwhile.
+            on_feedback: Called with the feedback until the goal ends.
             options: See below.
 
         Raises:
@@ -238,7 +239,7 @@ class GoalClient:
         contact. ``result.opening`` is the opening of the fingertips there, where it is known.
 
         Args:
-            on_feedback: Called with the feedback meanwhile.
+            on_feedback: Called with the feedback until the goal ends.
             options: See below.
 
         Raises:

@@ -145,7 +145,7 @@ _QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], str]]] = {
 """Units and names, for people, of the options that may have units."""
 
 _ALWAYS: Final = ("intensity", "speed")
-"""Those of them that every goal has: ``None`` is no value of theirs."""
+"""Those of them that every goal has: ``None`` is not a valid value."""
 
 
 def finite(value: object, what: str) -> float:

@@ -1,6 +1,6 @@
 """The clients of a hand: their identities, presence, roles and rates.
 
-A client declares a liveliness token with a name that nobody can guess, and says hello with that
+A client declares a liveliness token with an unguessable name, and says hello with that
 name. The answer contains a secret, with which the client signs its requests
 (`rtee.messages.identity`). When the token vanishes, the client has left; no other client can
 declare the same token.
@@ -60,7 +60,7 @@ class Client:
         secret: The key with which the client signs its requests.
         token: Name of its liveliness token.
         rates: Limits the client's requests.
-        reserved: What is left to it when others on its access path use up all.
+        reserved: Its allowance when others on its access path use up all.
     """
 
     __slots__ = (
@@ -260,7 +260,7 @@ class Identities:
     def _together(self, share: tuple[str, int]) -> Rates:
         """Return the limiter that the clients of one user on an access path share.
 
-        A flood on one path, or by one user, keeps nobody else out.
+        A flood on one path, or by one user, does not keep others out.
         """
         rates = self._shares.get(share)
         if rates is None:

@@ -321,7 +321,7 @@ async def introduced(
     Args:
         session: The session.
         hand: The hand.
-        access_path: The access path, see `rtee.remote.find.FoundHand`.
+        access_path: The access path, see `rtee.remote.find.FoundSession`.
         client: A name for this client, shown to people.
         prefix: Begin of its token's name, hexadecimal: `rtee.messages.requests.WATCHES`.
     """

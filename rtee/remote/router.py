@@ -26,7 +26,7 @@ _MOST_SESSIONS = 1000
 """Most connections: Zenoh's own limit for routers, 200 hands with four clients each."""
 
 _LOOK_EVERY = 1.0
-"""Interval at which the list of hands is looked at [s], as hands look at theirs of people."""
+"""Interval at which the list of hands is read [s], as hands read their lists of people."""
 
 
 async def route(
@@ -34,13 +34,13 @@ async def route(
 ) -> None:
     """Be the router of a site until cancelled; errors as for `router_settings`.
 
-    Zenoh reads its rules once, so the router begins anew when hands are added: once no client
+    Zenoh reads its rules once, so the router restarts when hands are added: once no client
     that may ask for something is connected, since hands stop what clients asked for that are lost.
 
     Args:
-        site: The site's certificates; ``None``: whoever reaches the router can move the hands.
+        site: The site's certificates; ``None``: anyone who reaches the router can move the hands.
         listen: Its endpoints.
-        tell: Told, in words, whom it admits, or who waits for that.
+        tell: Called with a text on the admitted hands, or those that wait.
     """
     while True:
         settings = router_settings(site, listen)
@@ -76,7 +76,7 @@ def router_settings(site: Credentials | None, listen: Sequence[str]) -> dict[str
     """Return Zenoh's settings of a router, beyond those of all that listens.
 
     Args:
-        site: The site's certificates; ``None``: whoever reaches the router can move the hands.
+        site: The site's certificates; ``None``: anyone who reaches the router can move the hands.
         listen: Its endpoints.
 
     Raises:

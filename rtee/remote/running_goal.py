@@ -74,7 +74,7 @@ class RunningGoal:
         """Wait until the goal has ended, and return its result.
 
         Args:
-            on_feedback: Called with the feedback meanwhile.
+            on_feedback: Called with the feedback until the goal ends.
 
         Raises:
             NoHand: if the hand has gone.

@@ -84,7 +84,7 @@ _MOST_SESSIONS = 128
 
 _SILENT_FOR = 3000
 """Time in which a new connection must have introduced itself [ms]: over a VPN it takes up to 1 s.
-Zenoh lets a hundred wait, and nobody else in meanwhile."""
+Zenoh lets a hundred wait, and admits no others until then."""
 
 _RESERVED = 64
 """Files that connections leave for devices, the recording and stops; a hand has about 25."""
@@ -286,7 +286,7 @@ def close_session(session: zenoh.Session) -> None:
 def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.Session:
     """Open a session that connects to a hand and does not listen; blocks for milliseconds.
 
-    Raises `NoHand` if nobody answers there within the time [s], by default 10 s, and `ConfigError`
+    Raises `NoHand` without an answer within the time [s], by default 10 s, and `ConfigError`
     if an endpoint is malformed.
     """
     check_endpoints(endpoints)

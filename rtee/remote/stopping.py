@@ -1,7 +1,7 @@
 """The access path of a stop: a socket of its own here, a query without `hello` elsewhere.
 
 The socket takes datagrams. It has no connections, sessions or handshakes, so no client can use any
-up; it costs the hand one descriptor, whoever comes; and nothing that arrives is judged: each
+up; it costs the hand one descriptor in all; and what arrives is not examined: each
 datagram is a stop. File permissions decide who may send one, as for the socket of the network.
 """
 
@@ -166,7 +166,7 @@ def stop_path(endpoint: str) -> Path | None:
 def stop_at(path: Path, hand: str, client: str, within: float = ANSWER_WITHIN) -> dict[str, bool]:
     """Stop the hand with a stop socket; return whether each device has confirmed. Blocks.
 
-    Raises `NoHand` if nobody answers within the time [s], `OSError` if there is no such socket.
+    Raises `NoHand` without an answer within the time [s], `OSError` if there is no such socket.
     """
     name = secrets.token_hex(8)
     with _client(path) as sender:

@@ -73,7 +73,7 @@ class Stream:
             stamp: Time of the sample, by a clock that never jumps [s]; now unless given.
 
         Raises:
-            GoalRejected: if something is no number, or not finite; nothing is sent.
+            GoalRejected: if a value is not a finite number; nothing is sent.
             RequestRejected: if the hand has refused an earlier sample, or the stream has ended.
             LeaseHeld: if another client holds the lease by now.
             NoHand: if the hand has gone.
@@ -92,7 +92,7 @@ class Stream:
     async def pace(self) -> AsyncIterator[float]:
         """Iterate at the stream's rate, over the time since the first step [s].
 
-        A step that is late is taken at once, and those missed meanwhile are left out.
+        A step that is late is taken at once, and missed ones are left out.
 
         Raises:
             RequestRejected: if the stream has ended.

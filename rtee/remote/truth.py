@@ -1,6 +1,6 @@
-"""What is true of the hand now, and by what evidence: the one place that says so, for all panels.
+"""The present state of the hand, and the evidence for it: one source for all panels.
 
-It is told of states, results, events and the status as they come, and says how old they are.
+It receives states, results, events and the status as they come, and reports their age.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def problem(device: DeviceStatus) -> str:
 
 
 class Truth:
-    """What is true of one hand.
+    """The known state of one hand.
 
     Attributes:
         hand: The hand's name, or an empty string.

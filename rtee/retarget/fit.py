@@ -36,7 +36,7 @@ _POSTURES: Final = 128
 """Postures by which the reach of a finger is found: enough for its few joints."""
 
 _BEGIN: Final = 0.3
-"""Share of the way to the closed posture on which a finger's motion shows where the palm faces."""
+"""Share of the path to the closed posture on which a finger's motion shows where the palm faces."""
 
 _PINCHING: Final = 0.5
 """How far the fingers are closed in a usual pinch; of several pinches the nearest one is taken."""

@@ -34,7 +34,7 @@ _RATE: Final = 30.0
 """Rate of an array without times [Hz], a webcam's."""
 
 _LONGEST: Final = 65536
-"""Longest line [characters]: a frame with all that MediaPipe tells takes 10,000."""
+"""Longest line [characters]: a frame with all of MediaPipe's output takes 10,000."""
 
 _LARGEST: Final = 200_000_000
 """Largest file [bytes]: hours of frames."""
@@ -42,7 +42,7 @@ _LARGEST: Final = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class TrackerFrame:
-    """What a tracker saw at one time.
+    """The output of a tracker at one time.
 
     Attributes:
         stamp: Its time, by any clock that never goes back [s].

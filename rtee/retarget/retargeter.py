@@ -22,7 +22,7 @@ from rtee.retarget.tips import Tips
 from rtee.sample import FloatArray
 
 _LOST: Final = 0.5
-"""Time without points after which the hand counts as found anew [s]."""
+"""Time without points after which the hand counts as newly found [s]."""
 
 _FRAME: Final = 1.0 / 30.0
 """Time since the last frame that counts when there was none [s], a webcam's."""
@@ -34,13 +34,13 @@ _JUMP: Final = 5.0
 """Fastest motion of a tip against the palm [m/s]; a person's fastest is about 4 m/s."""
 
 _NOISE: Final = 0.03
-"""Noise of a webcam's tips that is no jump, in however short a time [m]."""
+"""Noise of a webcam's tips that does not count as a jump, however fast [m]."""
 
 _BONE: Final = 2.2
 """Ratio by which a finger's length may differ from what it was: a camera sees it shortened."""
 
 _OUTLIERS: Final = 5
-"""So many frames in a row that do not fit are no outliers: the hand is elsewhere."""
+"""After so many outliers in a row the hand is really elsewhere."""
 
 _LEARNING: Final = 0.03
 """Share of a frame in the person's lengths: a second's worth at a webcam's rate."""

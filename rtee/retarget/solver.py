@@ -91,7 +91,7 @@ class _Pinch:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What a frame asks for.
+    """The targets of a frame.
 
     Attributes:
         last: The last positions ``(n,)`` [rad | m].

@@ -275,7 +275,7 @@ class Parameters:
         return _result(result, "")
 
     def _taken(self, name: str, value: Value | None) -> Value | None:
-        """Return a value converted to its parameter's type: an integer may stand for a double."""
+        """Return a value converted to its parameter's type: an integer is accepted for a double."""
         declared = self._declared.get(name)
         # A bool is an int in Python, but must not become a double.
         if declared is None or value is None or isinstance(value, bool):

@@ -256,7 +256,7 @@ class _Limits(NamedTuple):
     """When a goal is reached, and when it is violated.
 
     Attributes:
-        path: Tolerances on the way, by joint.
+        path: Tolerances along the path, by joint.
         goal: Tolerances at the end, by joint.
         stopped: Speeds below which joints have stopped, by joint [rad/s | m/s].
         time: Longest time after its end to be inside ``goal`` [s].

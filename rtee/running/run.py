@@ -34,7 +34,7 @@ from rtee.loop.realtime import (
     small_stacks,
 )
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
-from rtee.loop.service import Service
+from rtee.loop.service import ServiceReporter
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.shutdown_signals import (
     Signals,
@@ -116,7 +116,7 @@ async def run_hands(
     wanted = [realtime_settings(hand.config, enabled=options.realtime) for hand in prepared]
     realtime = next((settings for settings in wanted if settings.enabled), RealtimeSettings())
     collector = Collector()
-    service = Service.of()
+    service = ServiceReporter.of()
     # Left in the opposite order: the network is closed first, then the devices and the recorders.
     async with AsyncExitStack() as stack:
         if service is not None:
@@ -275,7 +275,7 @@ async def _run(
     until: anyio.Event,
     signals: Signals,
     cpus: Collection[int],
-    service: Service | None,
+    service: ServiceReporter | None,
     beside: Callable[[], Coroutine[Any, Any, None]] | None,
 ) -> None:
     # Hands of one rate share a clock: one wake-up of the thread ticks them all.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from rtee.errors import RteeError, needing_extra
-from rtee.trials.job import Job
+from rtee.trials.job import TrialJob
 
 
 def main() -> None:
@@ -22,7 +22,7 @@ def main() -> None:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what libraries print must not come between the lines
-    job = Job.from_json(sys.stdin.readline())
+    job = TrialJob.from_json(sys.stdin.readline())
     # After the job was read: the thread reads the same input.
     threading.Thread(target=_watch, daemon=True).start()
     try:
@@ -49,7 +49,7 @@ def _write(out: TextIO, said: dict[str, Any]) -> None:
     out.flush()
 
 
-def _try(job: Job, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO) -> None:
+def _try(job: TrialJob, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO) -> None:
     """Try actions on the object, one after the other."""
     with needing_extra("trying an action", "sim"):
         from rtee.trials.bench import bench
@@ -79,7 +79,7 @@ def _try(job: Job, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO
         _write(out, {"result": to_document(found)})
 
 
-def _plan(job: Job, out: TextIO) -> None:
+def _plan(job: TrialJob, out: TextIO) -> None:
     """Rank the actions for the object; then again after the best ones were tried in dynamics."""
     with needing_extra("planning a grasp", "extract"):
         from rtee.planning.objects import read_object

@@ -17,7 +17,7 @@ RATE = 250.0
 
 
 @dataclass(frozen=True)
-class Bench:
+class TrialBench:
     """A hand ready for trials."""
 
     hand: Hand
@@ -27,7 +27,7 @@ class Bench:
 
 
 @lru_cache(maxsize=8)
-def bench(name: str, rate: float = RATE) -> Bench:
+def bench(name: str, rate: float = RATE) -> TrialBench:
     """Load a hand, by name or folder, for trials at a rate [Hz].
 
     Raises:
@@ -36,4 +36,4 @@ def bench(name: str, rate: float = RATE) -> Bench:
     hand, config = load_configured(name)
     folder = hand_folder(name)[0]
     library = ActionLibrary.load(hand, folder / "actions")
-    return Bench(hand, library, loop_settings(config, rate=rate), folder)
+    return TrialBench(hand, library, loop_settings(config, rate=rate), folder)

@@ -57,13 +57,13 @@ class Place:
     Attributes:
         pose: Pose of the object in the hand's base frame ``(4, 4)``.
         intensity: The fingertips' spread fits the object at this intensity of the action.
-        way: From where the object can come, relative to the hand and free of contact: a vector
-            ``(3,)`` [m] in the base frame; zero when every straight way is blocked.
+        approach_from: From where the object can come, relative to the hand and free of contact: a
+            vector ``(3,)`` [m] in the base frame; zero when every straight path is blocked.
     """
 
     pose: FloatArray
     intensity: float
-    way: FloatArray
+    approach_from: FloatArray
 
 
 def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:
@@ -98,15 +98,15 @@ class Places:
         return found
 
     def freed(self, place: Place) -> FloatArray:
-        """Return a place's pose ``(4, 4)``, moved back on its way until the open hand is clear."""
+        """Return a place's pose ``(4, 4)``, moved back until the open hand is clear."""
         pose = np.array(place.pose)
-        length = float(np.linalg.norm(place.way))
-        # Without a way there are no steps, so that nothing is divided by its length of 0.
+        length = float(np.linalg.norm(place.approach_from))
+        # Without an approach there are no steps, so that nothing is divided by its length of 0.
         steps = round(length / _BACK)
         for _ in range(steps):
             if self._clear(pose, 0.0):
                 break
-            pose[:3, 3] += _BACK * place.way / length
+            pose[:3, 3] += _BACK * place.approach_from / length
         return pose
 
     @staticmethod
@@ -142,11 +142,11 @@ class Places:
     def _curl(self, outward: FloatArray) -> FloatArray:
         """Return the unit vector ``(3,)`` across the reach in which the fingertips close."""
         # Not at the end: fingertips that have rolled up move back again.
-        way = self._tips(0.4).mean(axis=0) - self._tips(0.0).mean(axis=0)
-        way = way - (way @ outward) * outward
-        length = float(np.linalg.norm(way))
+        curl = self._tips(0.4).mean(axis=0) - self._tips(0.0).mean(axis=0)
+        curl = curl - (curl @ outward) * outward
+        length = float(np.linalg.norm(curl))
         # Without a direction, places to the side fall together and are found to be one.
-        unit: FloatArray = way / length if length > 1e-3 else np.zeros(3)
+        unit: FloatArray = curl / length if length > 1e-3 else np.zeros(3)
         return unit
 
     def _opposition(self, outward: FloatArray) -> tuple[FloatArray | None, FloatArray]:

@@ -26,7 +26,7 @@ from rtee.types import Event, Feedback, Goal, Result
 _PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action takes some ten
 
 
-class Play(Protocol):
+class Plant(Protocol):
     """What moves the hand: the simulation, or a kinematic stand-in."""
 
     object_description: ObjectDescription | None
@@ -59,7 +59,7 @@ class Play(Protocol):
         """Set references and effort limits of the masked actuators."""
 
 
-P = TypeVar("P", bound=Play)
+P = TypeVar("P", bound=Plant)
 
 
 class HeadlessHand(Generic[P]):

@@ -41,7 +41,7 @@ _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class TrialJob:
     """What is to be done.
 
     Attributes:
@@ -84,7 +84,7 @@ class Job:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str) -> Job:
+    def from_json(cls, text: str) -> TrialJob:
         """Return the job that `to_json` wrote."""
         return validated(cls, json.loads(text))
 

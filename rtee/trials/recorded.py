@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from rtee.log import Recorder, RecorderSettings
-from rtee.trials.bench import Bench
+from rtee.trials.bench import TrialBench
 
 
-def recorder_for(ready: Bench, folder: Path) -> Recorder:
+def recorder_for(ready: TrialBench, folder: Path) -> Recorder:
     """Return a recorder that drops nothing, however fast simulated time runs."""
     files = {
         file.relative_to(ready.folder).as_posix(): file.read_bytes()

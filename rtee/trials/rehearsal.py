@@ -23,7 +23,7 @@ from rtee.remote.words import sentence
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP
-from rtee.trials.scenario import Grasp, Scene, Step, Wait, mark, release
+from rtee.trials.scenario import Grasp, Step, TrialScene, Wait, mark, release
 from rtee.trials.tasks import RATE
 from rtee.types import Goal, Result
 
@@ -112,7 +112,7 @@ def rehearse(
         around.place(around.base_pose @ places[0].pose)
     else:
         _stand(simulation, hand, position)
-    scene = Scene(HeadlessHand(hand, library, settings, simulation))
+    scene = TrialScene(HeadlessHand(hand, library, settings, simulation))
     own, struck = _Own(simulation, hand), 0.0
 
     def watch(_: float) -> None:

@@ -47,7 +47,7 @@ def robust_places(
     """
     hand = library.hand
     tips = Places(simulation, hand, action).find(_FROM_TIPS)
-    others = [PoseCandidate(place.pose, place.way, 0.0, 0.0) for place in tips]
+    others = [PoseCandidate(place.pose, place.approach_from, 0.0, 0.0) for place in tips]
     found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
     places = [
         Place(pose.candidate.pose, pose.first, pose.candidate.approach_from) for pose in found

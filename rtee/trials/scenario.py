@@ -17,14 +17,14 @@ Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a scenario, such as ``start``, ``approach``, ``grasp`` and ``lift``."""
 
 
-class Scene:
+class TrialScene:
     """A hand with an object in simulation, and what its steps have shown so far.
 
     Attributes:
         headless: The hand.
         around: Its surroundings.
         at: Where the carrier has to be ``(6,)``: x, y, z [m], roll, pitch, yaw [rad].
-        before: Pose ``(4, 4)`` of the object in the world where the hand's way to it begins.
+        before: Pose ``(4, 4)`` of the object in the world where the hand's approach begins.
         base: Pose ``(4, 4)`` of the hand's base frame there.
         said: How the grasp ended; there is nothing before it.
         outcome: The same in a word; empty before.
@@ -129,7 +129,7 @@ class Scene:
         self.around.carry(pose)
 
 
-Step = Callable[[Scene], str | None]
+Step = Callable[[TrialScene], str | None]
 """Does one thing, and returns why the scenario ends with it; nothing to go on."""
 
 
@@ -140,28 +140,29 @@ class Wait:
     seconds: float
     moment: str = ""
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: TrialScene) -> None:
         """Do it."""
         scene.headless.wait(self.seconds)
         scene.tell(self.moment)
 
 
 @dataclass(frozen=True, slots=True)
-class Approach:
-    """Bring the hand to the object, along a way ``(3,)`` [m] in the world, and more slowly then.
+class ApproachStep:
+    """Bring the hand to the object, from an offset ``(3,)`` [m] in the world, and more slowly then.
 
-    The hand moves, not the object, which waits where the hand will be. Without a way it is there.
+    The hand moves, not the object, which waits where the hand will be. With a zero offset it is
+    there already.
     """
 
-    way: FloatArray
-    then: Callable[[Scene], None] = lambda _: None
+    approach_from: FloatArray
+    then: Callable[[TrialScene], None] = lambda _: None
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: TrialScene) -> None:
         """Do it."""
-        scene.jump(-self.way)
+        scene.jump(-self.approach_from)
         scene.before, scene.base = scene.around.object_frame, scene.around.base_pose
         scene.tell("start")
-        if np.any(self.way):
+        if np.any(self.approach_from):
             scene.go(np.zeros(3), 1.0)
             self.then(scene)
             # The carrier's servos come behind what is asked; the hand closes at rest.
@@ -175,17 +176,17 @@ class Grasp:
 
     goal: Goal
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: TrialScene) -> None:
         """Do it."""
         scene.grasped(scene.headless.do(self.goal))
 
 
-def release(scene: Scene) -> None:
+def release(scene: TrialScene) -> None:
     """Let the object bear its own weight: one that fewer than two links hold has to fall now."""
     scene.around.remove_support()
 
 
-def mark(scene: Scene) -> None:
+def mark(scene: TrialScene) -> None:
     """Note where the object is in the hand, since from here on it should stay."""
     scene.start, scene.orientation = scene.around.position_in_hand, scene.turn
     scene.forces = scene.headless.forces
@@ -198,7 +199,7 @@ class Lift:
     distance: float
     hold: float
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: TrialScene) -> None:
         """Do it."""
         scene.move(2, self.distance, 1.0)
         scene.headless.wait(self.hold)
@@ -219,7 +220,7 @@ class Shake:
     frequency: float
     cycles: int
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: TrialScene) -> None:
         """Do it."""
         middle, headless = scene.at.copy(), scene.headless
         frequency, cycles = self.frequency, self.cycles
@@ -246,7 +247,7 @@ class During:
     settle: float
     lost: float
 
-    def __call__(self, scene: Scene) -> None:
+    def __call__(self, scene: TrialScene) -> None:
         """Do it."""
         headless = scene.headless
         begin = headless.time

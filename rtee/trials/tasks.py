@@ -19,10 +19,10 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, SimulationUnstable
 from rtee.planning.objects import read_object
-from rtee.trials.bench import Bench
+from rtee.trials.bench import TrialBench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.scenario import During, Grasp, Scene, Step, Wait, mark, release
+from rtee.trials.scenario import During, Grasp, Step, TrialScene, Wait, mark, release
 from rtee.types import Around, Force, Goal, Named, OnContact, TipSpeed
 
 RATE: Final = 500.0
@@ -86,7 +86,7 @@ class Task(StrEnum):
         return 0.06 if self is Task.EGG else 0.05
 
 
-class Way(StrEnum):
+class GraspMode(StrEnum):
     """How the object is grasped; the value is what people read."""
 
     EFFORT = "hand's effort"
@@ -114,7 +114,7 @@ class TaskTrial:
         action: Name of the action.
         elements: Its elements.
         object: The object, as on the command line.
-        way: How it is grasped.
+        mode: How it is grasped.
         width: Width of the object [m]; ``None``: its least extent.
         mass: Its mass [kg]; ``None``: the usual one of the task.
         force: Force to begin with [N]; not used with the hand's own effort.
@@ -126,7 +126,7 @@ class TaskTrial:
     action: str
     elements: tuple[str, ...] = ()
     object: str = "sphere:0.03"
-    way: Way = Way.REFLEXES
+    mode: GraspMode = GraspMode.REFLEXES
     width: float | None = None
     mass: float | None = None
     force: float = FORCE
@@ -138,12 +138,14 @@ class TaskTrial:
         width = self.width
         if width is None:
             width = read_object(self.object, self.mass or self.task.mass).extents[0]
-        reflexes = self.way is Way.REFLEXES
+        reflexes = self.mode is GraspMode.REFLEXES
         return Goal(
             Named(self.action, self.elements),
             Around(width),
             TipSpeed(_SPEED),
-            {} if self.way is Way.EFFORT else Force(self.force, self.most if reflexes else None),
+            {}
+            if self.mode is GraspMode.EFFORT
+            else Force(self.force, self.most if reflexes else None),
             {"": OnContact.SQUEEZE} if reflexes else {},
         )
 
@@ -161,7 +163,7 @@ class TaskResult:
     peak: float
 
 
-def run_task(ready: Bench, trial: TaskTrial, number: int) -> TaskResult:
+def run_task(ready: TrialBench, trial: TaskTrial, number: int) -> TaskResult:
     """Do one variation of a task.
 
     Args:
@@ -177,7 +179,7 @@ def run_task(ready: Bench, trial: TaskTrial, number: int) -> TaskResult:
     return play(trial, present(ready, trial, number))
 
 
-def play(trial: TaskTrial, scene: Scene) -> TaskResult:
+def play(trial: TaskTrial, scene: TrialScene) -> TaskResult:
     """Grasp the object that is presented, do what the task says, and return how it ended."""
     # From the start: an egg may break at the first touch.
     scene.watch_forces()
@@ -194,10 +196,10 @@ def play(trial: TaskTrial, scene: Scene) -> TaskResult:
     return TaskResult(end, round(scene.peak, 3))
 
 
-def present(ready: Bench, trial: TaskTrial, number: int) -> Scene:
+def present(ready: TrialBench, trial: TaskTrial, number: int) -> TrialScene:
     """Return the hand, with the object of a variation where it is presented; see `run_task`."""
     hand, library, settings = ready.hand, ready.library, ready.settings
-    # Neither hand nor way is in the seed, so that all meet the same variations.
+    # Neither hand nor mode is in the seed, so that all meet the same variations.
     varied = np.random.default_rng([number, trial.seed])
     mass = trial.task.mass if trial.mass is None else trial.mass
     options = SimOptions(
@@ -214,10 +216,10 @@ def present(ready: Bench, trial: TaskTrial, number: int) -> Scene:
     pose = places[0].pose.copy()
     pose[:3, 3] += varied.uniform(-_BESIDE, _BESIDE, 3)
     simulation.surroundings.place(simulation.surroundings.base_pose @ pose)
-    return Scene(HeadlessHand(hand, library, settings, simulation))
+    return TrialScene(HeadlessHand(hand, library, settings, simulation))
 
 
-def _missed(scene: Scene) -> str | None:
+def _missed(scene: TrialScene) -> str | None:
     said = scene.said
     # Told apart from a miss, since it has another remedy: a larger force.
     if said.stalled and not said.touched and not said.grasped:
@@ -225,7 +227,7 @@ def _missed(scene: Scene) -> str | None:
     return None if said.grasped and scene.moved < _LOST else End.MISSED
 
 
-def _kept(scene: Scene) -> str | None:
+def _kept(scene: TrialScene) -> str | None:
     return None if scene.moved < _LOST else End.LOST
 
 

@@ -13,12 +13,12 @@ from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP, TURN, said_lost, turned
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.scenario import (
-    Approach,
+    ApproachStep,
     Grasp,
     Lift,
-    Scene,
     Shake,
     Step,
+    TrialScene,
     Wait,
     Watch,
     mark,
@@ -50,7 +50,7 @@ arm that stops."""
 
 
 class _Gone(Exception):
-    """The object has fallen so deep that no way leads back to the hand."""
+    """The object has fallen too deep to come back to the hand."""
 
 
 class TrialRun:
@@ -73,7 +73,7 @@ class TrialRun:
             number: How many places were tried, with this one.
             watch: Told of the moments of the trial.
         """
-        self.scene, self._trial, self._place = Scene(headless, watch), trial, place
+        self.scene, self._trial, self._place = TrialScene(headless, watch), trial, place
         self._number = number
         self._gone_below = -math.inf
 
@@ -101,7 +101,7 @@ class TrialRun:
         scene, trial = self.scene, self._trial
         what, to = Named(trial.action, trial.elements), Intensity(trial.intensity)
         return (
-            Approach(scene.around.base_pose[:3, :3] @ self._place.way),
+            ApproachStep(scene.around.base_pose[:3, :3] @ self._place.approach_from),
             self._watch_height,
             Grasp(Goal(what, to, goal_id=f"trial-{self._number}")),
             Wait(_SETTLE),
@@ -116,10 +116,10 @@ class TrialRun:
             self._judge,
         )
 
-    def _watch_height(self, scene: Scene) -> None:
+    def _watch_height(self, scene: TrialScene) -> None:
         self._gone_below = scene.around.lowest - _OUT_OF_REACH
 
-    def _missed(self, scene: Scene) -> str | None:
+    def _missed(self, scene: TrialScene) -> str | None:
         moved = float(np.linalg.norm(scene.start - self._place.pose[:3, 3]))
         # A soft hand pushes what it closes on, so that more is allowed here than of slip.
         if not scene.around.touching() or moved > _FALLEN + _PUSHED:
@@ -128,7 +128,7 @@ class TrialRun:
         scene.watch_forces()
         return None
 
-    def _judge(self, scene: Scene) -> str:
+    def _judge(self, scene: TrialScene) -> str:
         reason = _fallen(scene, "shaken")
         turn = turned(self._trial.object, scene.orientation, scene.turn)
         if not reason and scene.slip > SLIP:
@@ -167,7 +167,7 @@ class TrialRun:
         )
 
 
-def _fallen(scene: Scene, when: str) -> str:
+def _fallen(scene: TrialScene, when: str) -> str:
     """Return whether the object has fallen, and note how far it slipped."""
     scene.slip = scene.moved
     # What has fallen may still lean on a finger, and what nothing touches may not be far yet.
@@ -176,7 +176,7 @@ def _fallen(scene: Scene, when: str) -> str:
     return f"it fell while it was {when}"
 
 
-def _lifted(scene: Scene) -> str:
+def _lifted(scene: TrialScene) -> str:
     reason = _fallen(scene, "lifted")
     if reason:  # it ends here, and so do the pictures
         scene.tell("shake")

@@ -26,7 +26,7 @@ from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
 from rtee.planning.planner import FRICTION
 from rtee.planning.result import Ranking
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.store import METHOD
 from rtee.trials.trial import Trial, TrialResult, run_trial
@@ -184,7 +184,7 @@ def _content(path: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def _loaded(name: str) -> tuple[Bench, Fingerprints, str]:
+def _loaded(name: str) -> tuple[TrialBench, Fingerprints, str]:
     """Return a hand with its fingerprints, and one of its meshes."""
     ready = bench(name)
     meshes = [p for p in sorted(ready.folder.rglob("*")) if p.suffix.lower() in FORMATS]

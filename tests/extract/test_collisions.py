@@ -9,7 +9,7 @@ from extract.models import Model, box, sphere
 from rtee.extract.collisions import CollisionChecker, first_contact
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import TipEdge
-from rtee.extract.motion import DistanceBounds, Motion
+from rtee.extract.motion import LinkDistanceBounds, Motion
 from rtee.extract.scene import Scene
 from rtee.hand.load import load_hand
 
@@ -207,7 +207,7 @@ def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> N
 def test_what_is_known_of_distances_is_never_more_than_they_are(name: str) -> None:
     scene = Scene(load_hand(name))
     pairs = tuple(scene.pairs.values())
-    known, hand = DistanceBounds(Motion(scene), pairs), scene.hand
+    known, hand = LinkDistanceBounds(Motion(scene), pairs), scene.hand
     random = np.random.default_rng(3)
     u, told = hand.rest.copy(), 0
     for _ in range(30):

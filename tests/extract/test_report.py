@@ -23,7 +23,7 @@ from rtee.actions.types import (
 from rtee.cli.actions import remarks
 from rtee.errors import MissingExtra
 from rtee.extract.extraction import Extraction
-from rtee.extract.report import Tried, make_report
+from rtee.extract.report import TrialSummary, make_report
 from rtee.hand.model import Hand
 from tests.render.models import claw
 
@@ -123,9 +123,9 @@ def test_report_is_one_page_with_a_picture_of_every_action(hand: Hand, tmp_path:
 
 def test_report_tells_what_trials_found(hand: Hand, tmp_path: Path) -> None:
     tried = [
-        Tried("Grasp <all>", "sphere:0.03", True, "slip 1.5 mm"),
-        Tried("Grasp <all>", "drill", False, "it fell while it was lifted"),
-        Tried("Trig left", "sphere:0.03", False),
+        TrialSummary("Grasp <all>", "sphere:0.03", True, "slip 1.5 mm"),
+        TrialSummary("Grasp <all>", "drill", False, "it fell while it was lifted"),
+        TrialSummary("Trig left", "sphere:0.03", False),
     ]
     text = make_report(hand, Extraction((), 0.0), trials=tried, size=(100, 100))
     page = Page()

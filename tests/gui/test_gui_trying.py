@@ -17,7 +17,7 @@ from rtee.gui.simulated_object import arrows_of, strongest
 from rtee.gui.trial_results import Tried, object_name, rate, verdict
 from rtee.hand.load import load_hand
 from rtee.objects.table import Table
-from rtee.trials.job import Job, meshes_of
+from rtee.trials.job import TrialJob, meshes_of
 from rtee.trials.result import Trial, TrialResult
 
 HAND = "robotiq_2f_85"
@@ -56,14 +56,14 @@ def test_a_page_may_send_anything_for_a_number(value: Any) -> None:
 )
 def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any]) -> None:
     given = {"folder": "somewhere", "object": "sphere:0.03", "actions": (("Grasp", ()),)}
-    Job(**given).check()
+    TrialJob(**given).check()
     with pytest.raises(ConfigError):
-        Job(**{**given, **changes}).check()
+        TrialJob(**{**given, **changes}).check()
 
 
 def test_a_job_is_read_as_it_was_written() -> None:
-    job = Job("there", "sphere:0.03", 0.2, None, (("Trig", ("index",)), ("Grasp", ())), 7)
-    assert Job.from_json(job.to_json()) == job
+    job = TrialJob("there", "sphere:0.03", 0.2, None, (("Trig", ("index",)), ("Grasp", ())), 7)
+    assert TrialJob.from_json(job.to_json()) == job
 
 
 def test_only_meshes_in_the_folder_of_objects_are_offered(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Pat
     pytest.importorskip("mujoco")
     jobs, said = Jobs(), list[dict[str, Any]]()
     folder = str(repository / "config" / HAND)
-    job = Job(folder, "box:0.04x0.04x0.1", actions=(("Grasp", ()),), variations=2)
+    job = TrialJob(folder, "box:0.04x0.04x0.1", actions=(("Grasp", ()),), variations=2)
     assert await jobs.run(job, "a trial", said.append)
     (result,) = [each["result"] for each in said if "result" in each]
     assert result["held"]
@@ -131,13 +131,15 @@ async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Pat
     ]
 
     with pytest.raises(RequestRejected, match="no_such_action"):
-        await jobs.run(Job(folder, "sphere:0.03", actions=(("no_such_action", ()),)), "it", print)
+        await jobs.run(
+            TrialJob(folder, "sphere:0.03", actions=(("no_such_action", ()),)), "it", print
+        )
 
     ended: list[bool] = []
     begun = anyio.Event()
 
     async def run() -> None:
-        long = Job(folder, "sphere:0.03", actions=(("Grasp", ()),), variations=100)
+        long = TrialJob(folder, "sphere:0.03", actions=(("Grasp", ()),), variations=100)
         ended.append(await jobs.run(long, "a trial", lambda _: begun.set()))
 
     async with anyio.create_task_group() as group:
@@ -155,11 +157,11 @@ async def test_grasps_are_planned_apart(repository: Path) -> None:
     pytest.importorskip("coal")
     said = list[dict[str, Any]]()
     folder = str(repository / "config" / HAND)
-    job = Job(folder, "box:0.04x0.04x0.1", checked=0, table=Table((0.0, 0.0, 1.0)))
+    job = TrialJob(folder, "box:0.04x0.04x0.1", checked=0, table=Table((0.0, 0.0, 1.0)))
     assert await Jobs().run(job, "planning", said.append)
     assert said[0]["text"] == "looking for grasps"
     (ranking,) = [each["ranking"] for each in said if "ranking" in each]
     assert ranking["plans"][0]["reasons"]
     assert np.array(ranking["plans"][0]["table"])[:3, 2] == pytest.approx([0, 0, 1])
     with pytest.raises(RequestRejected, match="does not fit"):
-        await Jobs().run(Job(folder, "sphere:0.5", checked=0), "planning", said.append)
+        await Jobs().run(TrialJob(folder, "sphere:0.5", checked=0), "planning", said.append)

@@ -25,7 +25,7 @@ from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log.dataset.cameras import cameras_in
 from rtee.log.dataset.convert import Choice, write_dataset
-from rtee.log.dataset.episodes import By
+from rtee.log.dataset.episodes import EpisodeBoundary
 from rtee.messages.features import ObservedQuantity
 from rtee.messages.schema import parse
 from rtee.types import Event, Goal, Intensity, Named
@@ -182,7 +182,9 @@ def test_a_frame_has_what_was_known_at_its_time(
 
 
 def test_goals_are_episodes_and_intensities_actions(demonstrations: Path, tmp_path: Path) -> None:
-    made = write_dataset([demonstrations], tmp_path / "goals", Choice(25, By.GOALS, "close"))
+    made = write_dataset(
+        [demonstrations], tmp_path / "goals", Choice(25, EpisodeBoundary.GOALS, "close")
+    )
     frames = frames_of(tmp_path / "goals")
     assert made.frames == len(ticks_of(range(310, 360), 25))
     # The way of a goal is the loop's own.

@@ -40,7 +40,7 @@ from rtee.log import Recording, read, reader, to_pandas
 from rtee.log.dataclass_json import to_json
 from rtee.log.export import TABLES, Format, export, tables
 from rtee.log.export import read_for as export_pieces
-from rtee.log.figure import MOST_POINTS, By, figure, thinned
+from rtee.log.figure import MOST_POINTS, PlotSubject, figure, thinned
 from rtee.log.figure import read_for as plot_pieces
 from rtee.log.file_index import index_file
 from rtee.log.info import info
@@ -266,7 +266,7 @@ def test_a_part_and_some_actuators(recording: Recording) -> None:
 
 def test_rows_by_finger(recording: Recording) -> None:
     by_finger = figure(
-        recording, by=By.FINGER, fingers={"one": ("first",), "two": ("first", "second")}
+        recording, by=PlotSubject.FINGER, fingers={"one": ("first",), "two": ("first", "second")}
     )
     assert [row.title for row in by_finger.rows] == ["two", "several fingers"]
 

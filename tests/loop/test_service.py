@@ -20,7 +20,7 @@ import pytest
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.model import Hand
 from rtee.log import read
-from rtee.loop.service import FEEDS, Service
+from rtee.loop.service import FEEDS, ServiceReporter
 from rtee.sample import ActuatorState
 
 from .hands import running
@@ -88,9 +88,9 @@ def notified(tmp_path: Path) -> Iterator[Manager]:
         yield made
 
 
-def service_at(manager: Manager, watchdog: float = 2.0) -> Service:
+def service_at(manager: Manager, watchdog: float = 2.0) -> ServiceReporter:
     variables = {"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": f"{watchdog * 1e6:.0f}"}
-    service = Service.of(variables)
+    service = ServiceReporter.of(variables)
     assert service is not None
     assert not variables, "programs that this one starts are not the service"
     return service
@@ -151,12 +151,12 @@ async def test_a_manager_that_does_not_read_holds_nothing_up(hand: Hand, manager
 
 
 def test_the_environment_says_who_is_the_service(manager: Manager) -> None:
-    assert Service.of({}) is None
-    assert Service.of({"NOTIFY_SOCKET": "relative/path"}) is None
+    assert ServiceReporter.of({}) is None
+    assert ServiceReporter.of({"NOTIFY_SOCKET": "relative/path"}) is None
     variables = {"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "2000000"}
     own, foreign = {"WATCHDOG_PID": str(os.getpid())}, {"WATCHDOG_PID": "1"}
     for more, every in (({}, 0.2), (own, 0.2), (foreign, 0.0), ({"WATCHDOG_USEC": "soon"}, 0.0)):
-        service = Service.of(variables | more)
+        service = ServiceReporter.of(variables | more)
         assert service is not None
         with service:
             assert service._every == pytest.approx(every)

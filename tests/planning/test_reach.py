@@ -22,7 +22,7 @@ from rtee.hand.frames import origin
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
-from rtee.planning.collisions import CollisionChecker
+from rtee.planning.collisions import GraspCollisions
 from rtee.planning.grasp_solution import Collision, WantedContact, from_document, to_document
 from rtee.planning.gripper_poses import (
     GripperPose,
@@ -401,7 +401,7 @@ def test_links_that_meet_the_object_are_named(gripper: Made) -> None:
 
 def test_a_hand_that_meets_itself_is_told() -> None:
     made = Made("schunk_svh")
-    collisions = CollisionChecker(made.hand, made.tips.geometry)
+    collisions = GraspCollisions(made.hand, made.tips.geometry)
     assert collisions.at(np.array(made.hand.rest)) == ()
     # All fingers as far as they go, with the thumb across: the model's links are in each other.
     found = collisions.at(np.array(made.hand.upper), posture="pre_grasp")

@@ -13,17 +13,17 @@ pytest.importorskip("mujoco")
 from rtee.objects.table import Table
 from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
-from rtee.trials.bench import Bench, bench
+from rtee.trials.bench import TrialBench, bench
 from rtee.trials.planned import check_plan, checked
 
 
 @pytest.fixture(scope="module")
-def gripper(repository: Path) -> Bench:
+def gripper(repository: Path) -> TrialBench:
     return bench(str(repository / "config/robotiq_2f_85"))
 
 
 @pytest.mark.parametrize("text", ["box:0.04x0.04x0.1", "capsule:0.02x0.1"])
-def test_a_planned_grasp_holds(gripper: Bench, text: str) -> None:
+def test_a_planned_grasp_holds(gripper: TrialBench, text: str) -> None:
     thing = read_object(text)
     ranking = plan_grasps(gripper.hand, gripper.library, thing)
     found = checked(gripper.hand, gripper.library, gripper.settings, thing, ranking, 1)
@@ -37,7 +37,9 @@ def test_a_planned_grasp_holds(gripper: Bench, text: str) -> None:
 
 @pytest.mark.samples("*0.012")
 @pytest.mark.parametrize("text", ["box:0.05x0.04x0.03", "box:0.16x0.16x0.012"])
-def test_what_stands_on_a_table_is_held_without_pressing_on_it(gripper: Bench, text: str) -> None:
+def test_what_stands_on_a_table_is_held_without_pressing_on_it(
+    gripper: TrialBench, text: str
+) -> None:
     # The plate is wider than the jaws open: it has to stand out over the table's edge.
     thing = read_object(text)
     ranking = plan_grasps(gripper.hand, gripper.library, thing, table=Table((0.0, 0.0, 1.0)))
@@ -48,7 +50,7 @@ def test_what_stands_on_a_table_is_held_without_pressing_on_it(gripper: Bench, t
     assert check.pressed < 1.0
 
 
-def test_pieces_of_a_mesh_are_held(gripper: Bench, repository: Path) -> None:
+def test_pieces_of_a_mesh_are_held(gripper: TrialBench, repository: Path) -> None:
     thing = read_object(str(repository / "experiments/objects/marker.stl"), mass=0.02)
     ranking = plan_grasps(gripper.hand, gripper.library, thing)
     check = check_plan(
@@ -57,7 +59,7 @@ def test_pieces_of_a_mesh_are_held(gripper: Bench, repository: Path) -> None:
     assert check.held
 
 
-def test_a_grasp_that_is_lost_is_ranked_last(gripper: Bench) -> None:
+def test_a_grasp_that_is_lost_is_ranked_last(gripper: TrialBench) -> None:
     thing = read_object("box:0.04x0.04x0.1")
     ranking = plan_grasps(gripper.hand, gripper.library, thing)
     first = ranking.plans[0]
@@ -73,7 +75,7 @@ def test_a_grasp_that_is_lost_is_ranked_last(gripper: Bench) -> None:
     assert "lost in dynamics: it was not grasped" in found.plans[-1].reasons[-1]
 
 
-def test_the_weight_pulls_along_the_axis_that_is_asked_for(gripper: Bench) -> None:
+def test_the_weight_pulls_along_the_axis_that_is_asked_for(gripper: TrialBench) -> None:
     # Held sideways, the object's weight lies on the edges of the pads.
     thing = read_object("box:0.04x0.04x0.06")
     ranking = plan_grasps(gripper.hand, gripper.library, thing, weight_axis=(1.0, 0.0, 0.0))

@@ -19,9 +19,9 @@ from rtee.trials.tasks import (
     BREAKS,
     RATE,
     End,
+    GraspMode,
     Task,
     TaskTrial,
-    Way,
     filling,
     play,
     present,
@@ -44,7 +44,7 @@ def tried(*words: str) -> list[dict[str, Any]]:
 
 def test_the_whole_effort_breaks_an_egg_and_reflexes_do_not() -> None:
     effort, force, reflexes = tried("--task", "egg")
-    assert [each["way"] for each in (effort, force, reflexes)] == list(Way)
+    assert [each["mode"] for each in (effort, force, reflexes)] == list(GraspMode)
     assert effort["results"][0]["end"] == End.BROKEN
     assert effort["results"][0]["peak"] > BREAKS
     assert (reflexes["succeeded"], reflexes["tries"]) == (1, 1)

@@ -146,7 +146,7 @@ def test_robust_places_are_free_in_the_palm_and_apart(shape: str) -> None:
     for number, place in enumerate(places):
         for share in np.linspace(0.0, 1.0, 7):  # all the way from where it comes
             along = np.array(place.pose)
-            along[:3, 3] += share * np.array(place.way)
+            along[:3, 3] += share * np.array(place.approach_from)
             assert around.depth_at(rest, around.base_pose @ along) < 1e-3
         for other in places[:number]:
             moved = np.linalg.norm(place.pose[:3, 3] - other.pose[:3, 3])

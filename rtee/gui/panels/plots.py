@@ -91,7 +91,7 @@ def _times(pose: float | None, spans: Sequence[tuple[float, float, str, str]]) -
 
 
 def _differs(new: Sequence[FloatArray], old: Sequence[FloatArray]) -> bool:
-    """Return whether a plot would look another way: it is sent to the browser as a whole."""
+    """Return whether the layout of a plot changes, so that all of it is sent to the browser."""
     return any(
         a.shape != b.shape or not np.allclose(a, b, atol=tolerance, equal_nan=True)
         # The times of thinned states are never the same; those of another page are far off.

@@ -27,7 +27,7 @@ from rtee.planning.result import GraspPlan, Ranking
 from rtee.planning.result import from_document as ranking_of
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal_values import GoalOptions
-from rtee.trials.job import MOST_VARIATIONS, Job, check_installed, meshes_of
+from rtee.trials.job import MOST_VARIATIONS, TrialJob, check_installed, meshes_of
 from rtee.trials.result import OBJECTS, TrialResult
 from rtee.trials.store import from_document as result_of
 
@@ -241,14 +241,14 @@ class TryPanel:
         else:
             self._say("", "")
 
-    def _job(self, *, planning: bool) -> Job:
+    def _job(self, *, planning: bool) -> TrialJob:
         """Return the job that the fields describe.
 
         Raises `ConfigError` if an extra is missing, or a field has an invalid value.
         """
         check_installed(planning=planning)
         folder = folder_of(self._remote.name, self._hand)
-        job = Job(
+        job = TrialJob(
             folder=str(folder),
             object=self._chosen(meshes_of(folder)),
             mass=number(self._mass.value, 0.001, 100.0, "the mass"),

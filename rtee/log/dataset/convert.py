@@ -14,7 +14,7 @@ import numpy as np
 from rtee.errors import LogError, needing_extra
 from rtee.hand.files import reason
 from rtee.log.dataset.cameras import CameraTopic, cameras_in
-from rtee.log.dataset.episodes import By, Episode, episodes_of
+from rtee.log.dataset.episodes import Episode, EpisodeBoundary, episodes_of
 from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
 from rtee.log.file_index import FileIndex, index_file
 from rtee.log.reader import read
@@ -45,7 +45,7 @@ class Choice:
     """
 
     fps: int = 30
-    by: By = By.MARKS
+    by: EpisodeBoundary = EpisodeBoundary.MARKS
     task: str = ""
     actions: tuple[str, ...] = ()
     observe: tuple[ObservedQuantity, ...] = ()

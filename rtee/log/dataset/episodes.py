@@ -18,7 +18,7 @@ END, DISCARD = "end", "discard"
 """What follows it in a mark that ends the episode, or throws it away."""
 
 
-class By(StrEnum):
+class EpisodeBoundary(StrEnum):
     """How episodes are delimited."""
 
     MARKS = "marks"
@@ -34,7 +34,7 @@ class Episode:
     end: int
 
 
-def episodes_of(recording: Recording, by: By) -> list[Episode]:
+def episodes_of(recording: Recording, by: EpisodeBoundary) -> list[Episode]:
     """Return the episodes of a recording, in order.
 
     By goals, those are episodes that came to what was wanted.
@@ -42,12 +42,12 @@ def episodes_of(recording: Recording, by: By) -> list[Episode]:
     Raises:
         LogError: There are none.
     """
-    found = list(_by_marks(recording) if by is By.MARKS else _by_goals(recording))
+    found = list(_by_marks(recording) if by is EpisodeBoundary.MARKS else _by_goals(recording))
     if not found:
         why = (
             f"has no episodes: no mark begins with '{BEGIN}' (rtee log mark \"{BEGIN} the task\");"
             " give --episodes goals to take each goal for one"
-            if by is By.MARKS
+            if by is EpisodeBoundary.MARKS
             else "has no episodes: no goal in it was reached, or grasped something"
         )
         raise LogError(why, path=recording.paths[0])

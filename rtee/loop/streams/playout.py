@@ -28,7 +28,8 @@ _SETTLE = 0.3
 """Time in which the lag reaches a new value, about [s]: a faster change would feel like a jerk."""
 
 _FASTEST = 0.1
-"""Largest share by which the stream is played faster or slower meanwhile: nobody notices it."""
+"""Largest share by which the stream is played faster or slower until then: too little to be
+noticed."""
 
 _EASE = 0.05
 """Time constant of that share [s], which changes with every sample, and the path's velocity with

@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pytest
 
-from rtee.extract.drafts import SLACK, draft, least_width, outer
+from rtee.extract.coarse_shapes import SLACK, coarse_shape, least_width, outer
 from rtee.extract.scene import Scene
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_model
@@ -28,7 +28,7 @@ def test_a_convex_part_is_nowhere_narrower_than_its_least_width(name: str, share
     directions = np.random.default_rng(0).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for shape in HandGeometry(hand).shapes:
-        width = least_width(shape, draft(shape).shape)
+        width = least_width(shape, coarse_shape(shape).shape)
         assert width > 0.0
         assert np.ptp(shape.points @ directions.T, axis=0).min() > width
 
@@ -38,7 +38,7 @@ def test_a_draft_lies_within_its_hull_and_its_hull_within_the_slack(leap: Hand) 
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     simplified = 0
     for shape in HandGeometry(leap).shapes:
-        found = draft(shape)
+        found = coarse_shape(shape)
         if found.slack == 0.0:
             assert found.shape is shape.convex
             continue
@@ -71,7 +71,7 @@ def test_shapes_within_another_one_of_their_link_are_left_out(leap: Hand) -> Non
     links = dict.fromkeys(shape.link for shape in shapes)
     for link in links:
         indices = [i for i, shape in enumerate(shapes) if shape.link == link]
-        kept = outer(shapes, {i: draft(shapes[i]) for i in indices}, indices)
+        kept = outer(shapes, {i: coarse_shape(shapes[i]) for i in indices}, indices)
         assert kept
         for i in set(indices) - set(kept):
             at = coal.Transform3s(shapes[i].placement.rotation, shapes[i].placement.translation)

@@ -16,7 +16,8 @@ from rtee.hand.linalg import rotated
 from rtee.sample import FloatArray
 
 SLACK: Final = 1e-4
-"""Largest distance of a draft below a mesh's hull [m]; hands differ more from their models."""
+"""Largest distance of a coarse shape below a mesh's hull [m]; hands differ more from their
+models."""
 
 _SIMPLE: Final = 200
 """Number of vertices below which simplifying a hull gains little: Coal climbs along its edges."""
@@ -24,7 +25,7 @@ _SIMPLE: Final = 200
 _DIRECTIONS: Final = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float
 )
-"""Directions of the first vertices of a draft: to a cube's faces, edges and corners."""
+"""Directions of the first vertices of a coarse shape: to a cube's faces, edges and corners."""
 
 _SIDES: Final = 16
 """Sides of the prism that replaces a cylinder: up to 32 corners, Coal compares them all and keeps
@@ -49,7 +50,7 @@ _AT_ONCE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True)
-class Draft:
+class CoarseShape:
     """Replacement of the convex part of a shape during a search.
 
     Attributes:
@@ -61,7 +62,7 @@ class Draft:
     slack: float
 
 
-def draft(shape: Shape) -> Draft:
+def coarse_shape(shape: Shape) -> CoarseShape:
     """Return a polytope of few vertices inside a shape's convex part, or that part itself.
 
     A cylinder becomes a prism, since depths between flat faces are exact and their normals do not
@@ -72,11 +73,11 @@ def draft(shape: Shape) -> Draft:
     if isinstance(part, coal.Cylinder):
         return _prism(part.radius, part.halfLength)
     if not shape.is_mesh or part.num_points <= _SIMPLE:
-        return Draft(part, 0.0)
+        return CoarseShape(part, 0.0)
     return _simplified(part)
 
 
-def _prism(radius: float, half: float) -> Draft:
+def _prism(radius: float, half: float) -> CoarseShape:
     """Return a prism inscribed in a cylinder, turned so that it is parallel to few other shapes."""
     flat = 1.0 - math.cos(math.pi / _SIDES)
     sides = _SIDES
@@ -87,10 +88,10 @@ def _prism(radius: float, half: float) -> Draft:
     # Rounded to a nanometre, so that all mathematical libraries give the same corners.
     ring = [(round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)) for a in turns]
     corners = np.array([(x, y, z) for z in (-half, half) for x, y in ring])
-    return Draft(hull_of(corners), radius * flat + _ROUNDED)
+    return CoarseShape(hull_of(corners), radius * flat + _ROUNDED)
 
 
-def _simplified(part: coal.ConvexBase) -> Draft:
+def _simplified(part: coal.ConvexBase) -> CoarseShape:
     """Return a hull of fewer vertices within a hull.
 
     Begins with the outermost vertices in evenly spread directions. If vertices lie beyond a face by
@@ -105,22 +106,22 @@ def _simplified(part: coal.ConvexBase) -> Draft:
         beyond, which = _farthest(points, normals, _farthest(corners, normals)[0])
         worst = float(beyond.max())
         if worst <= SLACK:
-            return Draft(hull, max(0.0, worst))
+            return CoarseShape(hull, max(0.0, worst))
         # One vertex for each face that is not good enough, so that few rounds suffice.
         chosen = np.unique(np.concatenate([chosen, which[beyond > SLACK]]))
-    return Draft(part, 0.0)
+    return CoarseShape(part, 0.0)
 
 
 def outer(
-    shapes: Sequence[Shape], drafts: Mapping[int, Draft], link: Sequence[int]
+    shapes: Sequence[Shape], coarse_shapes: Mapping[int, CoarseShape], link: Sequence[int]
 ) -> tuple[int, ...]:
-    """Return the indices of the shapes of a link that lie inside no other one's draft.
+    """Return the indices of the shapes of a link that lie inside no other one's coarse shape.
 
     A shape inside another convex part is never nearer to other links than that part.
     """
     kept = list(link)
     for j in link:
-        body, holder = drafts[j].shape, shapes[j].placement
+        body, holder = coarse_shapes[j].shape, shapes[j].placement
         if not isinstance(body, coal.ConvexBase):
             continue
         normals = np.array(body.normals())
@@ -136,7 +137,7 @@ def outer(
     return tuple(kept)
 
 
-def least_width(shape: Shape, draft: coal.ShapeBase) -> float:
+def least_width(shape: Shape, coarse_shape: coal.ShapeBase) -> float:
     """Return a lower bound on the width of a shape's convex part in any direction [m].
 
     The width of a polyhedron is least across a face and a vertex or across two edges; a third of
@@ -144,12 +145,12 @@ def least_width(shape: Shape, draft: coal.ShapeBase) -> float:
 
     Args:
         shape: The shape.
-        draft: Its draft, which is not wider.
+        coarse_shape: Its coarse shape, which is not wider.
     """
     if not shape.is_mesh:
         low, high = shape.box
         return float((high - low).min()) / 2.0
-    heights = _along(np.array(draft.points()), np.array(draft.normals()))
+    heights = _along(np.array(coarse_shape.points()), np.array(coarse_shape.normals()))
     return float((heights.max(axis=0) - heights.min(axis=0)).min()) / 3.0
 
 
