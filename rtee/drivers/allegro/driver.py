@@ -7,7 +7,7 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, field
@@ -121,7 +121,7 @@ class AllegroDriver(Driver):
         control: The joint control.
     """
 
-    Options: ClassVar[type[AllegroOptions]] = AllegroOptions
+    Options = AllegroOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 
@@ -139,7 +138,7 @@ class Cia402Driver(Driver):
     reaction to a silent host. A drive that is already enabled stays enabled and keeps its target.
     """
 
-    Options: ClassVar[type[Cia402Options]] = Cia402Options
+    Options = Cia402Options
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -103,7 +103,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     turn is assumed in which it is within its limits.
     """
 
-    Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
+    Options = DynamixelOptions
     TORQUE = table.TORQUE
     GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {

@@ -55,7 +55,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         family: The servos' family.
     """
 
-    Options: ClassVar[type[FeetechOptions]] = FeetechOptions
+    Options = FeetechOptions
     TORQUE = table.TORQUE
     GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {"p": table.P, "i": table.I, "d": table.D}

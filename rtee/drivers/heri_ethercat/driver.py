@@ -7,7 +7,7 @@ import contextlib
 import math
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta, field
@@ -84,7 +84,7 @@ class HeriEthercatDriver(Driver):
     takes over the network, so the driver cannot attach to a hand that another master controls.
     """
 
-    Options: ClassVar[type[HeriEthercatOptions]] = HeriEthercatOptions
+    Options = HeriEthercatOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -7,7 +7,7 @@ import contextlib
 import math
 from collections.abc import Coroutine
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from msgspec import Meta
@@ -164,7 +164,7 @@ class QbSoftHandDriver(Driver):
         mapping: Mapping between the actuators and the motors' ticks.
     """
 
-    Options: ClassVar[type[QbSoftHandOptions]] = QbSoftHandOptions
+    Options = QbSoftHandOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

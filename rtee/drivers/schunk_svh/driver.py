@@ -7,7 +7,6 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from operator import sub
-from typing import ClassVar
 
 import numpy as np
 
@@ -125,7 +124,7 @@ class SchunkSvhDriver(Driver):
         stops: The stops found by homing [ticks], by channel.
     """
 
-    Options: ClassVar[type[SchunkSvhOptions]] = SchunkSvhOptions
+    Options = SchunkSvhOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, field
@@ -114,7 +114,7 @@ class XBot2Driver(Driver):
     and an effort together only with ``control: limited``, for boards where the effort is a limit.
     """
 
-    Options: ClassVar[type[XBot2Options]] = XBot2Options
+    Options = XBot2Options
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
