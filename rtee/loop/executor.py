@@ -20,7 +20,7 @@ from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
-from rtee.types import Around, Feedback, FirstContact, Intensity, JointKind, Result
+from rtee.types import Around, Feedback, FirstContact, Intensity, JointKind, OnContact, Result
 
 _RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
@@ -307,6 +307,8 @@ class Executor:
         if rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved)):
             return True
         last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
+        if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):
+            return False  # to touch is all that was asked for
         return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
 
     def _grip_values(
