@@ -97,7 +97,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
 
     @abstractmethod
     def _staying(self) -> RobotiqCommand:
-        """Return the command to stay, as after an earlier run."""
+        """Return the command to hold the position, as after an earlier run."""
 
     @abstractmethod
     def _windows(self) -> Sequence[tuple[int, int]]:

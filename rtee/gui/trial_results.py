@@ -31,7 +31,7 @@ class Tried:
     own: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
 
     def with_own(self, result: TrialResult) -> Tried:
-        """Return a copy with a result of this page, which replaces an earlier one of its object."""
+        """Return a copy with a result of this page, replacing an earlier one of the object."""
         trial = result.trial
         key = (trial.action, trial.elements)
         others = [other for other in self.own.get(key, ()) if other.trial.object != trial.object]

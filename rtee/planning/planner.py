@@ -384,7 +384,7 @@ class Planner:
     def _mounted(
         self, plan: GraspPlan, pose: FloatArray, approach_from: FloatArray, points: FloatArray
     ) -> GraspPlan:
-        """Return a plan with what an arm needs, if it is known where the hand sits on it."""
+        """Add the flange poses for an arm to a plan, if the hand's mounting is known."""
         flange = self.hand.flange
         if flange is None:
             return plan

@@ -205,7 +205,7 @@ class RunningGoals:
         return True if status["running"] else None
 
     async def check_taken(self, goal_id: str) -> None:
-        """Raise `RemoteError` unless the hand knows a goal whose answer has not arrived."""
+        """Raise `RemoteError` unless the hand knows the goal, whose answer was lost."""
         try:
             if await self._status(goal_id) is not None:
                 return

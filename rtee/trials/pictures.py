@@ -153,7 +153,7 @@ class Stills:
 
     @classmethod
     def of_trial(cls, hand: Hand, back: FloatArray | None = None) -> Stills:
-        """Return what takes the pictures of a trial."""
+        """Return the recorder of a trial's pictures."""
         return cls(hand, _REACH, back)
 
     def __call__(self, moment: str, headless: HeadlessHand[Simulation]) -> None:

@@ -65,7 +65,7 @@ class Workers(Protocol):
         """How many tasks are given at once."""
 
     def submit(self, hand: str, task: Task) -> Future[str]:
-        """Give a task of a hand; the future's result is that of `perform`."""
+        """Submit a task of a hand; the future's result is that of `perform`."""
 
     def check(self) -> None:
         """Raise `WorkerLost` if nobody is left who works."""

@@ -57,7 +57,7 @@ class OneMotor:
     ticks: int = CLOSURE_TICKS
 
     def to_ticks(self, closure: tuple[float, ...]) -> tuple[float, float]:
-        """Return the references of both motors [ticks]; there is no second one."""
+        """Return the references of both motors [ticks]; that of the missing second one is 0."""
         return closure[0] * self.ticks, 0.0
 
     def to_closure(self, positions: tuple[int, ...]) -> tuple[float, ...]:

@@ -91,7 +91,7 @@ class ListParser:
         return len(self._buffer)
 
     def reset(self) -> None:
-        """Forget what has come in."""
+        """Discard the received data."""
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[dict[int, Parameter]]:

@@ -343,7 +343,7 @@ class Card:
             self._show(None, 0.0, None)
 
     def _asked(self) -> tuple[Action, GoalOptions, float]:
-        """Return the action, its options, and the share of the effort limits, as they are set."""
+        """Return the action, its options, and the share of the effort limits set on the card."""
         options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
         if self._by_opening:
             options = GoalOptions(

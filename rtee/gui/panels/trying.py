@@ -83,8 +83,7 @@ def folder_of(remote: str, hand: Hand) -> Path:
     folder = find_hand(remote)  # which refuses a name with a path in it
     if not hand.urdf.path.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(
-            f"the hand '{remote}' that runs is another one than that of {folder}, so it cannot be "
-            "tried here"
+            f"the hand '{remote}' that runs is not the one in {folder}, so it cannot be tried here"
         )
     return folder
 
