@@ -51,9 +51,6 @@ _SET_OUT = 0.1
 static friction, nor after a silence of its device; so late the effort of an acceleration still
 comes [s]."""
 
-_STICTION = 2.0
-"""Static friction is at most this multiple of what free motion takes."""
-
 _STEPS = 12
 """Measurements of a moving actuator before its current is judged: a slow device moves in
 steps, of which some must be seen."""
@@ -745,14 +742,7 @@ class ContactMonitor:
             self._stretches[i].restart()
         if approach.began != approach.began:
             if not moves:
-                # The device has not begun: no effort of its is one of motion. What stands still
-                # with much more pressed on something before it was to move.
-                dry = _STICTION * self._free[i].most
-                known = approach.in_effort and self._free[i].known
-                stuck = known and signal * approach.ahead > dry + threshold
-                approach.over = approach.over + 1 if stuck else 0
-                return approach.over >= _CONFIRMED
-            approach.over = 0
+                return False  # the device has not begun: no effort of its is one of motion
             approach.began = stamp
         free, stretch = self._free[i], self._stretches[i]
         if not approach.in_effort:
