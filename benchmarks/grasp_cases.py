@@ -76,7 +76,7 @@ _DEPTH: Final = 0.03
 """Extents of a box across the closing [m]: those of a fingertip or two."""
 
 
-class TestObject(StrEnum):
+class CaseObject(StrEnum):
     """The object; the value is what people read."""
 
     NONE = "none"
@@ -90,7 +90,7 @@ class TestObject(StrEnum):
     @property
     def holds(self) -> bool:
         """Whether a hand that grasps it can keep it."""
-        return self not in (TestObject.NONE, TestObject.HEAVY, TestObject.SLIPPERY)
+        return self not in (CaseObject.NONE, CaseObject.HEAVY, CaseObject.SLIPPERY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Case:
         elements: Fingers to use; empty: those of the hand's best action.
     """
 
-    thing: TestObject
+    thing: CaseObject
     width: float
     force: float | None
     speed: float | None = None
@@ -161,11 +161,11 @@ def _shape(case: Case) -> str:
     """Return the object as on the command line; empty: none."""
     width = f"{case.width:.6f}"
     match case.thing:
-        case TestObject.NONE:
+        case CaseObject.NONE:
             return ""
-        case TestObject.SPHERE:
+        case CaseObject.SPHERE:
             return f"sphere:{0.5 * case.width:.6f}"
-        case TestObject.CYLINDER:
+        case CaseObject.CYLINDER:
             return f"cylinder:{0.5 * case.width:.6f}x0.06"
         case _:
             # As wide along z, which may lie along the closing, too.
@@ -175,9 +175,9 @@ def _shape(case: Case) -> str:
 def _mass(case: Case) -> float:
     """Return the mass of the object [kg]."""
     force = _UNASKED if case.force is None else case.force
-    if case.thing is TestObject.HEAVY:
+    if case.thing is CaseObject.HEAVY:
         return _HEAVY * force / _GRAVITY
-    if case.thing is TestObject.SLIPPERY:
+    if case.thing is CaseObject.SLIPPERY:
         return _HEAVY * _SLIPPERY * force / _GRAVITY
     least, most = _MASS
     return min(max(_LIGHT * force / _GRAVITY, least), most)
@@ -299,7 +299,7 @@ def try_case(ready: TrialBench, case: Case) -> Truth:
         object=_shape(case),
         object_mass=_mass(case),
         carrier="lift",  # so that the hand reaches down, and the object falls out of it
-        friction=_SLIPPERY if case.thing is TestObject.SLIPPERY else friction,
+        friction=_SLIPPERY if case.thing is CaseObject.SLIPPERY else friction,
     )
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
     around = simulation.surroundings
@@ -310,7 +310,7 @@ def try_case(ready: TrialBench, case: Case) -> Truth:
         pose = places[0].pose.copy()
         pose[:3, 3] += beside
         simulation.reset()
-        if case.thing is TestObject.SOFT:
+        if case.thing is CaseObject.SOFT:
             _soften(simulation)
         around.place(around.base_pose @ pose)
     return _Try(ready, case, goal, plan, simulation).run()

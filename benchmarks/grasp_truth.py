@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from common import Table
-from grasp_cases import RATE, Case, TestObject, Truth, Unfit, try_case
+from grasp_cases import RATE, Case, CaseObject, Truth, Unfit, try_case
 
 from rtee.errors import RteeError, SimulationUnstable
 from rtee.loop.planning import make_plan
@@ -61,7 +61,7 @@ def force_cases(ready: TrialBench, quick: bool) -> Iterator[Case]:
         except RteeError:
             continue
         for force in forces[1:2] if quick else forces:
-            for thing in (TestObject.BOX, TestObject.SPHERE):
+            for thing in (CaseObject.BOX, CaseObject.SPHERE):
                 for speed in (None,) if quick else (None, 0.02):
                     for numb in (False, True):
                         yield Case(thing, width, force, speed, numb)
@@ -79,10 +79,10 @@ def held_cases(ready: TrialBench, quick: bool) -> Iterator[Case]:
                     force = forces_at(ready, max(width, narrow))[1]
                 except RteeError:
                     continue
-                yield Case(TestObject.NONE, width, force, None, numb)
+                yield Case(CaseObject.NONE, width, force, None, numb)
         for width in plates[:1] if quick else plates:
-            yield Case(TestObject.BOX, width, forces_at(ready, width)[1], None, numb)
-        for thing in (TestObject.CYLINDER, TestObject.SOFT, TestObject.HEAVY, TestObject.SLIPPERY):
+            yield Case(CaseObject.BOX, width, forces_at(ready, width)[1], None, numb)
+        for thing in (CaseObject.CYLINDER, CaseObject.SOFT, CaseObject.HEAVY, CaseObject.SLIPPERY):
             try:
                 force = forces_at(ready, middle)[1]
             except RteeError:
@@ -224,7 +224,7 @@ def tables(rows: Sequence[Row]) -> None:
             rate([max(map(abs, r.offs)) <= NEAR for r in got]),
             span([off for r in got for off in r.offs], "+.0%"),
             rate([right for r in got if (right := r.said_right) is not None]),
-            rate([abs(w) <= (ROUND if thing == TestObject.SPHERE else FLAT) for thing, w in wide]),
+            rate([abs(w) <= (ROUND if thing == CaseObject.SPHERE else FLAT) for thing, w in wide]),
             span([w for _, w in wide], "+.1f"),
         )
     print("\nWhat is said to be held.\n")
@@ -233,13 +233,13 @@ def tables(rows: Sequence[Row]) -> None:
     )
     for hand, numb in groups:
         some = [r for r in done if (r.hand, r.numb) == (hand, numb)]
-        things = [r for r in some if r.thing != TestObject.NONE]
+        things = [r for r in some if r.thing != CaseObject.NONE]
         table.row(
             hand,
             "no" if numb else "yes",
-            rate([r.said for r in some if r.thing == TestObject.NONE]),
+            rate([r.said for r in some if r.thing == CaseObject.NONE]),
             rate([r.said and not r.held for r in things]),
-            rate([not (r.said or r.unknown) for r in things if TestObject(r.thing).holds]),
+            rate([not (r.said or r.unknown) for r in things if CaseObject(r.thing).holds]),
             rate([r.unknown for r in some]),
         )
     print("\nWhat is said of what is held, and of what is not.\n")

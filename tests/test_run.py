@@ -147,7 +147,7 @@ def test_what_was_learned_of_free_motion_is_kept_for_each_device(
     (file,) = tmp_path.rglob("jaw.json")
     file.write_text("{")
     assert free_motion.recall("jaw", [real]) == {}
-    assert "is learned anew" in caplog.text
+    assert "is learned again" in caplog.text
 
 
 async def test_recordings_go_where_they_are_told_or_nowhere(folder: Path) -> None:

@@ -9,11 +9,14 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from grasp_cases import RATE, Case, TestObject, try_case
-
 from rtee.trials.bench import bench
+
+BENCHMARKS = str(Path(__file__).resolve().parents[2] / "benchmarks")
+sys.path.insert(0, BENCHMARKS)
+from grasp_cases import RATE, Case, CaseObject, try_case  # noqa: E402
+
+# Others would find `drivers` there.
+sys.path.remove(BENCHMARKS)
 
 FORCES = {"wsg50": 20.0, "robotiq_hand_e": 30.0, "schunk_egu": 40.0, "onrobot_rg2": 12.0}
 """The force asked for [N]: of linear grippers with heavy drives, and of a linkage."""
@@ -27,7 +30,7 @@ FORCES = {"wsg50": 20.0, "robotiq_hand_e": 30.0, "schunk_egu": 40.0, "onrobot_rg
 @pytest.mark.parametrize("hand", FORCES)
 def test_a_grasp_is_what_it_says(hand: str, speed: float | None, numb: bool) -> None:
     force, width = FORCES[hand], 0.03
-    truth = try_case(bench(hand, RATE), Case(TestObject.BOX, width, force, speed, numb, seed=3))
+    truth = try_case(bench(hand, RATE), Case(CaseObject.BOX, width, force, speed, numb, seed=3))
     assert truth.said
     assert truth.held
     assert truth.peak <= max(1.3 * force, force + 1.0), "the blow"
@@ -42,7 +45,7 @@ def test_a_grasp_is_what_it_says(hand: str, speed: float | None, numb: bool) -> 
 
 @pytest.mark.parametrize("numb", [False, True])
 def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool) -> None:
-    case = Case(TestObject.SPHERE, 0.03, 0.9, None, numb, seed=2686693446)
+    case = Case(CaseObject.SPHERE, 0.03, 0.9, None, numb, seed=2686693446)
     truth = try_case(bench("leap_hand", RATE), case)
     assert (truth.said, truth.held) == (True, True)
     assert truth.peak <= 0.9 + 1.0, "the blow"
@@ -53,7 +56,7 @@ def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool
 
 def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() -> None:
     # Narrower than the two fingers of one side are apart: they come together.
-    truth = try_case(bench("robotiq_3f", RATE), Case(TestObject.BOX, 0.03, 8.1, None, True, seed=7))
+    truth = try_case(bench("robotiq_3f", RATE), Case(CaseObject.BOX, 0.03, 8.1, None, True, seed=7))
     assert (truth.result.action, truth.said, truth.held) == ("MultiPinchTight_3", True, True)
 
 
@@ -68,7 +71,7 @@ def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() 
 def test_one_motor_presses_on_what_a_fixed_jaw_or_some_of_its_fingers_meet_first(
     hand: str, width: float, force: float, least: float, seed: int
 ) -> None:
-    truth = try_case(bench(hand, RATE), Case(TestObject.SPHERE, width, force, seed=seed))
+    truth = try_case(bench(hand, RATE), Case(CaseObject.SPHERE, width, force, seed=seed))
     assert (truth.said, truth.held) == (True, True)
     assert truth.peak <= max(1.3 * force, force + 1.0), "the blow"
     assert least <= truth.low <= force
@@ -80,7 +83,7 @@ def test_one_motor_presses_on_what_a_fixed_jaw_or_some_of_its_fingers_meet_first
 def test_a_whole_effort_presses_with_no_more_than_the_sheet_has(
     hand: str, width: float, most: float
 ) -> None:
-    truth = try_case(bench(hand, RATE), Case(TestObject.SPHERE, width, None, seed=1))
+    truth = try_case(bench(hand, RATE), Case(CaseObject.SPHERE, width, None, seed=1))
     assert truth.held
     assert 0.9 * most <= truth.high <= 1.05 * most
 
@@ -89,7 +92,7 @@ def test_a_whole_effort_presses_with_no_more_than_the_sheet_has(
 @pytest.mark.parametrize("numb", [False, True])
 @pytest.mark.parametrize("hand", ["wsg50", "schunk_egu", "robotiq_hand_e", "robotiq_2f_140"])
 def test_a_plate_of_two_millimetres_is_grasped(hand: str, numb: bool) -> None:
-    case = Case(TestObject.BOX, 0.002, FORCES.get(hand, 38.0), None, numb, seed=4)
+    case = Case(CaseObject.BOX, 0.002, FORCES.get(hand, 38.0), None, numb, seed=4)
     truth = try_case(bench(hand, RATE), case)
     assert (truth.said, truth.held) == (True, True)
 
@@ -101,18 +104,18 @@ def test_a_plate_of_two_millimetres_is_grasped(hand: str, numb: bool) -> None:
     [("schunk_svh", 2.0), ("leap_hand", 0.7), ("wsg50", 20.0), ("robotiq_2f_85", 20.0)],
 )
 def test_nothing_is_never_grasped(hand: str, force: float, numb: bool) -> None:
-    truth = try_case(bench(hand, RATE), Case(TestObject.NONE, 0.004, force, None, numb, seed=5))
+    truth = try_case(bench(hand, RATE), Case(CaseObject.NONE, 0.004, force, None, numb, seed=5))
     assert not truth.said
     assert not truth.result.within
 
 
-@pytest.mark.parametrize("thing", [TestObject.HEAVY, TestObject.SLIPPERY])
-def test_what_falls_out_is_not_said_to_be_held(thing: TestObject) -> None:
+@pytest.mark.parametrize("thing", [CaseObject.HEAVY, CaseObject.SLIPPERY])
+def test_what_falls_out_is_not_said_to_be_held(thing: CaseObject) -> None:
     truth = try_case(bench("wsg50", RATE), Case(thing, 0.03, 20.0, None, seed=6))
     assert (truth.said, truth.held) == (False, False)
 
 
 @pytest.mark.parametrize("numb", [False, True])
 def test_a_force_that_does_not_move_the_fingers_grasps_nothing(numb: bool) -> None:
-    truth = try_case(bench("robotiq_2f_85", RATE), Case(TestObject.NONE, 0.04, 2.0, None, numb))
+    truth = try_case(bench("robotiq_2f_85", RATE), Case(CaseObject.NONE, 0.04, 2.0, None, numb))
     assert not truth.said

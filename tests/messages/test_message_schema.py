@@ -208,9 +208,9 @@ def test_unknown_type() -> None:
 def test_definitions_outside_the_notation_are_refused() -> None:
     with pytest.raises(MessageError, match="no message type 'a/msg/float65'"):
         parse("a/msg/B", "float65 x\n")
-    with pytest.raises(MessageError, match="no field definition"):
+    with pytest.raises(MessageError, match="not a field definition"):
         parse("a/msg/B", "int32\n")
-    with pytest.raises(MessageError, match="no value"):
+    with pytest.raises(MessageError, match="not a value"):
         parse("a/msg/B", f"int32 x = {'-' * 5000}3\n")
 
 

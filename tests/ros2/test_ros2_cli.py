@@ -179,7 +179,7 @@ def test_a_goal_that_takes_too_long_is_cancelled(talker: Callable[..., str]) -> 
         (["call", "/left/talker/sett"], ConfigError, "did you mean '/left/talker/set'"),
         (["call", "/left/talker/set", "{dada: true}"], ConfigError, "has no field 'dada'"),
         (["call", "/left/talker/set", "{data: [}"], ConfigError, "request"),
-        (["call", "/x", "std_srvs/srv/Empty", "--timeout", "0.2"], RemoteError, "nobody offers"),
+        (["call", "/x", "std_srvs/srv/Empty", "--timeout", "0.2"], RemoteError, "no node offers"),
         (["send-goal", "/left/talker/grip"], ConfigError, "'/left/talker/gripper_cmd'"),
         (
             ["send-goal", "/left/talker/gripper_cmd", "{command: {position: -1}}"],

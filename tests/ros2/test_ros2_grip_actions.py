@@ -411,7 +411,7 @@ async def test_a_command_of_ros_end_effector(
         # Like there, every goal is accepted, and what cannot be done is aborted.
         caplog.set_level(logging.INFO)
         for fields, reason in (
-            ({"action_name": "fist", "action_type": 4}, "action_type 4 is none"),
+            ({"action_name": "fist", "action_type": 4}, "action_type 4 is unknown"),
             ({"action_name": "hook", "action_type": 2}, "unknown action 'hook'"),
             (fist | {"percentage": 40.0}, "must be 0 to 1"),
             (fist | efforts | {"optional_motors_commands": [1.0]}, "needs 2 numbers"),
