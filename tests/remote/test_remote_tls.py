@@ -83,7 +83,9 @@ async def test_each_role_may_do_what_it_should(
                 assert list(await remote.stop()) == ["sim"]
                 await _tries(remote, role)
         stops = [event.text for event in served.watcher.events if event.kind == "stop"]
-        assert stops == [f"small: stopped by {role.name.lower()}; confirmed" for role in files]
+        # A stop that is confirmed late is sent again, and told each time.
+        once = list(dict.fromkeys(stops))
+        assert once == [f"small: stopped by {role.name.lower()}; confirmed" for role in files]
         moved = {goal.client.partition(".")[0] for goal in served.watcher.goals}
         assert moved == {"operator", "maintainer"}
 
