@@ -1,7 +1,7 @@
 # `make demo` and `make test` each set up everything they need on a fresh machine.
 PYTHON ?= python3
 BIN := .venv/bin
-TEST_PROCESSES ?= 3
+TEST_PROCESSES ?= 4
 
 SELDOM := /(tests?|pip|setuptools|pkg_resources|mypyc?|docutils|OpenGL|plotly/(graph_objs|validators))/
 
