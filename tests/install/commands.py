@@ -99,7 +99,7 @@ OFFLINE = (
     needs("ros2 list", "ros2"),
     needs("mcp claw", "mcp"),
     needs("retarget claw", "retarget"),
-    Case("agent admit", "wants a person at a terminal", 2),
+    Case("agent admit", "needs a person at a terminal", 2),
     Case("doctor claw", "no stored pinch of two fingertips lies there"),
     Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
     Case("set-id 3 --port /nowhere", "there is no such port", 1),
