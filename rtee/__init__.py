@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand as RemoteHand
     from rtee.remote.client import connect as connect
     from rtee.remote.find import hands_running as hands_running
+    from rtee.remote.goal import RunningGoal as RunningGoal
     from rtee.remote.goal_values import action_goal as action_goal
     from rtee.remote.goal_values import grasp_goal as grasp_goal
     from rtee.remote.goal_values import touch_goal as touch_goal
     from rtee.remote.hand_info import HandInfo as HandInfo
     from rtee.remote.monitoring import HandStatus as HandStatus
-    from rtee.remote.running_goal import RunningGoal as RunningGoal
     from rtee.remote.stream import Stream as Stream
     from rtee.testing.simulated import SimulatedHand as SimulatedHand
     from rtee.testing.simulated import simulated as simulated
@@ -80,7 +80,7 @@ _NAMES = {
     "rtee.remote.goal_values": "action_goal grasp_goal touch_goal",
     "rtee.remote.hand_info": "HandInfo",
     "rtee.remote.monitoring": "HandStatus",
-    "rtee.remote.running_goal": "RunningGoal",
+    "rtee.remote.goal": "RunningGoal",
     "rtee.remote.stream": "Stream",
     "rtee.testing.simulated": "SimulatedHand simulated",
     "rtee.trials.batch": "run_trials",

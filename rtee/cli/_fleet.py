@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._online import to_json
+from rtee.cli._common import to_json
 from rtee.cli._table import Column, Row, TextTable, on_terminal
 from rtee.errors import ConfigError
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from rtee import monotonic
+from rtee.errors import ConfigError, WorkerLost, needing_extra
 
 if TYPE_CHECKING:
     from rtee.trials.sweep import Sweep, Workers
@@ -38,7 +39,6 @@ def resolved(hand: str) -> str:
 
 def tell_of_meshes(objects: Iterable[str]) -> None:
     """Print what is assumed about objects that are meshes, beside the results on stdout."""
-    from rtee.errors import needing_extra
     from rtee.objects.shape import is_shape
 
     meshes = [text for text in dict.fromkeys(objects) if not is_shape(text)]
@@ -84,8 +84,6 @@ def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
     Raises:
         ConfigError: if a folder has none.
     """
-    from rtee.errors import ConfigError
-
     found: list[str] = []
     for text in objects:
         if not Path(text).is_dir():
@@ -121,8 +119,6 @@ def followed(
 
 @contextmanager
 def _kept(keep: Callable[[], None], words: Callable[[], str]) -> Iterator[None]:
-    from rtee.errors import WorkerLost
-
     def once(*_: object) -> None:
         # Some programs signal the process and then its group; ignore the second signal.
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from rtee.hand.names import common_prefix
+
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
     from rich.table import Table as Grid
@@ -193,6 +195,4 @@ def on_terminal() -> bool:
 
 def prefix_to_drop(names: Collection[str]) -> str:
     """Return the prefix that names share, to leave out on a terminal; in a pipe return ``""``."""
-    from rtee.hand.names import common_prefix
-
     return common_prefix(names) if on_terminal() else ""

@@ -19,6 +19,9 @@ from rtee.cli._sweep import (
     tell_of_meshes,
     workers_for,
 )
+from rtee.cli._table import Column, Row, TextTable
+from rtee.errors import needing_extra
+from rtee.hand.files import write_atomically
 
 if TYPE_CHECKING:
     from rtee.trials.comparison import Comparison
@@ -72,8 +75,6 @@ def compare(
 
     Example: rtee compare robotiq_2f_85 schunk_svh --objects parts
     """
-    from rtee.errors import needing_extra
-
     with needing_extra("a comparison", "sim"):
         from rtee.drivers.mujoco.objects import MESHES
         from rtee.trials.answers import Answers
@@ -81,7 +82,6 @@ def compare(
         from rtee.trials.comparison import Comparison
         from rtee.trials.result import Trial
         from rtee.trials.sweep import Sweep
-    from rtee.hand.files import write_atomically
     from rtee.objects.shape import parse_object
 
     names = list(dict.fromkeys(resolved(hand) for hand in hands))
@@ -122,7 +122,6 @@ def compare(
 
 
 def _show(found: Comparison) -> None:
-    from rtee.cli._table import Column, Row, TextTable
     from rtee.trials.comparison import name_of
 
     rows = []

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HAND_VARIABLE, HandOption, actions_of, report_copy, spelled_like
-from rtee.errors import RteeError, UnknownAction
+from rtee.cli._common import (
+    HAND_VARIABLE,
+    HandOption,
+    actions_of,
+    report_copy,
+    spelled_like,
+    with_hand,
+)
+from rtee.errors import ActionError, RteeError, UnknownAction
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -157,7 +164,6 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
 def _note_missing_opening(library: ActionLibrary, action: CustomAction) -> None:
     """Print a note if the hand has tables of openings, but none for the new action."""
     from rtee.actions.types import Timed
-    from rtee.errors import ActionError
 
     openings = library.openings
     if not openings.made or isinstance(action, Timed):
@@ -184,7 +190,6 @@ def _reload_running(hand: str, action: str) -> None:
     try:
         if hand not in running():
             return
-        from rtee.cli._online import with_hand
 
         # Its own list decides, since a hand of this name may run from another folder.
         known = with_hand(hand, None, "define", lambda remote: remote.actions())

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import Hand
+from rtee.errors import ConfigError
+from rtee.hand.names import check_name
 
 if TYPE_CHECKING:
     from rtee.deploy.install import FileState, Installation
@@ -87,7 +89,6 @@ def install(
 def uninstall(hand: Hand, root: Root = THIS_SYSTEM) -> None:
     """Remove the files that `install` wrote for a hand; its recordings stay."""
     from rtee.deploy.install import Installation
-    from rtee.hand.names import check_name
 
     installation = Installation(root)
     _check_rights(installation, f"uninstall {hand}")
@@ -113,7 +114,6 @@ def _wanted(
     from rtee.deploy.files import check_visible, hand_files, own_program, system_files
     from rtee.deploy.install import Installation
     from rtee.deploy.needs import Needs
-    from rtee.errors import ConfigError
     from rtee.running.run import RunOptions, prepare
 
     pairs = [text.partition("=") for text in serial or ()]
@@ -129,8 +129,6 @@ def _wanted(
 
 
 def _check_rights(installation: Installation, command: str) -> None:
-    from rtee.errors import ConfigError
-
     # An image's folder may belong to any user.
     if installation.live and os.geteuid() != 0:
         raise ConfigError(f"the system's files belong to root; type: sudo rtee deploy {command}")

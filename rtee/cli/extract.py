@@ -27,7 +27,10 @@ from rtee.cli._common import (
 )
 from rtee.cli._table import Column, Row, TextTable, WideOption, on_terminal, prefix_to_drop
 from rtee.cli.new import OutsideOption, RootOption, subtree_of
+from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import Outside
+from rtee.hand.files import check_writable, write_all
+from rtee.hand.own_copy import own_place
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -97,9 +100,7 @@ def extract(
 ) -> None:
     """Find the primitive grasping actions of a hand."""
     from rtee.actions.openings import write_openings
-    from rtee.errors import ConfigError, needing_extra
     from rtee.exchange.reading import as_srdf, as_urdf
-    from rtee.hand.files import check_writable
     from rtee.hand.load import load_hand
 
     # The matrices are small; threads for their products would only slow down the searches.
@@ -118,7 +119,6 @@ def extract(
     # Refuse all mistakes before the search, which may take minutes.
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with a file give --out")
-    from rtee.hand.own_copy import own_place
 
     home = own_place(folder) if save and folder else None
     targets = [*([out] if out else []), *([home / "actions"] if home else [])]
@@ -172,7 +172,6 @@ def _write(
     if not (targets or files):
         return
     from rtee.actions.action_files import primitive_changes
-    from rtee.hand.files import write_all
 
     changes = [primitive_changes(target, hand, extraction.primitives) for target in targets]
     for change in changes:
@@ -297,8 +296,6 @@ def measured_openings(folder: Path) -> Openings:
     Raises `MissingExtra` without the extra ``extract``, and `ModelError` if a mesh is missing or
     cannot be read.
     """
-    from rtee.errors import needing_extra
-
     with needing_extra("making openings", "extract"):
         from rtee.extract.openings import make_openings
     from rtee.actions.openings import Openings

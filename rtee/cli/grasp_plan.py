@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import Hand, JsonOption
+from rtee.cli._common import Hand, JsonOption, actions_of
 from rtee.cli._sweep import meshes_in
+from rtee.cli._table import Column, Row, TextTable
 from rtee.cli.define import Replace
+from rtee.errors import ConfigError, UserError, needing_extra
+from rtee.objects.table import parse_table
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -70,15 +73,11 @@ def grasp_plan(
 
     Example: rtee grasp-plan schunk_svh --object cylinder:0.03x0.12 --check
     """
-    from rtee.errors import ConfigError, UserError, needing_extra
-
     with needing_extra("planning a grasp", "extract"):
         from rtee.hand.meshes import FORMATS
         from rtee.planning.objects import read_object
         from rtee.planning.plan import plan_grasps
     from rtee.actions.build import check_custom_name
-    from rtee.cli._common import actions_of
-    from rtee.objects.table import parse_table
     from rtee.planning.result import to_document
 
     # Mistakes in the options are found before the planning, which may take seconds.
@@ -130,8 +129,6 @@ def grasp_plan(
 
 
 def _axis(text: str) -> tuple[float, ...]:
-    from rtee.errors import ConfigError
-
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -143,7 +140,6 @@ def _axis(text: str) -> tuple[float, ...]:
 
 def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ranking) -> Ranking:
     """Return the ranking with the best grasps tried in dynamics."""
-    from rtee.errors import needing_extra
     from rtee.hand.load import hand_folder, load_configured
     from rtee.loop.configure import loop_settings
 
@@ -155,8 +151,6 @@ def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ra
 
 
 def _show(ranking: Ranking, top: int) -> None:
-    from rtee.cli._table import Column, Row, TextTable
-
     columns = ("action", "score", "intensity", "pre-shape", "effort", "load", "quality", "dynamics")
     rows = [
         Row(

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from rtee.cli._common import BesideOption, RunningOption, check_files, lower_priority
+from rtee.errors import ConfigError, NoHand, needing_extra
 
 
 def gui(
@@ -44,8 +45,6 @@ def gui(
     """
     import anyio
 
-    from rtee.errors import ConfigError, needing_extra
-
     check_files()
     # Report mistakes before loading the page's other libraries, which takes seconds.
     with needing_extra("the GUI", "gui"):
@@ -63,9 +62,8 @@ def gui(
     elif not several and not hands_running():
         print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
     with needing_extra("the GUI", "gui"):
-        from rtee.gui.app import serve
-        from rtee.gui.start import serve_chosen
-    from rtee.cli.landmarks import follow_headset
+        from rtee.gui.app import serve, serve_chosen
+    from rtee.cli.teleop import follow_headset
     from rtee.loop.shutdown_signals import work_beside
 
     follow = partial(follow_headset, hand=hand, endpoint=endpoint)
@@ -77,7 +75,6 @@ def gui(
 
 def _names(endpoint: str | None) -> Collection[str]:
     """Return the hands that run here, or at an endpoint."""
-    from rtee.errors import NoHand
     from rtee.remote.find import alive, hands_running
     from rtee.remote.session import close_session, open_client
 
@@ -97,7 +94,6 @@ async def _check_running(hand: str | None, endpoint: str | None) -> None:
     """Raise `ConfigError` if the hand does not run, rather than let a page wait for it."""
     import anyio.to_thread
 
-    from rtee.errors import ConfigError, NoHand
     from rtee.remote.find import open_hand
 
     try:

@@ -12,6 +12,8 @@ import typer
 from rtee.cli._common import JsonOption
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
 from rtee.cli._table import Column, Row, TextTable
+from rtee.errors import RteeError
+from rtee.hand.catalog import hands as all_hands
 
 
 def hands(
@@ -23,8 +25,6 @@ def hands(
     as_json: JsonOption = False,
 ) -> None:
     """List the configured hands with their fingers, actuators and devices."""
-    from rtee.hand.catalog import hands as all_hands
-
     if running or watch:
         show_fleet(connect or [], as_json=as_json, watch=watch)
         return
@@ -36,7 +36,6 @@ def hands(
 
 
 def _row(name: str, folder: Path) -> dict[str, Any]:
-    from rtee.errors import RteeError
     from rtee.hand.load import load_configured
 
     try:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, JsonOption, RunningOption
-from rtee.cli._online import to_json, with_hand
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption, to_json, with_hand
 from rtee.cli._table import Column, Row, TextTable
-from rtee.errors import ConfigError, LogError, foreign, needing_extra
+from rtee.errors import ConfigError, LogError, UserError, foreign, needing_extra
+from rtee.hand.catalog import find_hand
+from rtee.hand.files import temporary_folder
 
 if TYPE_CHECKING:
     from rtee.log.check import ReplayCheck
@@ -342,7 +344,6 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     """
     import anyio
 
-    from rtee.hand.files import temporary_folder
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.log.recover import recover as repair
@@ -374,8 +375,6 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
 
 def _configured(name: str, actuators: list[str]) -> bool:
     """Return whether there is a configured hand of this name with these actuators."""
-    from rtee.errors import UserError
-    from rtee.hand.catalog import find_hand
     from rtee.hand.load import load_hand
 
     try:
@@ -387,8 +386,6 @@ def _configured(name: str, actuators: list[str]) -> bool:
 
 
 def _show_check(comparison: ReplayCheck, as_json: bool) -> None:
-    from dataclasses import asdict
-
     if as_json:
         print(to_json(asdict(comparison) | {"same": comparison.same}, indent=2))
     elif comparison.same:

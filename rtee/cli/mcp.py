@@ -7,9 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, RunningOption, complete_running, lower_priority
-from rtee.cli._online import with_hand
-from rtee.errors import ConfigError, needing_extra
+from rtee.cli._common import (
+    ConnectOption,
+    RunningOption,
+    complete_running,
+    lower_priority,
+    with_hand,
+)
+from rtee.errors import ConfigError, NoHand, needing_extra
+from rtee.hand.catalog import hand_names
 from rtee.hand.config_schema import AgentSettings, Gate
 
 if TYPE_CHECKING:
@@ -61,7 +67,7 @@ def mcp(
 
     lower_priority()  # simulations compute, perhaps beside the hand's loop
     with needing_extra("'rtee mcp'", "mcp"):
-        from rtee.agent.server import serve
+        from rtee.agent.tools import serve
     from rtee.agent.agent import Agent
     from rtee.remote.agent_limits import AgentLimits
     from rtee.remote.find import hands_running
@@ -79,8 +85,6 @@ async def _say_if_absent(name: str, connect: str | None) -> None:
     """Say on stderr that a hand does not run; raises `ConfigError` if none of this name can."""
     import anyio.to_thread
 
-    from rtee.errors import NoHand
-    from rtee.hand.catalog import hand_names
     from rtee.remote.find import open_hand
 
     try:
@@ -96,7 +100,6 @@ async def _say_if_absent(name: str, connect: str | None) -> None:
 
 def _settings(name: str) -> AgentSettings:
     """Return the limits of agents in hand.yaml; defaults for a hand without files here."""
-    from rtee.hand.catalog import hand_names
     from rtee.hand.load import hand_folder, load_configured
 
     if name not in hand_names():

@@ -19,6 +19,8 @@ from rtee.cli._common import (
 )
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import Outside
+from rtee.hand.names import check_name
+from rtee.hand.own_copy import copy_hand
 
 if TYPE_CHECKING:
     from rtee.hand.scaffold import NewHand
@@ -75,8 +77,6 @@ def new(
     if sum(given is not None for given in (urdf, mjcf, source)) != 1:
         raise ConfigError("give either --urdf FILE, --mjcf FILE or --from HAND")
     if source is not None:
-        from rtee.hand.names import check_name
-
         if srdf or root or package_dir or arguments:
             raise ConfigError(
                 "--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf"
@@ -109,8 +109,6 @@ def _is_xacro(urdf: Path | None) -> bool:
 
 
 def _copy(folder: Path, target: Path) -> None:
-    from rtee.hand.own_copy import copy_hand
-
     copy_hand(folder, target)
     print(f"{target} is made, a copy of {folder}.\nNext: rtee actions {_known(target)}")
 

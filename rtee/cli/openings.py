@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
+from rtee.cli._table import Column, Row, TextTable
+from rtee.errors import ActionError, needing_extra
+from rtee.hand.own_copy import own_place
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -47,7 +50,6 @@ def make(hand: str) -> None:
     """Make the tables of a hand's actions and store them in its folder."""
     from rtee.actions.openings import write_openings
     from rtee.cli.extract import measured_openings
-    from rtee.hand.own_copy import own_place
 
     folder = hand_folder(hand)
     own_place(folder)  # a folder that cannot be written is refused before the work
@@ -59,8 +61,6 @@ def make(hand: str) -> None:
 
 def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
     """Return the openings that are up to date, and a sentence about each of the others."""
-    from rtee.errors import ActionError
-
     tables = library.openings
     known = {(table.action, frozenset(table.elements)) for table in tables.tables}
     valid: list[Opening] = []
@@ -84,8 +84,6 @@ def tool_centres(library: ActionLibrary, table: Opening) -> tuple[Point, Point]:
     known. Raises `MissingExtra` without the extra ``extract``, and `ModelError` if a mesh is
     missing or cannot be read.
     """
-    from rtee.errors import needing_extra
-
     with needing_extra("tool centre points", "extract"):
         from rtee.planning.gripper_poses import grasp_frame
         from rtee.planning.tips import Fingertips
@@ -125,8 +123,6 @@ def _plain(table: Opening) -> dict[str, Any]:
 
 
 def _show(library: ActionLibrary, valid: list[Opening]) -> None:
-    from rtee.cli._table import Column, Row, TextTable
-
     if not valid:
         return
     flange = library.hand.flange

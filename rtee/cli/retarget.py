@@ -13,6 +13,9 @@ import numpy as np
 import typer
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
+from rtee.cli._table import Column, Row, TextTable
+from rtee.errors import ConfigError, needing_extra
+from rtee.hand.own_copy import own_place
 
 if TYPE_CHECKING:
     from rtee.hand.model import Hand as HandModel
@@ -41,12 +44,9 @@ def retarget(
 
     Example: rtee retarget leap_hand --show
     """
-    from rtee.errors import ConfigError, needing_extra
-
     with needing_extra("retargeting", "retarget"):
         from rtee.retarget.correspondence import read_correspondence, write_correspondence
         from rtee.retarget.fit import fit
-    from rtee.hand.own_copy import own_place
 
     library = actions_of(hand)
     folder = hand_folder(hand)
@@ -74,8 +74,6 @@ def retarget(
 
 def _open_page(folder: Path, file: Path | None, port: int) -> None:
     import anyio
-
-    from rtee.errors import needing_extra
 
     with needing_extra("the GUI", "gui"):
         from rtee.gui.access import Access
@@ -114,8 +112,6 @@ async def answered(
 
 
 def _show(hand: HandModel, found: Correspondence) -> None:
-    from rtee.cli._table import Column, Row, TextTable
-
     met: dict[str, str] = {}
     for pinch in found.pinches:
         first, second = pinch.fingers

@@ -22,10 +22,13 @@ from rtee.cli._common import (
     VerboseOption,
     check_files,
     log_to_stderr,
+    to_json,
 )
-from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, TextTable
-from rtee.errors import ConfigError, MessageError, RemoteError, suggestion
+from rtee.errors import ConfigError, MessageError, RemoteError, needing_extra, suggestion
+from rtee.hand.catalog import hand_names
+from rtee.hand.names import check_name
+from rtee.hand.yamlfile import parse_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -70,7 +73,6 @@ def serve(
     """
     import anyio
 
-    from rtee.errors import needing_extra
     from rtee.loop.shutdown_signals import work_beside
     from rtee.ros2.serving import serve as serve_hands
     from rtee.ros2.serving import warnings
@@ -106,11 +108,8 @@ def environment_without(domain: int | None) -> dict[str, str]:
 
 def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Shown:
     """Return a hand with its settings; options take precedence over those in hand.yaml."""
-    from rtee.errors import ConfigError
-    from rtee.hand.catalog import hand_names
     from rtee.hand.config_schema import Ros2Settings
     from rtee.hand.load import load_configured
-    from rtee.hand.names import check_name
     from rtee.ros2.serving import Shown
     from rtee.ros2.session import overridden
 
@@ -222,8 +221,6 @@ def _message(kind: type[Message], text: str | None, what: str) -> Any:
 
     Raises `ConfigError` if the text is not YAML, or has a field that the message lacks.
     """
-    from rtee.hand.yamlfile import parse_yaml
-
     fields = parse_yaml(text, Path(what), f"the {what}").data if text and text.strip() else {}
     try:
         return kind.from_dict(fields)

@@ -19,6 +19,7 @@ from rtee.cli._common import (
     log_to_stderr,
     named_values,
 )
+from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import Lines
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ def _complete_driver(incomplete: str) -> list[str]:
 def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     if not gui:
         return ()
-    from rtee.errors import needing_extra
     from rtee.loop.shutdown_signals import beside_this_run
 
     with needing_extra("the GUI", "gui"):
@@ -50,8 +50,6 @@ def _scene(
     driver: str | None, shape: str | None, gravity: float | None, friction: float | None
 ) -> dict[str, object]:
     """Return object, gravity [m/s²] and friction as options of the driver ``mujoco``."""
-    from rtee.errors import ConfigError
-
     given = {"object": shape, "gravity": gravity, "friction": friction}
     if driver == "mujoco":
         return {name: value for name, value in given.items() if value is not None}
@@ -128,7 +126,6 @@ def run(
     """Run one hand or several until Ctrl-C: take goals, drive the devices, record everything."""
     import anyio
 
-    from rtee.errors import ConfigError
     from rtee.loop.realtime import backend_options
     from rtee.running.run import RunOptions, run_hands
 

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._table import Column, Row, TextTable
-from rtee.errors import ConfigError, needing_extra
+from rtee.drivers.diagnosis.checks import ok, warning, wrong
+from rtee.errors import ConfigError, needing_extra, suggestion
+from rtee.hand.names import check_name
 
 if TYPE_CHECKING:
     from rtee.deploy.needs import Needs
@@ -111,8 +113,6 @@ def add_hand(
     days: DaysOption = 825,
 ) -> None:
     """Make the certificates with which a hand connects to the router of a site."""
-    from rtee.hand.names import check_name
-
     folder = out or Path(f"{check_name(hand, 'hand')}@{check_name(site, 'site')}")
     _authority().add_hand(_folder(site), hand, folder, days)
     print(f"made the certificates of {hand} at {site} in {folder}")
@@ -154,7 +154,6 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
     If the hand's service has needs here, its certificates are checked instead of the user's.
     """
     from rtee.deploy.files import secure_command
-    from rtee.drivers.diagnosis.checks import ok, warning, wrong
     from rtee.hand.load import load_configured
     from rtee.remote.credentials import Credentials, person
     from rtee.remote.protection import credentials_of, exposed
@@ -192,7 +191,6 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
 
 
 def _role(word: str) -> Role:
-    from rtee.errors import suggestion
     from rtee.messages.requests import Role
 
     names = {role.name.lower(): role for role in Role}

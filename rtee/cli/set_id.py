@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtee.errors import ConfigError, NotConnected
+
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
     from rtee.drivers.diagnosis.probes import Probe
@@ -54,7 +56,6 @@ def _families() -> list[_Family]:
     from rtee.drivers.dynamixel import table as dynamixel_table
     from rtee.drivers.feetech import identity as feetech
     from rtee.drivers.feetech import table as feetech_table
-    from rtee.errors import ConfigError
 
     async def dynamixel_there(pool: BusPool, port: str, rate: int, number: int) -> bool:
         return await dynamixel.model_at(pool, port, rate, number) is not None
@@ -127,7 +128,6 @@ def set_id(
     import asyncio
 
     from rtee.buses.pool import BusPool
-    from rtee.errors import ConfigError
 
     async def execute() -> str:
         async with BusPool() as pool:
@@ -153,8 +153,6 @@ def _chosen(
 
     Raises `ConfigError` if no family has a rate that was given.
     """
-    from rtee.errors import ConfigError
-
     families = [servos for servos in _families() if family in (None, servos.name)]
     for option, rate in (("--baudrate", baudrate), ("--new-baudrate", new_baudrate)):
         known = sorted({known for servos in families for known in servos.rates})
@@ -175,8 +173,6 @@ async def _find(
     Raises `BusError` if the line fails, `NotConnected` if none has the id that was given, and
     `ConfigError` if no id is given and there is no servo, or more than one.
     """
-    from rtee.errors import ConfigError, NotConnected
-
     asked = ", ".join(f"{servos.name} at {rate} baud" for servos, rate in families)
     if old is not None:
         for servos, rate in families:

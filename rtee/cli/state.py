@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee import monotonic
-from rtee.cli._common import ConnectOption, RunningOption
-from rtee.cli._online import to_json, with_hand
+from rtee.cli._common import ConnectOption, RunningOption, to_json, with_hand
 from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop
 from rtee.sample import COLUMNS, MEASURED
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, JsonOption, RunningOption
-from rtee.cli._online import to_json, with_hand
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption, to_json, with_hand
 from rtee.errors import RteeError
 
 if TYPE_CHECKING:

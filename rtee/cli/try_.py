@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from rtee import monotonic
 from rtee.cli._common import FrictionOption, complete_hand, owned
 from rtee.cli._sweep import ClusterOption, JobsOption, meshes_in, resolved, tell_of_meshes
+from rtee.errors import ConfigError, needing_extra, suggestion
+from rtee.hand.files import make_folder
+from rtee.units import FORCE as NEWTONS
+from rtee.units import LENGTH, quantity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rtee.actions.fingerprints import Fingerprints
+    from rtee.trials.tasks import TaskResult, TaskTrial
     from rtee.trials.trial import Trial, TrialResult
+
 
 _VARIATIONS = 20
 """Variations of each trial with --all: 18 held of 20 means at least 70 %, at 95 % confidence."""
@@ -145,15 +152,11 @@ def try_(
 
     Exit status 1 when a single trial loses its object.
     """
-    from rtee.errors import ConfigError, needing_extra
-
     if object_:
         with needing_extra("a trial", "sim"):
             from rtee.drivers.mujoco.objects import MESHES
         object_ = meshes_in(object_, MESHES)
     if task:
-        from rtee.cli.try_task import TaskOptions, try_tasks
-
         if all_ or again or cluster or out or pictures or log or friction is not None:
             raise ConfigError(
                 "--task goes without --all, --again, --cluster, --out, --pictures, --log and "
@@ -215,7 +218,6 @@ def try_(
 
 
 def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:
-    from rtee.hand.files import make_folder
     from rtee.trials.bench import bench
     from rtee.trials.recorded import recorder_for
     from rtee.trials.trial import run_trial
@@ -255,7 +257,6 @@ def _all(
 ) -> list[TrialResult]:
     """Run the trials that have no stored result yet; store each result as it arrives."""
     from rtee.drivers.mujoco.objects import MESHES
-    from rtee.errors import ConfigError
     from rtee.objects.shape import parse_object
     from rtee.trials.bench import bench
 
@@ -304,7 +305,6 @@ def _all_in_file(
 ) -> list[TrialResult]:
     from rtee.actions.fingerprints import Fingerprints
     from rtee.cli._sweep import followed, workers_for
-    from rtee.errors import ConfigError
     from rtee.trials.bench import bench
     from rtee.trials.result import TrialResult
     from rtee.trials.store import FILE_NAME, MOST, read_results
@@ -464,3 +464,143 @@ def _table(results: Sequence[TrialResult]) -> None:
         table.add_row(name, *(row.get(shape, "") for shape in shapes))
     # In a pipe, rich would assume 80 columns and cut the table.
     Console(width=None if sys.stdout.isatty() else 200).print(table)
+
+
+_TASK_VARIATIONS: Final = 6
+"""Default number of variations: enough for a first look, as each takes some seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskOptions:
+    """Options of `rtee try --task`; quantities are texts with a unit, such as ``3N``.
+
+    Attributes:
+        reflexes: With reflexes, without, or ``None``: both.
+        force: Force to hold with.
+        max_force: Force up to which a slip raises the force.
+        width: Width of the object.
+        mass: Mass of the object [kg].
+        variations: Number of variations of each task.
+        seed: Seed of the variations.
+    """
+
+    tasks: Sequence[str]
+    reflexes: bool | None
+    force: str | None
+    max_force: str | None
+    width: str | None
+    mass: float | None
+    variations: int | None
+    seed: int
+
+
+def try_tasks(
+    hand: str,
+    action: str,
+    elements: Sequence[str],
+    objects: Sequence[str],
+    options: TaskOptions,
+    as_json: bool,
+) -> None:
+    """Try tasks with an action and a sphere, or other objects; print how often each succeeded.
+
+    Raises `UserError` for every mistake on the command line and in the hand's files.
+    """
+    with needing_extra("a trial", "sim"):
+        from rtee.trials.bench import bench
+        from rtee.trials.tasks import RATE, run_task
+
+    trials = _trials(action, tuple(elements), objects, options)
+    ready = bench(hand, RATE)
+    # An unknown action is refused before the first trial.
+    ready.library.find(action, elements)
+    # Tasks have no trial without variation, so that --variations 0 still tries one.
+    count = _TASK_VARIATIONS if options.variations is None else max(options.variations, 1)
+    documents = []
+    for trial in trials:
+        results = [run_task(ready, trial, number) for number in range(count)]
+        if as_json:
+            documents.append(_document(trial, results))
+        else:
+            # At once, since a task takes long and the next ones may be interrupted.
+            print(_sentence(trial, results), flush=True)
+    if as_json:
+        print(json.dumps(documents, indent=2))
+
+
+def _trials(
+    action: str, elements: tuple[str, ...], objects: Sequence[str], options: TaskOptions
+) -> list[TaskTrial]:
+    from rtee.trials.tasks import FORCE, MOST, GraspMode, Task, TaskTrial
+
+    for name in options.tasks:
+        if name not in list(Task):
+            raise ConfigError(f"unknown task '{name[:80]}'; {suggestion(name, list(Task))}")
+    force = FORCE if options.force is None else quantity(options.force, NEWTONS, "force")
+    most = (
+        MOST if options.max_force is None else quantity(options.max_force, NEWTONS, "largest force")
+    )
+    # A --force above the default of --max-force raises that, too.
+    most = max(most, force) if options.max_force is None else most
+    if most < force:
+        raise ConfigError(f"--max-force must be at least --force, {force:g} N, not {most:g} N")
+    width = None if options.width is None else quantity(options.width, LENGTH, "width")
+    modes = [mode for mode in GraspMode if options.reflexes in (None, mode is GraspMode.REFLEXES)]
+    return [
+        TaskTrial(
+            Task(name),
+            action,
+            elements,
+            shape,
+            mode,
+            width,
+            options.mass,
+            force,
+            most,
+            options.seed,
+        )
+        for shape in objects or ("sphere:0.03",)
+        for name in dict.fromkeys(options.tasks)
+        for mode in modes
+    ]
+
+
+def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
+    from rtee.trials.tasks import End, GraspMode
+    from rtee.trials.variation import interval
+
+    held = sum(result.end is End.HELD for result in results)
+    low, high = interval(held, len(results))
+    ends = Counter(result.end for result in results if result.end is not End.HELD)
+    others = "".join(f"; {count} {end}" for end, count in ends.items())
+    conditions = {
+        GraspMode.EFFORT: "the hand's effort, no reflexes",
+        GraspMode.FORCE: f"{trial.force:g} N, no reflexes",
+        GraspMode.REFLEXES: f"{trial.force:g} to {trial.most:g} N, reflexes",
+    }[trial.mode]
+    peak = max(result.peak for result in results)
+    grasp = " ".join((trial.action, *trial.elements))
+    if ends[End.STALLED] and trial.mode is not GraspMode.EFFORT:
+        others += " (the effort for this force hardly moves the hand; try a larger --force)"
+    return (
+        f"{trial.task}, {grasp} on {trial.object}, {conditions}: {held} of {len(results)} succeed "
+        f"(95 % confidence: {low * 100:.0f} to {high * 100:.0f} %){others}; at most {peak:.1f} N"
+    )
+
+
+def _document(trial: TaskTrial, results: Sequence[TaskResult]) -> dict[str, Any]:
+    from rtee.trials.tasks import End, GraspMode
+
+    return {
+        "task": str(trial.task),
+        "action": trial.action,
+        "elements": list(trial.elements),
+        "object": trial.object,
+        "mode": str(trial.mode),
+        "reflexes": trial.mode is GraspMode.REFLEXES,
+        "force": None if trial.mode is GraspMode.EFFORT else trial.force,
+        "max_force": trial.most if trial.mode is GraspMode.REFLEXES else None,
+        "succeeded": sum(result.end is End.HELD for result in results),
+        "tries": len(results),
+        "results": [{"end": str(result.end), "peak": result.peak} for result in results],
+    }

@@ -2,26 +2,485 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+import trimesh
 import viser
+from numpy.typing import NDArray
 
-from rtee.gui.body import HandBody
+from rtee.errors import ModelError, needing_extra
 from rtee.gui.bridge import Stage
-from rtee.gui.colours import (
-    CONTACT,
-    PREVIEW,
-    REFERENCE,
-    link_colours,
-    ramp,
-)
-from rtee.gui.shapes import link_triangles
-from rtee.gui.simulated_object import ObjectView
-from rtee.gui.taxels import TaxelView
-from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.gui.colours import CONTACT, FORCE, OBJECT, PREVIEW, REFERENCE, Colour, link_colours, ramp
+from rtee.hand.frames import origin, pose_in_hand, quaternion, tip_pose_and_jacobian, turn
+from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
+from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
+from rtee.objects.description import CONTACTS, ObjectDescription, ObjectPart, contact_rows
 from rtee.sample import FloatArray
+from rtee.touch import NEWTON, TouchSensor, TouchState
+
+_UNSEEN_POSE: Final = 1e-4
+"""Largest motion of the object that is not drawn [m, and per component of the quaternion]."""
+
+_LONGEST: Final = 0.35
+"""Length that arrows approach at large forces, as a share of the hand's size."""
+
+_HALF: Final = 10.0
+"""Force of an arrow of half that length [N]: light touches show, and crushing ones fit."""
+
+_CLEAR: Final = 0.6
+"""Opacity of the object, which lets the arrows of the forces inside it show."""
+
+_SHARP: Final = 0.25
+"""Least change of forces [N] or points [mm] that is drawn: smaller ones would only flicker."""
+
+
+class ObjectView:
+    """The object at its pose relative to the hand, both taken from the channels of the states.
+
+    ``size`` is that of the hand [m].
+    """
+
+    def __init__(self, scene: viser.SceneApi, size: float) -> None:
+        self._scene, self._size = scene, size
+        self._described: ObjectDescription | None = None
+        self._frame: viser.FrameHandle | None = None
+        self._pose = np.full(7, np.nan)
+        self._arrows: viser.ArrowsHandle | None = None
+        self._drawn: FloatArray = np.zeros((0, 7))
+
+    @property
+    def described(self) -> ObjectDescription | None:
+        """The object that is drawn."""
+        return self._described
+
+    def describe(self, description: ObjectDescription | None) -> None:
+        """Draw another object, or none; it appears with the next channels."""
+        if description is self._described:
+            return
+        if self._frame is not None:
+            self._frame.remove()
+            self._frame = None
+        self._described = description
+        self._pose = np.full(7, np.nan)
+        if description is not None:
+            self._frame = self._scene.add_frame("/object", show_axes=False, visible=False)
+            for index, part in enumerate(description.parts):
+                _add_part(self._scene, f"/object/{index}", part)
+
+    def show(self, channels: Mapping[str, FloatArray], *, forces: bool) -> None:
+        """Move the object to its pose in the channels of a state, and draw the contact forces."""
+        by_kind = {name.rpartition("/")[2]: values for name, values in channels.items()}
+        pose = pose_in_hand(by_kind)
+        if self._frame is not None:
+            self._place(self._frame, pose)
+        rows = contact_rows(by_kind.get(CONTACTS, np.zeros(0))) if forces else self._drawn[:0]
+        self._draw_forces(rows)
+
+    def _place(self, frame: viser.FrameHandle, pose: FloatArray | None) -> None:
+        if frame.visible != (pose is not None):
+            frame.visible = pose is not None
+        # The pose drawn is NaN at first, for which the comparison is false.
+        if pose is None or np.abs(pose - self._pose).max() < _UNSEEN_POSE:
+            return
+        self._pose = pose
+        frame.position, frame.wxyz = pose[:3], pose[3:]
+
+    def _draw_forces(self, rows: FloatArray) -> None:
+        drawn = self._drawn
+        if rows.shape == drawn.shape:
+            moved = np.abs(rows[:, :3] - drawn[:, :3]).max(initial=0.0) * 1e3
+            if max(moved, np.abs(rows[:, 3:6] - drawn[:, 3:6]).max(initial=0.0)) < _SHARP:
+                return
+        self._drawn = rows
+        if self._arrows is not None:
+            self._arrows.remove()
+            self._arrows = None
+        if len(rows):
+            self._arrows = self._scene.add_arrows(
+                "/forces",
+                arrows_of(rows, self._size).astype(np.float32),
+                FORCE,
+                shaft_radius=0.008 * self._size,
+                head_radius=0.02 * self._size,
+                head_length=0.045 * self._size,
+            )
+
+    def summary(self, links: Sequence[str]) -> str:
+        """Return the strongest drawn contacts as text; see `strongest`."""
+        return strongest(self._drawn, links)
+
+    def remove(self) -> None:
+        """Remove object and forces from the scene."""
+        self.describe(None)
+        self._draw_forces(self._drawn[:0])
+
+
+def arrows_of(rows: FloatArray, size: float) -> FloatArray:
+    """Return arrows ``(k, 2, 3)`` from the contact points along the forces [m].
+
+    The length of an arrow grows with the force F as F / (F + 10 N), and with the size of the hand
+    [m]. The contacts are rows of `rtee.objects.description.CONTACTS`.
+    """
+    points, forces = rows[:, :3], rows[:, 3:6]
+    strength = np.linalg.norm(forces, axis=1, keepdims=True)
+    length = _LONGEST * size * strength / (strength + _HALF)
+    # The least divisor keeps 0/0 from becoming NaN for a contact without force.
+    shafts = forces / np.maximum(strength, math.ulp(1.0)) * length
+    return np.stack([points, points + shafts], axis=1)
+
+
+def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
+    """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
+
+    The contacts are rows of `rtee.objects.description.CONTACTS`, the links in the order of the
+    URDF; at most so many are named.
+    """
+    totals: dict[str, FloatArray] = {}
+    for row in rows:
+        index = int(row[6])
+        if 0 <= index < len(links):
+            totals[links[index]] = totals.get(links[index], np.zeros(3)) + row[3:6]
+    forces = {name: float(np.linalg.norm(force)) for name, force in totals.items()}
+    chosen = sorted(forces, key=lambda name: -forces[name])[:most]
+    return ", ".join(f"{name} {forces[name]:.1f} N" for name in chosen)
+
+
+def _add_part(scene: viser.SceneApi, name: str, part: ObjectPart) -> None:
+    at: dict[str, Any] = {"wxyz": part.pose[3:], "position": part.pose[:3], "opacity": _CLEAR}
+    match part.kind:
+        case "box":
+            w, d, h = part.size
+            scene.add_box(name, color=OBJECT, dimensions=(w, d, h), **at)
+        case "cylinder":
+            scene.add_cylinder(name, part.size[0], part.size[1], OBJECT, **at)
+        case "sphere":
+            scene.add_icosphere(name, part.size[0], OBJECT, **at)
+        case _:
+            scene.add_mesh_simple(
+                name,
+                part.vertices,
+                part.faces,
+                color=OBJECT,
+                flat_shading=True,
+                side="double",
+                **at,
+            )
+
+
+_SHADES: Final = 32
+"""Colours between nothing and the largest value: finer steps cannot be distinguished."""
+
+_COLOURS: Final = np.array([ramp(k / (_SHADES - 1)) for k in range(_SHADES)], dtype=np.uint8)
+
+_STALE: Final = np.array((150, 150, 150), dtype=np.uint8)
+"""Taxels without fresh values: grey is not the colour of any measured value."""
+
+_LIFT: Final = 0.0006
+"""Height of the points above the surface [m], in which they would flicker."""
+
+_LEAST: Final[Mapping[str, float]] = {NEWTON: 0.5}
+"""Least value of the brightest colour by unit, so that noise stays dark."""
+
+_POINT: Final = 0.6
+"""Size of a point as a share of the distance to the next one, so that points stay apart."""
+
+_ALONE: Final = 0.02
+"""Size of the only taxel of a link, as a share of the hand's size: about that of a fingertip."""
+
+Bytes = NDArray[np.uint8]
+
+
+class TaxelView:
+    """The taxels of a hand's touch sensors, as coloured points on its links, for its size [m]."""
+
+    def __init__(
+        self, scene: viser.SceneApi, hand: Hand, frames: Mapping[str, str], size: float
+    ) -> None:
+        self._scene, self._frames, self._size = scene, frames, size
+        self._links = set(hand.urdf.links)
+        self._sensors: dict[str, tuple[TouchSensor, ...]] = {}
+        self._clouds: dict[str, viser.PointCloudHandle] = {}
+        self._drawn: dict[str, Bytes] = {}
+        self._most: dict[str, float] = {}
+
+    @property
+    def fingers(self) -> set[str]:
+        """The fingers whose taxels are drawn."""
+        placed = (
+            s for sensors in self._sensors.values() for s in sensors if s.name in self._clouds
+        )
+        return {sensor.finger for sensor in placed if sensor.finger}
+
+    def show(self, states: Iterable[TouchState]) -> None:
+        """Colour the taxels by their values; without states, remove them."""
+        states = tuple(states)
+        names = [state.device for state in states]
+        for device in [name for name in self._sensors if name not in names]:
+            self._forget(device)
+        for state in states:
+            # Compare by identity: the states of one device share their tuple of sensors.
+            if self._sensors.get(state.device) is not state.sensors:
+                self._forget(state.device)
+                self._add(state)
+            for sensor in state.sensors:
+                cloud = self._clouds.get(sensor.name)
+                if cloud is not None:
+                    self._colour(sensor, cloud, state)
+
+    def _add(self, state: TouchState) -> None:
+        self._sensors[state.device] = state.sensors
+        for sensor in state.sensors:
+            if sensor.placed and sensor.link in self._links:
+                points = sensor.position
+                if len(sensor.normal) == len(points):
+                    points = points + _LIFT * sensor.normal
+                self._clouds[sensor.name] = self._scene.add_point_cloud(
+                    f"{self._frames[sensor.link]}/touch_{sensor.name}",
+                    points.astype(np.float32),
+                    np.tile(_COLOURS[0], (len(points), 1)),
+                    point_size=_size(points, _ALONE * self._size),
+                    point_shape="circle",
+                    point_shading="flat",
+                    precision="float32",
+                )
+
+    def _colour(
+        self, sensor: TouchSensor, cloud: viser.PointCloudHandle, state: TouchState
+    ) -> None:
+        values = state.of(sensor.name)
+        if state.stale:
+            colours: Bytes = np.tile(_STALE, (sensor.taxels, 1))
+        else:
+            colours = _COLOURS[shades(values, self._brightest(sensor, values))]
+        drawn = self._drawn.get(sensor.name)
+        if drawn is None or not np.array_equal(colours, drawn):
+            self._drawn[sensor.name] = cloud.colors = colours
+
+    def _brightest(self, sensor: TouchSensor, values: FloatArray) -> float:
+        """Return the value of the brightest colour: the largest one of its unit so far."""
+        unit = sensor.unit
+        largest = float(np.nanmax(values, initial=0.0))
+        least = _LEAST.get(unit, 0.05 * sensor.full if math.isfinite(sensor.full) else 1.0)
+        # One scale for all sensors of a unit. It never shrinks, so that released taxels turn dark.
+        most = self._most[unit] = max(self._most.get(unit, least), largest)
+        return most
+
+    def _forget(self, device: str) -> None:
+        for sensor in self._sensors.pop(device, ()):
+            self._drawn.pop(sensor.name, None)
+            cloud = self._clouds.pop(sensor.name, None)
+            if cloud is not None:
+                cloud.remove()
+
+    def remove(self) -> None:
+        """Remove all taxels from the scene."""
+        self.show(())
+
+
+def shades(values: FloatArray, most: float) -> NDArray[np.intp]:
+    """Return the index of the colour of each value ``(n,)``, the brightest from ``most`` on.
+
+    ``NaN`` counts as 0.
+    """
+    share = np.clip(np.nan_to_num(values) / most, 0.0, 1.0)
+    return np.rint(share * (_SHADES - 1)).astype(np.intp)
+
+
+def _size(points: FloatArray, alone: float) -> float:
+    """Return the size of a sensor's points [m]."""
+    if len(points) < 2:
+        return alone
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    # The median, so that a few taxels close together do not shrink all points.
+    return _POINT * float(np.median(apart.min(axis=1)))
+
+
+LinkTriangles = Callable[[str], Triangles]
+"""Returns a link's vertices ``(v, 3)`` [m] in the link's frame and faces ``(f, 3)``."""
+
+_COAL_ONLY: Final = (".3ds", ".fbx")
+"""Mesh formats that trimesh does not read."""
+
+
+def link_triangles(hand: Hand) -> LinkTriangles:
+    """Return a function that gives the triangles of a link's collision shapes.
+
+    Here or when it is called, raises `ModelError` if a mesh is missing or cannot be read, and
+    `MissingExtra` if a mesh has a format that only Coal reads, which is not installed.
+    """
+    shapes = (shape for link in hand.urdf.links.values() for shape in link.collisions)
+    formats = {Path(shape.mesh).suffix.lower() for shape in shapes if shape.kind == "mesh"}
+    for unread in formats.intersection(_COAL_ONLY):
+        with needing_extra(f"a mesh in the format {unread}", "extract"):
+            from rtee.hand.geometry import HandGeometry
+        return HandGeometry(hand).triangles
+
+    @cache
+    def triangles(link: str) -> Triangles:
+        vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+        for shape in hand.urdf.links[link].collisions:
+            points, corners = _of_shape(hand, shape)
+            pose = origin(shape.xyz, shape.rpy)
+            vertices.append(points @ pose[:3, :3].T + pose[:3, 3])
+            faces.append(corners + count)
+            count += len(points)
+        return np.concatenate(vertices), np.concatenate(faces)
+
+    return triangles
+
+
+def _of_shape(hand: Hand, shape: UrdfGeometry) -> Triangles:
+    if shape.kind == "box":
+        return box(shape.size)
+    if shape.kind == "sphere":
+        return sphere(shape.radius)
+    if shape.kind == "cylinder":
+        return cylinder(shape.radius, shape.length)
+    path = check_mesh(shape, hand.urdf, hand.package_dirs)
+    try:
+        # Unprocessed, since merging vertices takes seconds and does not show.
+        mesh = trimesh.load_mesh(str(path), process=False)
+        points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    except Exception as error:  # each reader of trimesh raises its own exceptions
+        raise _refusal(hand, shape, f"cannot be read: {error}") from error
+    if not len(faces):
+        raise _refusal(hand, shape, "has no triangles")
+    if not np.isfinite(points).all():
+        raise _refusal(hand, shape, "has a vertex that is not finite")
+    return points * (unit_of(path) * np.array(shape.scale)), faces
+
+
+def _refusal(hand: Hand, shape: UrdfGeometry, why: str) -> ModelError:
+    return ModelError(f"mesh '{shape.mesh}' {why}", path=hand.urdf.path, line=shape.line)
+
+
+_UNSEEN = 1e-4
+"""Largest motion of a joint that is not sent [rad | m]: it would not show on the screen."""
+
+
+class HandBody:
+    """One appearance of a hand in the scene, the measured one or a ghost, by names of frames."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        root: str,
+        hand: Hand,
+        triangles: LinkTriangles,
+        colours: Mapping[str, Colour],
+        *,
+        opacity: float | None = None,
+        visible: bool = True,
+    ) -> None:
+        """Build the tree of frames below a root frame; a body without an opacity is solid."""
+        self.root = root
+        self._scene = scene
+        self._opacity = opacity
+        self._frame = scene.add_frame(root, show_axes=False, visible=visible)
+        self._moving: list[tuple[viser.FrameHandle, FloatArray, bool]] = []
+        self._last = np.full(len(hand.joints), np.nan)
+        self.frames: dict[str, str] = {}
+        self._build(hand, triangles, colours)
+
+    def _build(self, hand: Hand, triangles: LinkTriangles, colours: Mapping[str, Colour]) -> None:
+        urdf = hand.urdf
+        below: dict[str, list[UrdfJoint]] = {}
+        for joint in urdf.joints.values():
+            below.setdefault(joint.parent, []).append(joint)
+        frames: dict[str, tuple[viser.FrameHandle, FloatArray, bool]] = {}
+        pending = [(urdf.root, self.root)]
+        while pending:
+            link, path = pending.pop()
+            self.frames[link] = path
+            self._add_shapes(urdf, link, path, triangles, colours[link])
+            for joint in below.get(link, ()):
+                place = f"{path}/{joint.name}"
+                self._scene.add_frame(
+                    place, show_axes=False, wxyz=quaternion(joint.rpy), position=joint.xyz
+                )
+                if joint.moving:
+                    place = f"{place}/q"  # the frame that moves, below the fixed one of the joint
+                    frame = self._scene.add_frame(place, show_axes=False)
+                    frames[joint.name] = (frame, np.array(joint.axis), joint.kind == "prismatic")
+                pending.append((joint.child, place))
+        self._moving = [frames[name] for name in hand.joint_names]
+
+    def _add_shapes(
+        self, urdf: Urdf, link: str, path: str, triangles: LinkTriangles, colour: Colour
+    ) -> None:
+        shapes = urdf.links[link].collisions
+        # The browser draws simple shapes from their sizes; only meshes are sent as triangles.
+        if not any(shape.kind == "mesh" for shape in shapes):
+            for index, shape in enumerate(shapes):
+                self._add_shape(f"{path}/shape{index}", shape, colour)
+        else:
+            vertices, faces = triangles(link)
+            self._scene.add_mesh_simple(
+                f"{path}/mesh",
+                np.asarray(vertices, dtype=np.float32),
+                np.asarray(faces, dtype=np.uint32),
+                color=colour,
+                opacity=self._opacity,
+                flat_shading=True,
+                side="double",
+                cast_shadow=self._opacity is None,
+            )
+
+    def _add_shape(self, name: str, shape: UrdfGeometry, colour: Colour) -> None:
+        at: dict[str, Any] = {
+            "wxyz": quaternion(shape.rpy),
+            "position": shape.xyz,
+            "opacity": self._opacity,
+            "cast_shadow": self._opacity is None,
+        }
+        if shape.kind == "box":
+            self._scene.add_box(name, color=colour, dimensions=shape.size, **at)
+        elif shape.kind == "sphere":
+            self._scene.add_icosphere(name, shape.radius, colour, **at)
+        else:
+            self._scene.add_cylinder(name, shape.radius, shape.length, colour, **at)
+
+    @property
+    def visible(self) -> bool:
+        """Whether the body is visible."""
+        return bool(self._frame.visible)
+
+    @visible.setter
+    def visible(self, shown: bool) -> None:
+        # viser sends each assignment to every window.
+        if shown != self._frame.visible:
+            self._frame.visible = shown
+
+    def moved(self, position: FloatArray) -> list[int]:
+        """Return the indices of joints that would visibly move to positions ``(m,)`` [rad | m]."""
+        # "Not less", so that NaN, before the first drawing, counts as a motion.
+        seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
+        indices: list[int] = np.flatnonzero(seen).tolist()
+        return indices
+
+    def set_joints(self, position: FloatArray) -> None:
+        """Move to joint positions ``(m,)`` [rad | m]; send only joints that visibly move."""
+        for index in self.moved(position):
+            frame, axis, slides = self._moving[index]
+            # The last position sent, not measured: a slow motion adds up until it shows.
+            value = self._last[index] = float(position[index])
+            if slides:
+                frame.position = value * axis
+            else:
+                frame.wxyz = turn(axis, value)
+
+    def remove(self) -> None:
+        """Remove the body from the scene."""
+        self._frame.remove()
+
 
 Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 """A point [m] and a unit normal in the base frame."""

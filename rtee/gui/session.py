@@ -20,13 +20,11 @@ from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.action_editor import MakingPanel
-from rtee.gui.panels.actions import ActionsPanel
-from rtee.gui.panels.cards import Card
+from rtee.gui.panels.actions import ActionsPanel, Card
 from rtee.gui.panels.header import Header
-from rtee.gui.panels.plots import PlotsPanel
+from rtee.gui.panels.plots import PlotsPanel, TouchPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
-from rtee.gui.panels.touch import TouchPanel
 from rtee.gui.panels.trying import TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene

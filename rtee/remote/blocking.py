@@ -35,7 +35,7 @@ from rtee.commands import StreamStatus
 from rtee.errors import NoHand
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand, connect
-from rtee.remote.running_goal import RunningGoal
+from rtee.remote.goal import RunningGoal
 from rtee.remote.stream import Stream, paced
 from rtee.types import Feedback, Result
 

@@ -22,14 +22,13 @@ import anyio.to_thread
 from rtee import monotonic
 from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.messages.requests import Role
-from rtee.remote.action_client import ActionClient
+from rtee.remote.action_client import ActionClient, ReachClient
 from rtee.remote.find import VARIABLE as CONNECT
 from rtee.remote.find import FoundSession, chosen_here, open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.goal_values import finite, numbers
 from rtee.remote.link import ANSWER_WITHIN, Link, introduced
 from rtee.remote.monitoring import Monitoring
-from rtee.remote.reaching import ReachClient
 from rtee.remote.session import close_session
 from rtee.remote.stopping import ANSWER_WITHIN as STOPPED_WITHIN
 from rtee.remote.stopping import silent, stop_at, stop_path

@@ -22,9 +22,9 @@ from rtee.messages.codec import paired
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import SAMPLE
 from rtee.remote.agents import Agents
+from rtee.remote.call_queue import LoopThread
 from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
-from rtee.remote.loop_thread import LoopThread
 from rtee.remote.stopping import Stopped
 from rtee.types import Event, Goal
 

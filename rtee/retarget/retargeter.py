@@ -4,22 +4,311 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError
 from rtee.hand.load import hand_folder, load_hand
 from rtee.hand.model import Hand
-from rtee.retarget.correspondence import Correspondence, read_correspondence
+from rtee.retarget.correspondence import Correspondence, Human, read_correspondence
 from rtee.retarget.fit import fit
-from rtee.retarget.human import Smoother, bones, in_palm, mirrored, posture_of
+from rtee.retarget.human import (
+    FINGERS,
+    HumanPosture,
+    Smoother,
+    bones,
+    in_palm,
+    mirrored,
+    posture_of,
+)
 from rtee.retarget.layouts import LAYOUTS, Layout, Side, layout_named, side_named
-from rtee.retarget.solver import Solver
-from rtee.retarget.tips import Tips
+from rtee.retarget.tips import Row, Tips, limits_of
 from rtee.sample import FloatArray
+
+TOUCHING: Final = 0.018
+"""Distance of two human tips, as trackers place them, when they touch [m]: half a finger's
+thickness each."""
+
+APART: Final = 0.095
+"""Distance of the human tips at which a gripper is fully open [m]."""
+
+_MEET: Final = (0.036, 0.06)
+"""Distance of two human tips below which their gap is kept exactly, and above which it does not
+matter [m]; between them the weight changes smoothly."""
+
+_FINGER: Final = 0.085
+"""Length of a human finger, from the knuckle [m]: gaps scale as the hand's fingers do to it."""
+
+_PRIOR: Final = 0.6
+"""Weight of how far the fingers are closed, where a tip's place leaves a choice [1/range]."""
+
+_STAY: Final = 0.6
+"""Weight of the last positions [1/range]."""
+
+_SLIDE: Final = 3.0
+"""Weight of the last positions of fingers whose tips meet [1/range]: their surfaces are curved, so
+that tips that slide fast on one another part."""
+
+_GAP: Final = 150.0
+"""Weight of a gap between tips that meet [1/m]: ten times a tip's place, about 1/reach."""
+
+_DRAW: Final = 0.5
+"""Weight of the positions of the extracted pinch as the tips meet [1/range]."""
+
+_GRIP: Final = 50.0
+"""The same of a gripper, whose opening is all that it has."""
+
+_DRAWN: Final = 0.03
+"""Gap at which the extracted pinch has half of that weight [m]."""
+
+_APART: Final = 1000.0
+"""Weight of links of different fingers that overlap [1/m]: more than of tips that should meet."""
+
+_CURVED: Final = 1.0
+"""Curvature of a tip's path that is damped, of that of a circle around the finger's base."""
+
+_STEPS: Final = 2
+"""Steps of Gauss-Newton per frame: from the last frame's answer, two come to within noise."""
+
+_CORRECTIONS: Final = 3
+"""Most corrections of gaps after them: at the edges of tips, a step turns the normal."""
+
+_REACHED: Final = (0.0002, 0.008)
+"""Errors of a gap that need no correction, and that no correction mends [m]."""
+
+_SOFT: Final = 1e-5
+"""Square of the motion of a gap over an actuator's range below which it is none [m²]: 3 mm."""
+
+_SMALL: Final = 0.05
+"""Largest correction [range]."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pinch:
+    pair: tuple[str, str]
+    fingers: tuple[int, int]
+    human: Human
+    scale: float
+    rows: NDArray[np.intp]
+    contact: FloatArray
+    widths: FloatArray
+    positions: FloatArray
+
+    def at(self, width: float) -> FloatArray:
+        """Return a gripper's positions ``(a,)`` at a distance of its tips [m]."""
+        # np.interp needs rising abscissae, and the widths fall.
+        return np.array([np.interp(-width, -self.widths, column) for column in self.positions])
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """The targets of a frame.
+
+    Attributes:
+        last: The last positions ``(n,)`` [rad | m].
+        targets: Where the tips should be ``(k, 3)`` [m].
+        follow: Weights of the tips' places ``(k,)`` [1/m].
+        stiffness: Weights of positions ``(n,)``.
+        pull: The sum of these times the positions that they pull to ``(n,)``.
+        wanted: Pairs of fingers, the gap between them [m] and its weight, 0 to 1.
+        near: Links that should stay apart.
+    """
+
+    last: FloatArray
+    targets: FloatArray
+    follow: FloatArray
+    stiffness: FloatArray
+    pull: FloatArray
+    wanted: list[tuple[tuple[str, str], float, float]]
+    near: list[Row]
+
+
+class Solver:
+    """Solves for a hand's positions, each time from the last ones."""
+
+    def __init__(self, hand: Hand, found: Correspondence, tips: Tips) -> None:
+        self._tips = tips
+        self._lower, self._upper = limits_of(hand)
+        self.range = np.maximum(self._upper - self._lower, 1e-6)
+        self._turned = self.range**2
+        self._rest, n = np.array(hand.rest), len(hand.actuators)
+        names = list(found.fingers)
+        maps = list(found.fingers.values())
+        self._humans = [each.human for each in maps]
+        self._axes = np.array([found.palm.palmar, found.palm.radial, found.palm.distal])
+        self._bases = np.array([each.base for each in maps])
+        self._reach = np.array([max(each.reach * each.scale, 1e-6) for each in maps])
+        self._follow = np.array([each.follow for each in maps])
+        self._bodies, self._points = [], []
+        for name, each in found.fingers.items():
+            body, placement = tips.kinematics.bodies[str(hand.finger(name).tip)]
+            self._bodies.append(body)
+            self._points.append(np.array(placement * np.array(each.tip)))
+        # The jaws of a gripper are moving; their hulls may overlap.
+        if self._follow.any():
+            tips.watch()
+        # Which fingers an actuator closes: their mean says how far.
+        self._closed = self._rest.copy()
+        self._closes = np.zeros((n, len(names)))
+        self._moves = np.array(
+            [[float(a in hand.finger(f).actuators) for f in names] for a in hand.actuator_names]
+        )
+        for name, value in found.closed.items():
+            i = hand.actuator_index(name)
+            self._closed[i] = value
+            for k, finger in enumerate(names):
+                spec = hand.finger(finger)
+                self._closes[i, k] = float(name in (spec.own or spec.actuators))
+        self._closes /= np.maximum(self._closes.sum(axis=1, keepdims=True), 1.0)
+        self._pinches: list[_Pinch] = []
+        self._drawing = np.full(n, _DRAW**2)
+        for pinch in found.pinches:
+            fingers = names.index(pinch.fingers[0]), names.index(pinch.fingers[1])
+            reach = float(np.mean([self._reach[k] for k in fingers]))
+            rows = np.array(
+                [hand.actuator_index(a) for a in pinch.positions or pinch.contact], dtype=np.intp
+            )
+            contact = np.array([*pinch.contact.values()])
+            if pinch.widths:
+                self._drawing[rows] = _GRIP**2
+            human = self._humans[fingers[1]]
+            widths, positions = np.array(pinch.widths), np.array([*pinch.positions.values()])
+            scale = reach / _FINGER
+            self._pinches.append(
+                _Pinch(pinch.fingers, fingers, human, scale, rows, contact, widths, positions)
+            )
+
+    def solve(self, human: HumanPosture, last: FloatArray) -> FloatArray:
+        """Return the positions ``(n,)`` [rad | m] for a human posture, from the last ones."""
+        nearest = 1 + int(np.argmin(human.gaps[1:]))
+        of = [nearest if h is Human.NEAREST else FINGERS.index(h) for h in self._humans]
+        curls = human.curls[of]
+        targets = self._bases + self._reach[:, None] * (human.tips[of] @ self._axes)
+        prior = self._rest + (self._closes @ curls) * (self._closed - self._rest)
+        wanted, bound = [], np.zeros(len(of))
+        draw, drawn = np.zeros(len(last)), np.zeros(len(last))
+        for pinch in self._pinches:
+            distance = float(human.gaps[of[pinch.fingers[1]]])
+            if len(pinch.widths):
+                draw[pinch.rows] += pinch.at(_opened(distance) * float(pinch.widths[0]))
+                drawn[pinch.rows] += 1.0
+                continue
+            weight, gap = self._intent(pinch, distance)
+            if weight <= 0.0:
+                continue
+            wanted.append((pinch.pair, gap, weight))
+            for k in pinch.fingers:
+                bound[k] = max(bound[k], weight)
+            share = (weight * _DRAWN / (_DRAWN + gap)) ** 2
+            draw[pinch.rows] += share * pinch.contact
+            drawn[pinch.rows] += share
+        # Several pinches of one actuator share its weight.
+        draw = np.divide(draw, drawn, out=prior.copy(), where=drawn > 0.0)
+        drawn = self._drawing * np.minimum(drawn, 1.0)
+        stay = _STAY**2 + _SLIDE**2 * (self._moves * bound).max(axis=1)
+        self._tips.go(last)
+        problem = _Problem(
+            last,
+            targets,
+            self._follow * (1.0 - 0.9 * bound) / self._reach,
+            _PRIOR**2 + stay + drawn,
+            _PRIOR**2 * prior + stay * last + drawn * draw,
+            wanted,
+            self._tips.near(pair for pair, _, _ in wanted),
+        )
+        u = last
+        for _ in range(_STEPS):
+            u = self._step(u, problem)
+        return self._met(u, [(pair, gap) for pair, gap, weight in wanted if weight == 1.0])
+
+    def _met(self, u: FloatArray, wanted: list[tuple[tuple[str, str], float]]) -> FloatArray:
+        """Return the nearest positions at which gaps are as wide as they should be."""
+        for _ in range(_CORRECTIONS if wanted else 0):
+            self._tips.go(u)
+            found = [self._tips.gap(pair) for pair, _ in wanted]
+            off = np.array([gap - row[0] for (_, gap), row in zip(wanted, found, strict=True)])
+            # What is far off is out of reach; and where tips overlap, others do not meet.
+            over = np.array([row[0] < -_REACHED[0] for row in found])
+            mended = (np.abs(off) < _REACHED[1]) & (over | ~over.any())
+            rows, off = np.array([row[1] for row in found])[mended] * self.range, off[mended]
+            if not len(off) or np.abs(off).max() < _REACHED[0]:
+                break
+            square = rows @ rows.T + _SOFT * np.eye(len(off))
+            step = np.clip(rows.T @ np.linalg.solve(square, off), -_SMALL, _SMALL)
+            u = np.clip(u + step * self.range, self._lower, self._upper)
+        return u
+
+    def _intent(self, pinch: _Pinch, distance: float) -> tuple[float, float]:
+        """Return the weight of a gap and how wide it should be [m]."""
+        beyond = max(0.0, distance - TOUCHING)
+        share = min(1.0, max(0.0, (_MEET[1] - distance) / (_MEET[1] - _MEET[0])))
+        # Squared, so that a fist, whose tips are near one another as well, closes.
+        return (share * share * (3.0 - 2.0 * share)) ** 2, pinch.scale * beyond
+
+    def _step(self, u: FloatArray, problem: _Problem) -> FloatArray:
+        """Return the positions after one step of Gauss-Newton."""
+        tips, unit, follow = self._tips, self.range, problem.follow
+        tips.go(u)
+        # In units of the ranges, so that radians and metres are comparable.
+        rows, off = np.zeros((0, len(u))), np.zeros(0)
+        damping = problem.stiffness
+        if follow.any():
+            places = np.array(
+                [tips.place(b, p) for b, p in zip(self._bodies, self._points, strict=True)]
+            )
+            rows = (tips.moves(self._bodies, places) * (follow[:, None, None] * unit)).reshape(
+                -1, len(u)
+            )
+            off = (follow[:, None] * (problem.targets - places)).ravel()
+            # What Gauss-Newton leaves out, by its size: else targets out of reach make it swing.
+            damping = damping + _CURVED * float(np.abs(off).max()) * self._turned
+        added = []
+        for pair, gap, weight in problem.wanted:
+            distance, row = tips.gap(pair)
+            weight *= _GAP if distance > 0.0 else _APART
+            added.append((weight * row * unit, weight * (gap - distance)))
+            damping = damping + np.abs(added[-1][0] * added[-1][1])
+        for begun, row in problem.near:
+            # They move little in a frame, so that one look at them is enough.
+            distance = begun + float(row @ (u - problem.last))
+            if distance < 0.0:
+                added.append((_APART * row * unit, -_APART * distance))
+        if added:
+            rows = np.vstack([rows, [row for row, _ in added]])
+            off = np.append(off, [each for _, each in added])
+        hessian = rows.T @ rows
+        hessian.flat[:: len(u) + 1] += damping
+        return self._within(
+            u, hessian, rows.T @ off + (problem.pull - problem.stiffness * u) / unit
+        )
+
+    def _within(self, u: FloatArray, hessian: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return the minimum of a quadratic function within the limits, by freezing."""
+        low, high = (self._lower - u) / self.range, (self._upper - u) / self.range
+        step = np.zeros_like(u)
+        free = ~((low >= 0.0) & (slope < 0.0) | (high <= 0.0) & (slope > 0.0))
+        while free.any():
+            rows = hessian[free]
+            given = slope[free] - rows[:, ~free] @ step[~free]
+            step[free] = np.linalg.solve(rows[:, free], given)
+            beyond = free & ((step < low) | (step > high))
+            if not beyond.any():
+                break
+            step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
+            free &= ~beyond
+        found: FloatArray = np.clip(u + step * self.range, self._lower, self._upper)
+        return found
+
+
+def _opened(distance: float) -> float:
+    """Return how far a person's tips are apart, 0 to 1."""
+    return min(1.0, max(0.0, (distance - TOUCHING) / (APART - TOUCHING)))
+
 
 _LOST: Final = 0.5
 """Time without points after which the hand counts as newly found [s]."""

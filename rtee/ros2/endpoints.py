@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 import logging
+import math
 import threading
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
+import anyio
 import zenoh
 from zenoh import ext
 
-from rtee.errors import MessageError
+from rtee.errors import MessageError, RteeError
 from rtee.remote.session import direct
 from rtee.ros2 import attachments
 from rtee.ros2.attachments import Attachment
-from rtee.ros2.inbox import Inbox
-from rtee.ros2.keys import Entity
+from rtee.ros2.inbox import Inbox, Limit
+from rtee.ros2.keys import Entity, Kind
 from rtee.ros2.message import Message
 from rtee.ros2.participant import Participant
 from rtee.ros2.qos import History, Qos
-from rtee.ros2.types import TopicType
+from rtee.ros2.types import ServiceType, TopicType
 
 log = logging.getLogger(__name__)
 
@@ -229,3 +234,291 @@ class Subscription:
         # The token first, as for a publisher.
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self._subscriber.undeclare()
+
+
+__all__ = ["Client", "Service"]  # `fields_handler` serves only the other modules of this room
+
+
+_MOST_WAITING = 100
+"""Most requests that wait for their turn; further ones are dropped, and their clients time out."""
+
+_MOST_A_SECOND = 200
+"""Most requests of a service per second: tools send some dozen, and each takes 0.2 ms of the
+interpreter, which the hand's loop needs, too."""
+
+FOREVER = 86_400.0 * 365
+"""Timeout of a query without one [s]: a year, since Zenoh has no infinite timeout."""
+
+Handler = Callable[[Any], Awaitable[Any]]
+"""Returns the response to a request of a service."""
+
+
+def fields_handler(
+    service: ServiceType, handler: Callable[[Any], Awaitable[dict[str, Any]]]
+) -> Handler:
+    """Return the handler of a service for a function that returns the response's fields."""
+
+    async def handle(request: Any) -> Message:
+        return service.response(**await handler(request))
+
+    return handle
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request before decoding, with its query, which ends when the last reference is dropped."""
+
+    query: zenoh.Query
+    payload: bytes
+    attachment: Attachment
+
+
+class Service:
+    """A service; made by `rtee.ros2.node.Node.service`.
+
+    Attributes:
+        type: Its type.
+        name: Its fully qualified name.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        entity: Entity,
+        key: str,
+        kind: ServiceType,
+        handler: Handler,
+        at_once: int,
+    ) -> None:
+        self.type, self.name = kind, entity.topic
+        self._participant, self._key, self._handler, self._most = participant, key, handler, at_once
+        self._under_way: set[tuple[bytes, int]] = set()
+        self._waiting: deque[_Asked] = deque()
+        self._closed = False
+        self._limit = Limit(_MOST_A_SECOND)
+        self._inbox: Inbox[_Asked] = Inbox(
+            self._take, _MOST_WAITING, keep_newest=False, dropped=self._too_many
+        )
+        # Complete, since clients of rmw_zenoh query only complete queryables.
+        self._queryable = participant.session.declare_queryable(
+            key, direct(self._on_query), complete=True
+        )
+        # Last, so that a client that sees the service in the graph can call it.
+        self._token = participant.session.liveliness().declare_token(entity.token)
+
+    @property
+    def _nothing(self) -> Message:
+        """The response without a value in any field."""
+        made: Message = self.type.response.from_dict({})
+        return made
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Log an error that is raised inside."""
+        try:
+            yield
+        except RteeError as error:
+            self._participant.warning_log.tell(f"a request of {self.name} fails", str(error))
+        except Exception:
+            log.exception("the service %s failed", self.name)
+
+    def _drop(self, why: str) -> None:
+        self._participant.warning_log.tell(f"a request of {self.name} is dropped", why)
+
+    def _too_many(self) -> None:
+        self._participant.warning_log.tell(
+            f"requests of {self.name} are dropped", "too many at once"
+        )
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        # First, so that refusing a flood of requests costs little.
+        if not self._limit.passes():
+            self._too_many()
+            return
+        try:
+            attachment = attachments.decode(query.attachment)
+            payload = query.payload
+            if payload is None or not 0 < len(payload) <= LONGEST:
+                length = 0 if payload is None else len(payload)
+                raise MessageError(f"{length} bytes are not a {self.type.request.STRUCTURE.name}")
+        except MessageError as error:
+            self._drop(str(error))
+            return
+        self._inbox.put(_Asked(query, bytes(payload), attachment))
+
+    def _take(self, received: _Asked) -> None:
+        if len(self._under_way) >= self._most:
+            if len(self._waiting) >= _MOST_WAITING:
+                self._too_many()
+            else:
+                self._waiting.append(received)
+            return
+        self._begin(received)
+
+    def _begin(self, received: _Asked) -> None:
+        number = (received.attachment.gid, received.attachment.sequence)
+        # A client matches answers by this number, so it could not tell the second from the first.
+        if number in self._under_way:
+            self._drop("its number is that of a request which is not answered yet")
+            return
+        try:
+            request = self.type.request.decode(received.payload)
+        except MessageError as error:
+            self._drop(str(error))
+            self._reply(received, self._nothing)
+            return
+        self._under_way.add(number)
+        self._participant.start(self._answer(received, number, request))
+
+    async def _answer(self, received: _Asked, number: tuple[bytes, int], request: Any) -> None:
+        # ROS 2 has no error responses, and its clients wait without end: they get an empty one.
+        response = self._nothing
+        try:
+            with self._told():
+                response = await self._handler(request)
+            with self._told():
+                # The handler may take any time, and the queryable may be gone by then.
+                if not self._closed:
+                    self._reply(received, response)
+        finally:
+            self._under_way.discard(number)
+            # A loop, since a request that `_begin` refuses makes room for the next one.
+            while self._waiting and len(self._under_way) < self._most:
+                self._begin(self._waiting.popleft())
+
+    def _reply(self, received: _Asked, response: Any) -> None:
+        if not isinstance(response, self.type.response):
+            raise MessageError(f"{self.type.response.STRUCTURE.name} expected, not {response!r}")
+        attachment = attachments.encode(
+            received.attachment.sequence, time.time_ns(), received.attachment.gid
+        )
+        # Leaving the context ends the query at once instead of at garbage collection.
+        with received.query as query:
+            query.reply(self._key, response.encode(), attachment=attachment)
+
+    def close(self) -> None:
+        """Drop the waiting requests, and leave the graph."""
+        self._closed = True
+        self._inbox.close()
+        self._waiting.clear()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Client:
+    """A client of a service; made by `rtee.ros2.node.Node.client`.
+
+    Attributes:
+        type: Type of the service.
+        name: Fully qualified name of the service.
+    """
+
+    def __init__(
+        self, participant: Participant, entity: Entity, key: str, kind: ServiceType
+    ) -> None:
+        self.type, self.name = kind, entity.topic
+        self._participant, self._key = participant, key
+        self._gid = attachments.gid(entity.token)
+        self._asked = 0
+        self._lock = threading.Lock()
+        self._token = participant.session.liveliness().declare_token(entity.token)
+
+    @property
+    def available(self) -> bool:
+        """Whether any node offers the service."""
+        return bool(self._participant.graph.of(Kind.SERVICE, self.name, self.type.name))
+
+    async def wait(self, timeout: float = math.inf) -> None:
+        """Wait until a node offers the service.
+
+        Args:
+            timeout: Longest time to wait [s].
+
+        Raises:
+            TimeoutError: if no node does by then.
+        """
+        with anyio.move_on_after(timeout) as scope:
+            await self._participant.graph.wait_until(lambda: self.available)
+            await self._answerable()
+        if scope.cancelled_caught:
+            raise TimeoutError(f"no node offers the service {self.name} ({self.type.name})")
+
+    async def _answerable(self) -> None:
+        """Wait for the queryable: before it, where its token came first, a call ends at once."""
+        loop, there = asyncio.get_running_loop(), asyncio.Event()
+
+        def note(status: Any) -> None:
+            if status.matching:
+                loop.call_soon_threadsafe(there.set)
+
+        with self._participant.session.declare_querier(
+            self._key, target=zenoh.QueryTarget.ALL_COMPLETE
+        ) as querier:
+            querier.declare_matching_listener(direct(note))
+            if not getattr(querier.matching_status, "matching", True):
+                await there.wait()
+
+    async def call(self, request: Message, timeout: float = 5.0) -> Any:
+        """Call the service and return its response.
+
+        Args:
+            request: The request.
+            timeout: Longest time until the response [s]; may be infinite.
+
+        Raises:
+            TimeoutError: if there is no response.
+            MessageError: if a value of the request does not fit its field, or the response is
+                malformed.
+        """
+        if not isinstance(request, self.type.request):
+            raise MessageError(f"{self.type.request.STRUCTURE.name} expected, not {request!r}")
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[bytes] = loop.create_future()
+
+        def settle(payload: bytes | None) -> None:
+            # After a timeout, or at the end of a query that has been answered.
+            if answer.done():
+                return
+            if payload is None:
+                # Zenoh's end of the query, not the timeout below: no server, or one that gave no
+                # response.
+                answer.set_exception(TimeoutError(f"the service {self.name} does not answer"))
+            else:
+                answer.set_result(payload)
+
+        def hand_over(payload: bytes | None) -> None:
+            try:
+                loop.call_soon_threadsafe(settle, payload)
+            except RuntimeError:  # the event loop is closed
+                pass
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None and len(reply.ok.payload) <= LONGEST:
+                hand_over(bytes(reply.ok.payload))
+
+        payload, token = request.encode(), zenoh.CancellationToken()
+        with self._lock:
+            self._asked += 1
+            attachment = attachments.encode(self._asked, time.time_ns(), self._gid)
+        self._participant.session.get(
+            self._key,
+            direct(on_reply, lambda: hand_over(None)),
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            # With consolidation, Zenoh would hold the response back until the query ends.
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=min(timeout, FOREVER),
+            payload=payload,
+            attachment=attachment,
+            cancellation_token=token,
+        )
+        try:
+            with anyio.move_on_after(timeout):
+                return self.type.response.decode(await answer)
+            raise TimeoutError(f"the service {self.name} does not answer")
+        finally:
+            # An abandoned query would stay open until its timeout, up to a year.
+            token.cancel()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._token.undeclare()  # type: ignore[no-untyped-call]

@@ -10,15 +10,18 @@ from typing import Any
 
 from rtee.actions.naming import normalise, snake_case
 from rtee.actions.types import Action, ActionKind, kind_of
-from rtee.errors import NoHand, RteeError
+from rtee.errors import MessageError, NoHand, RteeError
+from rtee.messages.schema import full_name
 from rtee.remote.action_client import PLANNED_WITHIN
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.words import sentence
+from rtee.ros2.endpoints import Service
 from rtee.ros2.message import Message
+from rtee.ros2.node import Node
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.served_hand import Part, ServedHand
-from rtee.ros2.services import Service
 from rtee.ros2.topics import ros_name
+from rtee.ros2.types import referred
 from rtee.types import Result
 
 log = logging.getLogger(__name__)
@@ -251,3 +254,50 @@ async def _with(
     """Return a response with the fields that a handler returns."""
     made: Message = response.from_dict(await handler(request))
     return made
+
+
+_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
+_MESSAGES = "type_description_interfaces/msg"
+
+NO_SERVICE = frozenset({"humble"})
+"""Distributions whose nodes do not have the service."""
+
+
+class TypeDescriptions:
+    """Answers ``~/get_type_description`` of a node.
+
+    Args:
+        node: The node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._interfaces = node.context.interfaces
+        self._type = self._interfaces.service(_SERVICE)
+        if self._interfaces.distro not in NO_SERVICE:
+            node.service("~/get_type_description", self._type, self._answer)
+
+    async def _answer(self, request: Any) -> Message:
+        try:
+            name = full_name(request.type_name)
+            if request.type_hash not in {"", self._interfaces.hash(name)}:
+                raise MessageError(f"'{name}' has another hash here: {self._interfaces.hash(name)}")
+            tree = self._interfaces.description(name)
+        except MessageError as error:
+            return self._type.response(failure_reason=str(error))
+        # The tree has the names of the message's fields.
+        described = self._interfaces.message(f"{_MESSAGES}/TypeDescription").from_dict(tree)
+        sources = self._sources(name) if request.include_type_sources else []
+        return self._type.response(
+            successful=True, type_description=described, type_sources=sources
+        )
+
+    def _sources(self, name: str) -> list[Message]:
+        structure = self._interfaces.structure(name)
+        source = self._interfaces.message(f"{_MESSAGES}/TypeSource")
+        sources = []
+        for each in (structure, *referred(structure)):
+            text = self._interfaces.texts.get(each.name)
+            # Parts derived from a service or action have no definition of their own.
+            kind = each.name.split("/")[1] if text is not None else "implicit"
+            sources.append(source(type_name=each.name, encoding=kind, raw_file_contents=text or ""))
+        return sources

@@ -19,11 +19,10 @@ from rtee.errors import NoRouter, needing_extra
 from rtee.hand.config_schema import Ros2Settings
 from rtee.remote.connections import disable_linger
 from rtee.remote.session import close_session
-from rtee.ros2.endpoints import LONGEST, Callback, Publisher, Subscription
+from rtee.ros2.endpoints import LONGEST, Callback, Client, Handler, Publisher, Service, Subscription
 from rtee.ros2.keys import Entity, Kind, NodeName, key_expression, node_name
 from rtee.ros2.participant import Participant
 from rtee.ros2.qos import DEFAULT, Qos
-from rtee.ros2.services import Client, Handler, Service
 from rtee.ros2.session import (
     configuration,
     domain_of,

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from rtee.errors import RteeError
+from rtee.ros2.endpoints import fields_handler
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node
 from rtee.ros2.qos import PARAMETERS
-from rtee.ros2.services import fields_handler
 
 Value = bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str]
 """Types of a parameter's value."""

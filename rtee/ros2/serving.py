@@ -18,17 +18,15 @@ from rtee.remote.client import RemoteHand, connect
 from rtee.remote.model import model_of
 from rtee.remote.session import LOCAL, TLS, is_safe
 from rtee.ros2.diagnostics import Diagnostics
-from rtee.ros2.grasp_action import GraspAction
 from rtee.ros2.grip_actions import Gripper
-from rtee.ros2.hand_services import Services
+from rtee.ros2.hand_goals import GraspAction
+from rtee.ros2.hand_services import Services, TypeDescriptions
 from rtee.ros2.keys import node_name
 from rtee.ros2.node import Context
-from rtee.ros2.ros_end_effector import RosEndEffector
-from rtee.ros2.ros_end_effector_action import ActionCommand
+from rtee.ros2.ros_end_effector import ActionCommand, RosEndEffector
 from rtee.ros2.served_hand import Part, ServedHand
 from rtee.ros2.setpoints import Setpoints
 from rtee.ros2.topics import Topics, ros_name
-from rtee.ros2.type_descriptions import TypeDescriptions
 
 log = logging.getLogger(__name__)
 

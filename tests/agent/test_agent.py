@@ -25,7 +25,7 @@ from rtee_process import RTEE
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.agent.agent import Agent
-from rtee.agent.server import serving as offered
+from rtee.agent.tools import serving as offered
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.config_schema import AgentSettings, Gate
 from rtee.hand.model import Hand

@@ -167,8 +167,8 @@ def test_every_type_in_a_public_signature_is_documented_or_held_as_provisional()
 def test_the_signatures_are_really_read() -> None:
     from rtee.drivers.base import Driver
     from rtee.remote.client import RemoteHand
+    from rtee.remote.goal import RunningGoal
     from rtee.remote.hand_info import HandInfo
-    from rtee.remote.running_goal import RunningGoal
 
     def of(thing: type) -> set[type]:
         return {k for owner, notes in _signatures(thing) for k in _spoken_of(owner, notes)}

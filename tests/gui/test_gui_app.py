@@ -48,7 +48,7 @@ from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote import credentials
 from rtee.remote.client import RemoteHand
-from rtee.remote.running_goal import RunningGoal
+from rtee.remote.goal import RunningGoal
 from rtee.remote.truth import Truth
 from rtee.types import Event, Goal, Lifecycle, Named, Result
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from rtee.errors import MissingExtra, ModelError
-from rtee.gui.shapes import link_triangles
+from rtee.gui.scene import link_triangles
 from rtee.hand.catalog import hand_names
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand, load_model

@@ -12,7 +12,7 @@ import pytest
 import viser
 from remote.serving import make_hand, make_library, serving
 
-from rtee.gui.start import Cards
+from rtee.gui.app import Cards
 from rtee.remote.fleet import HandAddress, following
 
 pytestmark = pytest.mark.anyio

@@ -10,10 +10,9 @@ import pytest
 import viser
 
 from rtee.gui.history import TouchHistory
-from rtee.gui.panels.touch import TouchPanel
+from rtee.gui.panels.plots import TouchPanel
 from rtee.gui.playback import Playback
-from rtee.gui.scene import HandScene
-from rtee.gui.taxels import shades
+from rtee.gui.scene import HandScene, shades
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log.recording import ActuatorSeries, JointSeries, Recording, TouchSeries

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("viser")
 
 from rtee.gui.history import TouchHistory
-from rtee.gui.panels.touch import TouchPanel
+from rtee.gui.panels.plots import TouchPanel
 
 
 def state(device: str, stamp: float) -> Any:

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from rtee.errors import ConfigError, RequestRejected
-from rtee.gui.jobs import Jobs
-from rtee.gui.panels.trying import folder_of, number, shape_text
-from rtee.gui.simulated_object import arrows_of, strongest
+from rtee.gui.panels.trying import Jobs, folder_of, number, shape_text
+from rtee.gui.scene import arrows_of, strongest
 from rtee.gui.trial_results import Tried, object_name, rate, verdict
 from rtee.hand.load import load_hand
 from rtee.objects.table import Table

@@ -12,7 +12,7 @@ from hand.robots import Robot, jaws
 from rtee.cli.main import main
 from rtee.errors import ModelError
 from rtee.exchange.mjcf_import import import_mjcf
-from rtee.gui.shapes import link_triangles
+from rtee.gui.scene import link_triangles
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_model
 from rtee.hand.srdf import read_srdf

@@ -17,9 +17,8 @@ from rtee.actions.library import ActionLibrary
 from rtee.cli import _common
 from rtee.cli._common import app_of
 from rtee.cli.define import compose
-from rtee.cli.do import do
+from rtee.cli.do import do, touch
 from rtee.cli.do import open_ as open
-from rtee.cli.grasp import touch
 from rtee.cli.log import mark
 from rtee.cli.state import state
 from rtee.cli.status import status

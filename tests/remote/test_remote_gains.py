@@ -9,8 +9,7 @@ import anyio.from_thread
 import pytest
 
 from rtee.actions.library import ActionLibrary
-from rtee.cli.gains import gains
-from rtee.cli.info import info
+from rtee.cli.status import gains, info
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 

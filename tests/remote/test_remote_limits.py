@@ -23,10 +23,10 @@ from rtee.messages.requests import HERE, REQUESTS, Role, inbox_key
 from rtee.remote import command_handlers, query_handlers, rates, server
 from rtee.remote.call_queue import DelayQueue
 from rtee.remote.identities import _MOST_WAITING, Admitted, Identities
-from rtee.remote.inboxes import _Inbox
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.publishing import MOST_STREAMS
 from rtee.remote.rates import REFUSALS, Ignored, Rates
+from rtee.remote.server import _Inbox
 from rtee.remote.session import LARGEST, direct, open_client
 
 from .serving import LASTING, serving, until

@@ -28,13 +28,12 @@ from rtee.messages.requests import HERE, REQUESTS
 from rtee.messages.schema import message_type
 from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
-from rtee.remote.call_queue import CallQueue
+from rtee.remote.call_queue import CallQueue, LoopThread
 from rtee.remote.directory import running, runtime_folder
 from rtee.remote.hand_info import info_fields, info_of
 from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.lease import IDLE, JOGGING, Lease
-from rtee.remote.loop_thread import LoopThread
 
 from .serving import announced
 

@@ -160,7 +160,7 @@ async def test_however_a_call_ends_its_goal_ends(
     way: str,
 ) -> None:
     """A cancellation that got no answer was not repeated, and the goal went on without a caller."""
-    monkeypatch.setattr("rtee.remote.running_goal._CANCEL_AGAIN", 0.01)
+    monkeypatch.setattr("rtee.remote.goal._CANCEL_AGAIN", 0.01)
     async with serving(hand, library) as served, rtee.connect() as remote:
         link = Lossy(remote._link, 3, how)
         goals = GoalClient(link, remote.info)  # type: ignore[arg-type]
@@ -184,8 +184,8 @@ async def test_however_a_call_ends_its_goal_ends(
 async def test_a_call_does_not_wait_for_ever_for_its_cancellation(
     hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rtee.remote.running_goal.ANSWER_WITHIN", 0.05)
-    monkeypatch.setattr("rtee.remote.running_goal._CANCEL_AGAIN", 0.01)
+    monkeypatch.setattr("rtee.remote.goal.ANSWER_WITHIN", 0.05)
+    monkeypatch.setattr("rtee.remote.goal._CANCEL_AGAIN", 0.01)
     async with serving(hand, library) as served, rtee.connect() as remote:
         link = Lossy(remote._link, 10**9, NoHand)
         goals = GoalClient(link, remote.info)  # type: ignore[arg-type]
@@ -198,7 +198,7 @@ async def test_a_call_does_not_wait_for_ever_for_its_cancellation(
         await until(lambda: not goals._running._cancelling)
         # Nobody repeats it once the link is lost, or for ever.
         link.losses = 10**9
-        monkeypatch.setattr("rtee.remote.running_goal._CANCEL_FOR", 0.05)
+        monkeypatch.setattr("rtee.remote.goal._CANCEL_FOR", 0.05)
         await goals._running.give_up("another")
         await until(lambda: not goals._running._cancelling)
         monkeypatch.undo()

@@ -26,9 +26,8 @@ from rtee.ros2 import interfaces
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import ActionOutcome, GoalState, Refusal
 from rtee.ros2.diagnosis import check_graph
-from rtee.ros2.grasp_action import goal_in
 from rtee.ros2.grip_actions import GripCommand, is_stalled, joint_goal, joint_of
-from rtee.ros2.hand_goals import reason_of, state_of
+from rtee.ros2.hand_goals import goal_in, reason_of, state_of
 from rtee.ros2.serving import Shown
 from rtee.types import Aim, Force, Intensity, Named, Opening, Result
 

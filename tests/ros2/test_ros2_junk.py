@@ -14,7 +14,7 @@ import pytest
 import zenoh
 
 from rtee.hand.config_schema import Ros2Settings
-from rtee.ros2 import Context, attachments, graph, services
+from rtee.ros2 import Context, attachments, endpoints, participant
 from rtee.ros2.endpoints import LONGEST
 from rtee.ros2.inbox import Inbox, Limit, WarningLog
 
@@ -155,7 +155,7 @@ async def test_too_many_requests_are_dropped_and_told_once(
         await until(lambda: len(ended) == asked)  # dropped ones end at once: nothing is kept
         assert max(most) <= 3
         assert context.warning_log.count["requests of /slow are dropped"] >= asked - len(most) - 1
-        assert len(most) >= services._MOST_WAITING
+        assert len(most) >= endpoints._MOST_WAITING
     assert len([text for text in warnings(caplog) if "too many at once" in text]) == 1
 
 
@@ -178,7 +178,7 @@ async def test_nodes_that_come_and_go_leave_nothing(
             while tokens:
                 tokens.pop().undeclare()
             await context.graph.wait_until(lambda: not context.graph._tokens)
-        monkeypatch.setattr(graph, "MOST", 10)
+        monkeypatch.setattr(participant, "MOST", 10)
         tokens = [liveliness.declare_token(f"@ros2_lv/0/b/{n}/{n}/NN/%/%/n") for n in range(50)]
         await until(lambda: "entities of the ROS graph are left out" in context.warning_log.count)
         assert len(context.graph._tokens) == 10

@@ -14,10 +14,10 @@ import zenoh
 from rtee.errors import ConfigError, MessageError, MissingExtra, NoRouter
 from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.ros2 import LATCHED, Context, attachments
+from rtee.ros2.hand_services import TypeDescriptions
 from rtee.ros2.keys import Kind
 from rtee.ros2.parameters import Parameter, Parameters
 from rtee.ros2.session import configuration, domain_of, router_attempts
-from rtee.ros2.type_descriptions import TypeDescriptions
 
 from .conftest import free_endpoint, open_router
 

@@ -23,7 +23,7 @@ from rtee.remote.client import connect
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import ActionOutcome, GoalState
 from rtee.ros2.serving import Shown
-from rtee.ros2.trajectory_action import Code
+from rtee.ros2.setpoints import Code
 
 from .facing import Robot, a_hand_in_ros, facing
 from .facing import robot as robot_of

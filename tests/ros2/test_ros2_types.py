@@ -11,9 +11,8 @@ import pytest
 
 from rtee.errors import MessageError
 from rtee.messages.schema import Field, Many, MessageType, parse
-from rtee.ros2.hashes import type_hash
 from rtee.ros2.message import Message, message_class
-from rtee.ros2.types import Interfaces, interfaces, split
+from rtee.ros2.types import Interfaces, interfaces, split, type_hash
 
 HASHES = [line.split() for line in Path(__file__).with_name("hashes.txt").read_text().splitlines()]
 """Names and hashes of types, as rosidl's generated headers and public documents have them."""

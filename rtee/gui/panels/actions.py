@@ -3,21 +3,485 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from html import escape
 from typing import Final
 
-from rtee.actions.types import Action, ActionKind, kind_of
+import viser
+
+from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive, Timed, kind_of
 from rtee.gui.bridge import Bridge
-from rtee.gui.panels.cards import Card, Show
 from rtee.gui.panels.execution import Execution
-from rtee.gui.trial_results import Tried
-from rtee.gui.wording import JOINED, offer
+from rtee.gui.trial_results import Tried, key_of, object_name, verdict
+from rtee.gui.trial_results import line as tried_line
+from rtee.gui.trial_results import table as tried_table
+from rtee.gui.wording import JOINED, described, mark, offer, small
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
-from rtee.remote.goal_values import grasp_goal
+from rtee.remote.goal_values import GoalOptions, grasp_goal, touch_goal
 from rtee.remote.openings import OpeningRange
 from rtee.trials.result import TrialResult
+from rtee.types import OnContact, Stage
+
+Show = Callable[[Posture | None, float, Evidence | None], None]
+"""Shows a posture at an intensity as a ghost, with the contact; ``None`` hides the ghost."""
+
+_STAGES = {
+    "to the grasp": Stage.BOTH,
+    "to just before contact": Stage.PRE_GRASP,
+    "from contact to grasp": Stage.GRASP,
+}
+"""Stages of a pinch by their labels."""
+
+_CROWDED = 85
+"""Intensity from which on the contact's label would run into the number beside the slider [%]."""
+
+_FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as the effort allows"
+
+
+class Card:
+    """One action, or all primitives of one name; `words` is what the search is compared with."""
+
+    def __init__(
+        self,
+        bridge: Bridge,
+        hand: RemoteHand,
+        actions: Sequence[Action],
+        show: Show,
+        *,
+        expanded: bool,
+        order: float,
+        remark: Callable[[Action], str] = lambda action: "",
+        fingers: Callable[[Action], Sequence[str]] = lambda action: action.fingers,
+    ) -> None:
+        """Add the card of the primitives of one name, or of one other action.
+
+        ``show`` shows a posture as a ghost. ``remark`` returns a remark about an action, or ``""``,
+        and ``fingers`` the fingers that it moves.
+        """
+        self.name = actions[0].name
+        self._bridge = bridge
+        self._hand = hand
+        self._actions = tuple(actions)
+        self._show = show
+        self._previewing = False
+        self._choice: viser.GuiDropdownHandle[str] | None = None
+        self._stage: viser.GuiDropdownHandle[str] | None = None
+        self._contact: float | None = None
+        self._tried = Tried()
+        self._openings: dict[tuple[str, tuple[str, ...]], OpeningRange] = {}
+        # The slider moved last decides: the opening, or else the intensity.
+        self._by_opening = False
+        self._remark = remark
+        self._fingers = fingers
+        gui = bridge.stage.gui
+        self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
+        with self._folder:
+            self._describe(gui)
+            self._slider = self._make_slider(gui)
+            self._buttons = gui.add_button_group(
+                "",
+                ("Run", "Preview") if bridge.may(Role.OPERATOR) else ("Preview",),
+                hint="Run: execute it. Preview: show where it leads",
+                order=2,
+            )
+            self._trials = gui.add_html("", visible=False, order=6)
+            with gui.add_folder("More", expand_by_default=False, order=7):
+                self._make_opening(gui)
+                self._add_more(gui)
+            first = self._actions[0]
+            steps = first.steps if isinstance(first, Timed) else ()
+            self._execution = Execution(bridge, hand, steps, self._asked)
+            self.fade = self._execution.fade
+        self._buttons.on_click(self._clicked)
+        self._command = gui.add_command(
+            f"Run {self.name}", description="Execute it as it is set in its card"
+        )
+        bridge.need(Role.OPERATOR, self._touch, self._command)
+        self._command.on_trigger(lambda _: self._begin())
+        elements = [element for action in actions for element in action.elements]
+        self.words = " ".join((self.name, *elements)).lower()
+
+    def _describe(self, gui: viser.GuiApi) -> None:
+        action = self._actions[0]
+        match action:
+            case Primitive():
+                noun, several = action.kind.noun, "s" * (len(action.elements) > 1)
+                self._choice = gui.add_dropdown(
+                    f"{noun}{several}".capitalize(),
+                    tuple(JOINED.join(a.elements) for a in self._actions),
+                    hint=f"The {noun}{several} that the action is done with",
+                    disabled=len(self._actions) == 1,
+                    order=0,
+                )
+                self._choice.on_update(lambda _: self._on_choice())
+                self._remark_line = gui.add_html("", visible=False, order=0.5)
+                self._show_remark()
+            case Timed():
+                pass  # its steps are listed below, with their progress
+            case _ if action.uses:
+                gui.add_html(small(" + ".join(escape(described(u)) for u in action.uses)), order=0)
+            case _:
+                moved = ", ".join(escape(name) for name in action.posture.involved)
+                gui.add_html(small(f"moves {moved}"), order=0)
+
+    def _contact_marks(self) -> Sequence[tuple[float, str]]:
+        return () if self._contact is None else (_contact_mark(round(100 * self._contact)),)
+
+    def _make_slider(self, gui: viser.GuiApi) -> viser.GuiSliderHandle[int]:
+        self._contact = None if self.evidence is None else self.evidence.contact_at
+        slider = gui.add_slider(
+            "Intensity [%]",
+            0,
+            100,
+            1,
+            100,
+            hint="How far it goes [%]: 0 is the rest posture, 100 the action's; "
+            "the mark is where the tips touch",
+            visible=not isinstance(self._actions[0], Timed),
+            order=1,
+        )
+        mark(slider, *self._contact_marks())
+        slider.on_update(self._on_intensity)
+        return slider
+
+    def _make_opening(self, gui: viser.GuiApi) -> None:
+        self._width = gui.add_slider(
+            "Opening [mm]",
+            0.0,
+            1.0,
+            0.1,
+            0.0,
+            hint="How far the fingertips are to be apart [mm]; the last that was moved, this or "
+            "the intensity, is what the action is done with",
+            visible=False,
+            order=1.2,
+        )
+        self._force = gui.add_slider(
+            "Force [N]", 0.0, 1.0, 0.1, 0.0, hint=_FORCE_HINT, visible=False, order=1.4
+        )
+        self._forces = gui.add_html("", visible=False, order=1.5)
+        self._width.on_update(self._on_width)
+        self._force.on_update(self._on_force)
+
+    def _add_more(self, gui: viser.GuiApi) -> None:
+        self._speed = gui.add_slider(
+            "Speed [%]", 5, 100, 5, 100, hint="Percentage of the hand's velocity limits [%]"
+        )
+        self._effort = gui.add_slider(
+            "Effort [%]", 5, 100, 5, 100, hint="Percentage of the actuators' effort limits [%]"
+        )
+        # Only a pinch whose contact is known has a posture just before it.
+        if self._contact is not None:
+            self._stage = gui.add_dropdown(
+                "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
+            )
+        self._contacts = ContactChoice(gui, self._fingers(self.action))
+        self._touch = gui.add_button(
+            "Close until contact",
+            hint="Close slowly until the first contact, and stop there",
+            visible=not isinstance(self._actions[0], Timed),
+        )
+        self._touch.on_click(self._bridge.clicked(self._close_to_touch))
+
+    # --- millimetres and newtons
+
+    def show_openings(self, openings: Mapping[tuple[str, tuple[str, ...]], OpeningRange]) -> None:
+        """Offer the openings and forces that goals may ask for, by action and elements."""
+        self._openings = dict(openings)
+        self._show_opening()
+
+    @property
+    def _opening(self) -> OpeningRange | None:
+        return self._openings.get(key_of(self.action))
+
+    def _show_opening(self) -> None:
+        opening = self._opening
+        self._width.visible = self._force.visible = opening is not None
+        if opening is None:
+            self._by_opening = False
+            self._show_forces()
+            return
+        # Round inwards to 0.1 mm, so that the hand refuses neither end; 1e-6 of that absorbs
+        # errors of the multiplication.
+        self._width.min = math.ceil(opening.narrowest * 1e4 - 1e-6) / 10.0
+        self._width.max = math.floor(opening.widest * 1e4 + 1e-6) / 10.0
+        self._follow_intensity()
+
+    def _show_forces(self) -> None:
+        """Offer the forces that goals may ask for at the opening that is shown."""
+        opening = self._opening
+        self._forces.visible = opening is not None
+        if opening is None:
+            self._contacts.limit(0.0)
+            return
+        width = float(self._width.value)
+        low, high = opening.forces_at(width / 1e3)
+        # Round inwards to 0.1 N, so that the hand refuses neither end.
+        low, high = math.ceil(low * 10.0) / 10.0, math.floor(high * 10.0) / 10.0
+        self._contacts.limit(high)
+        self._force.disabled = high <= 0.0
+        if high <= 0.0:
+            self._force.value = 0.0
+            reason = opening.unlimited or f"no force can be limited at {width:g} mm"
+            self._forces.content = small(escape(reason))
+            return
+        self._force.max = high
+        self._force.value = min(float(self._force.value), high)
+        self._forces.content = small(f"{low:g} to {high:g} N at {width:g} mm")
+
+    def _follow_intensity(self) -> None:
+        """Set the slider moved less recently, opening or intensity, from the other one."""
+        opening = self._opening
+        if opening is None:
+            return
+        if self._by_opening:
+            width = min(max(float(self._width.value), self._width.min), self._width.max)
+            self._slider.value = round(100.0 * opening.intensity_at(width / 1e3))
+        else:
+            width = round(1e3 * opening.at(self._slider.value / 100.0), 1)
+            width = min(max(width, self._width.min), self._width.max)
+        self._width.value = width
+        self._show_forces()
+
+    async def _on_intensity(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:  # moved by a person, not by the other slider
+            self._by_opening = False
+            self._force.value = 0.0  # a goal takes a force only together with an opening
+            self._follow_intensity()
+        self._preview_if_shown()
+
+    async def _on_width(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._by_opening = True
+            self._follow_intensity()
+            self._preview_if_shown()
+
+    async def _on_force(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._by_opening = True
+
+    # --- the choice
+
+    @property
+    def action(self) -> Action:
+        """The chosen action."""
+        if self._choice is None:
+            return self._actions[0]
+        at: int = self._choice.options.index(self._choice.value)
+        return self._actions[at]
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """The evidence of the chosen action, if it has any."""
+        return next(iter(self.action.evidence), None)
+
+    def _on_choice(self) -> None:
+        evidence = self.evidence
+        contact = None if evidence is None else evidence.contact_at
+        if contact != self._contact:
+            self._contact = contact
+            mark(self._slider, *self._contact_marks())
+        self._contacts.offer(self._fingers(self.action))
+        self._show_opening()
+        self._show_remark()
+        self._show_tried()
+        self._preview_if_shown()
+
+    def _show_remark(self) -> None:
+        remark = self._remark(self.action)
+        self._remark_line.content = small(escape(remark))
+        self._remark_line.visible = bool(remark)
+
+    def show_trials(self, tried: Tried) -> None:
+        """Show the results of trials of the action."""
+        self._tried = tried
+        self._show_tried()
+
+    def _show_tried(self) -> None:
+        results = self._tried.results.get(key_of(self.action), ())
+        own = self._tried.own.get(key_of(self.action), ())
+        html = ""
+        if results:
+            outdated = any(result.trial.key in self._tried.outdated for result in results)
+            title = "Of the objects it was tried on in simulation (rtee try --all)"
+            if outdated:
+                title += "; the hand, this action, or how trials are made, has changed since: try"
+                title += " them again"
+            summary = tried_line(results, outdated=outdated)
+            html = small(
+                f'<details><summary title="{title}">{summary}</summary>'
+                f"{tried_table(results)}</details>"
+            )
+        for result in reversed(own):
+            summary = escape(f"{object_name(result.trial.object)}: {verdict(result)}")
+            html += small(f"Tried now: {summary}")
+        self._trials.content = html
+        self._trials.visible = bool(results or own)
+
+    # --- clicks
+
+    async def _clicked(self, event: viser.GuiEvent) -> None:
+        match str(event.target.value):
+            case "Run":
+                self._begin()
+            case _:
+                self._previewing = not self._previewing
+                self._preview_if_shown(hide=True)
+
+    def _begin(self) -> None:
+        self._bridge.call(self._do)  # first, so that drawing does not delay the hand
+        self._previewing = False
+        self._show(None, 0.0, self.evidence)
+
+    def _preview_if_shown(self, *, hide: bool = False) -> None:
+        if self._previewing:
+            intensity = self._slider.value / 100.0
+            if self._by_opening and self._opening is not None:
+                intensity = self._opening.intensity_at(float(self._width.value) / 1e3)
+            self._show(self.action.waypoints[-1], intensity, self.evidence)
+        elif hide:
+            self._show(None, 0.0, None)
+
+    def _asked(self) -> tuple[Action, GoalOptions, float]:
+        """Return the action, its options, and the share of the effort limits set on the card."""
+        options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
+        if self._by_opening:
+            options = GoalOptions(
+                opening=float(self._width.value) / 1e3, speed=self._speed.value / 100.0
+            )
+            if self._force.value > 0.0:
+                options["force"] = float(self._force.value)
+        elif self._stage is not None:
+            options["stage"] = _STAGES[str(self._stage.value)]
+        self._contacts.add_to(options)
+        # The hand derives the effort from a force, and refuses both together.
+        effort = 1.0 if "force" in options else self._effort.value / 100.0
+        return self.action, options, effort
+
+    async def _do(self) -> None:
+        await self._execution.do(*self._asked())
+
+    async def _close_to_touch(self) -> None:
+        name, elements = key_of(self.action)
+        goal = touch_goal(fingers=elements, action=name)
+        await self._execution.follow(self._hand.start_goal(goal))
+
+    # --- place among the cards
+
+    @property
+    def visible(self) -> bool:
+        """Whether the card is shown."""
+        return bool(self._folder.visible)
+
+    @visible.setter
+    def visible(self, shown: bool) -> None:
+        if self._folder.visible != shown:
+            self._folder.visible = shown
+
+    def place(self, order: float) -> None:
+        """Move the card to another position."""
+        if self._folder.order != order:
+            self._folder.order = order
+
+    def remove(self) -> None:
+        """Remove the card."""
+        self._execution.remove()
+        self._command.remove()
+        self._folder.remove()
+
+
+def _contact_mark(intensity: int) -> tuple[int, str]:
+    """Return the mark of a slider at the contact [%], whose label ends there if it is far on."""
+    # A label is centred on its mark; the spaces, as wide as the word, put the word before it.
+    spaces = "\N{NO-BREAK SPACE}" * 12 if intensity > _CROWDED else ""
+    return intensity, f"contact{spaces}"
+
+
+_AS_CONFIGURED: Final = "as configured"
+"""Choice that leaves the setting out of the goal, so that hand.yaml decides."""
+
+_ALL: Final = "all fingers"
+"""Choice of all fingers that have no setting of their own."""
+
+_SLIP_HINT: Final = (
+    "Force up to which a slip raises the force [N]; 0: it is not raised. It goes with a force"
+)
+
+
+class ContactChoice:
+    """A setting for all fingers, settings of single ones, and the force after a slip."""
+
+    def __init__(self, gui: viser.GuiApi, fingers: Sequence[str]) -> None:
+        """Add the controls to the current container, for the action's fingers if they are known."""
+        # By finger; the empty name means all fingers.
+        self._words: dict[str, OnContact] = {}
+        self._finger = gui.add_dropdown(
+            "Contact of", (_ALL,), hint="Which fingers the next field is about"
+        )
+        self._word = gui.add_dropdown(
+            "On contact",
+            (_AS_CONFIGURED, *OnContact),
+            hint="stop: the finger stays where it touches. hold: it stays, and yields to more than "
+            "a light force. squeeze: it waits until enough fingers touch, then all press together",
+        )
+        self._list = gui.add_html("", visible=False)
+        self._slip = gui.add_slider(
+            "If it slips, up to [N]", 0.0, 1.0, 0.1, 0.0, hint=_SLIP_HINT, visible=False
+        )
+        self._finger.on_update(self._on_finger)
+        self._word.on_update(self._on_word)
+        self.offer(fingers)
+
+    def offer(self, fingers: Sequence[str]) -> None:
+        """Offer the fingers of another action; drop the settings of other fingers."""
+        self._words = {f: word for f, word in self._words.items() if f in ("", *fingers)}
+        offer(self._finger, (_ALL, *fingers))
+        self._finger.visible = len(fingers) > 1
+        self._show()
+
+    def limit(self, most: float) -> None:
+        """Limit the force after a slip to the largest that a goal may ask for [N]; 0 hides it."""
+        # Round down to the step of the slider, so that the hand does not refuse the end.
+        top = math.floor(most * 10.0) / 10.0
+        self._slip.visible = top > 0.0
+        if top > 0.0:
+            self._slip.max = top
+        self._slip.value = min(float(self._slip.value), max(top, 0.0))
+
+    def add_to(self, options: GoalOptions) -> None:
+        """Add the settings to the options of a goal."""
+        if self._words:
+            options["on_contact"] = dict(self._words)
+        if "force" in options and self._slip.value > 0.0:
+            options["max_force"] = float(self._slip.value)
+
+    @property
+    def _chosen(self) -> str:
+        """The finger that is being set, or the empty name for all."""
+        return "" if self._finger.value == _ALL else str(self._finger.value)
+
+    async def _on_finger(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._show()
+
+    async def _on_word(self, event: viser.GuiEvent) -> None:
+        if event.client is None:  # set by `_show`, not by a person
+            return
+        if self._word.value == _AS_CONFIGURED:
+            self._words.pop(self._chosen, None)
+        else:
+            self._words[self._chosen] = OnContact(self._word.value)
+        self._show()
+
+    def _show(self) -> None:
+        self._word.value = str(self._words.get(self._chosen, _AS_CONFIGURED))
+        others = "others" if any(self._words) else _ALL
+        items = [f"{escape(finger or others)}: {word}" for finger, word in self._words.items()]
+        self._list.content = small(" · ".join(items))
+        self._list.visible = any(self._words)
+
 
 _FEW = 1
 """Number of primitives whose cards are open at first, so that all kinds of them are in sight."""

@@ -16,8 +16,8 @@ from rtee.gui.colours import BAD, BAR, OLD, PREVIEW
 from rtee.gui.trial_results import key_of
 from rtee.gui.wording import coloured, described, outcome, small
 from rtee.remote.client import RemoteHand
+from rtee.remote.goal import RunningGoal
 from rtee.remote.goal_values import GoalOptions
-from rtee.remote.running_goal import RunningGoal
 from rtee.remote.truth import Turn
 from rtee.types import Feedback, Result
 

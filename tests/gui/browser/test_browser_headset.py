@@ -14,7 +14,7 @@ import viser
 from remote.served_leap import served
 from remote.serving import Served
 
-from rtee.cli.landmarks import follow_headset
+from rtee.cli.teleop import follow_headset
 from rtee.gui.access import Access, PageRole
 from rtee.gui.visitors import Visitors
 from rtee.retarget import LAYOUTS
