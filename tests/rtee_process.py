@@ -13,6 +13,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import runpy
 import selectors
 import signal
 import socket
@@ -143,6 +144,9 @@ def _run(asked: dict[str, object], streams: list[int]) -> NoReturn:
         sys.argv = ["rtee", *asked["words"]]  # type: ignore[misc]
         inherited = [each for each in os.environ.get("PYTHONPATH", "").split(os.pathsep) if each]
         sys.path[:0] = [os.getcwd(), *inherited]
+        for folder in inherited:  # as the interpreter does when it starts
+            if (own := Path(folder) / "sitecustomize.py").is_file():
+                runpy.run_path(str(own))
         _open_streams()
         status = _main()
         threading._shutdown()
