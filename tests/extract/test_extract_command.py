@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from extract.models import figure_3
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.library import ActionLibrary
 from rtee.cli.main import main
+from rtee.extract import report as report_room
 from rtee.hand.catalog import find_hand
 from rtee.hand.load import load_configured
 from rtee.trials.result import Trial, TrialResult
@@ -148,6 +150,8 @@ def test_report_says_that_trials_are_of_other_files(
     hand, _ = load_configured(folder)
     present = Fingerprints.of(folder, ActionLibrary.load(hand, folder / "actions"))
     write_results(folder / "trials.yaml", present, [held])
+    small = partial(report_room.make_report, size=(60, 56))  # pictures take most of the time
+    monkeypatch.setattr(report_room, "make_report", small)
     command = ["extract", folder, "--report", report, "--jobs", "1"]
     assert rtee(capsys, monkeypatch, *command)[0] == 0
     assert "are outdated, made with" not in report.read_text()
