@@ -34,14 +34,16 @@ quick: .venv/.ready
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target checks
 	RTEE_QUICK=1 $(BIN)/python -m pytest -q -n 3
 
-# Types, layers and lint beside the tests, which wait half of the time for wires, sockets and a browser.
+# Types, layers and lint beside the tests, which wait a fifth of the time for wires, sockets and a browser.
 test:
 	@$(MAKE) --no-print-directory --jobs 5 checks tests
 
-tests: .venv/.ready .ros2-peers/.ready .device-peers/.ready
-	$(BIN)/python -m pytest -m "not browser" -n $(TEST_PROCESSES) --durations 25
-	@# After the others: pages that the processors draw leave too little of them to real time.
-	$(BIN)/python -m pytest -m browser tests/gui/browser -n $(TEST_PROCESSES) --durations 10
+tests: .venv/.collected .ros2-peers/.ready .device-peers/.ready
+	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --durations 25
+
+# Once, in one process: those that share the tests out would each compile all of them.
+.venv/.collected: .venv/.ready
+	@$(BIN)/python -m pytest -qq --collect-only >$@ || true  # the tests themselves say what is wrong
 
 # How long the files of tests take, by which they are shared out: the longest first.
 times: .venv/.ready .ros2-peers/.ready .device-peers/.ready
@@ -64,7 +66,7 @@ heavy: .venv/.ready .device-peers/.ready .rosidl/.ready
 	@touch $@
 
 # Software by device makers and others, which tests let drive the emulators, each in a folder of its own.
-.device-peers/.ready: tests/drivers/peers/peers.yaml .venv/.ready
+.device-peers/.ready: tests/drivers/peers/peers.toml | .venv/.pip
 	$(BIN)/python tests/drivers/peers/install.py .device-peers
 	@touch $@
 

@@ -75,6 +75,10 @@ AGAIN = {
 the report says at its end (RERUN). All others have the same verdict each time."""
 
 
+BROWSER = "tests/gui/browser/"
+"""Where tests need a browser."""
+
+
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
     """Leave out, in a quick run, what takes long; files are not even imported then."""
     quick = os.environ.get(QUICK) and collection_path.is_relative_to(REPOSITORY)
@@ -142,11 +146,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
-    """Share the tests out to processes (``-n 2``) by files, whose tests share fixtures."""
+    """Share the tests out to processes (``-n 2``) by files, whose tests share fixtures.
+
+    Those in a browser go to one process, which has the browser, its GUI and their hands.
+    """
     from xdist.scheduler import LoadFileScheduling
 
+    class Files(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return BROWSER if nodeid.startswith(BROWSER) else super()._split_scope(nodeid)
+
     config.option.loadscopereorder = False
-    return LoadFileScheduling(config, log)
+    return Files(config, log)
 
 
 @pytest.fixture(autouse=True)

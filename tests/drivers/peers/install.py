@@ -1,21 +1,20 @@
-"""Install the software of `peers.yaml`, each in a folder of its own: `install.py FOLDER`."""
+"""Install the software of `peers.toml`, each in a folder of its own: `install.py FOLDER`."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
-import yaml
-
-TABLE = Path(__file__).with_name("peers.yaml")
+TABLE = Path(__file__).with_name("peers.toml")
 
 
 def main(root: Path) -> None:
     """Install all; what fails leaves its reason behind, which tests then skip with."""
     shutil.rmtree(root, ignore_errors=True)
-    for peer in yaml.safe_load(TABLE.read_text("utf-8")):
+    for peer in tomllib.loads(TABLE.read_text("utf-8"))["peers"]:
         if peer.get("own"):
             continue
         folder = root / peer["package"]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 SCRIPTS = Path(__file__).parent
 PEERS = Path(__file__).parents[3] / ".device-peers"
@@ -29,7 +29,8 @@ def environment(package: str) -> Path:
 
 def peers() -> list[dict[str, Any]]:
     """Return the table of the software by others."""
-    table: list[dict[str, Any]] = yaml.safe_load((SCRIPTS / "peers.yaml").read_text("utf-8"))
+    text = (SCRIPTS / "peers.toml").read_text("utf-8")
+    table: list[dict[str, Any]] = tomllib.loads(text)["peers"]
     return table
 
 
