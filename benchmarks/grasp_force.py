@@ -24,8 +24,8 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import GoalRejected
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
-from rtee.loop.configure import loop_settings
 from rtee.loop.measured import Measured
+from rtee.loop.settings import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand

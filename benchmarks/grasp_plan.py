@@ -28,7 +28,7 @@ from common import Table, command_line
 
 from rtee.actions.types import Action
 from rtee.errors import RteeError
-from rtee.objects.table import Table as Plane
+from rtee.objects.shape import Table as Plane
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.plan import plan_grasps
 from rtee.trials.bench import TrialBench, bench

@@ -39,16 +39,16 @@ if TYPE_CHECKING:
 PROBE = """
 import array, sys
 from rtee.cli import main
-from rtee.loop import tick_driver
+from rtee.loop import handloop
 
 kept = array.array("q")
 
-class Kept(tick_driver.TickStatistics):
+class Kept(handloop.TickStatistics):
     def add(self, woken_ns, lateness_ns, busy_ns, missed):
         kept.extend((woken_ns, lateness_ns, missed))
         super().add(woken_ns, lateness_ns, busy_ns, missed)
 
-tick_driver.TickStatistics = Kept
+handloop.TickStatistics = Kept
 try:
     main()
 finally:

@@ -32,8 +32,7 @@ class Lateness:
             await asyncio.gather(self._task, return_exceptions=True)
 
     async def _run(self) -> None:
-        async for tick in Clock(RATE):
-            self.values.append((tick.woken_ns - tick.due_ns) * 1e-3)
+        await Clock(RATE).drive(lambda tick: self.values.append(tick.lateness_ns * 1e-3))
 
     def taken(self) -> tuple[float, float] | None:
         """Return p50 and p99 since the last call [µs]."""

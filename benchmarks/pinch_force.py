@@ -25,7 +25,7 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.extract.scene import Scene
 from rtee.hand.load import load_configured
-from rtee.loop.configure import loop_settings
+from rtee.loop.settings import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal, Named, from_rest

@@ -59,11 +59,10 @@ from rtee.gui.app import App
 from rtee.gui.visitors import Visitors
 from rtee.hand.config_schema import SecuritySettings
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
 from rtee.loop.realtime import backend_options, share_the_interpreter
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.loop.tick_driver import drive
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import Role
 from rtee.remote import authority, credentials

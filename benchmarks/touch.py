@@ -35,9 +35,8 @@ from rtee.hand.model import Hand
 from rtee.log import Recorder
 from rtee.log.settings import RecorderSettings
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.loop.tick_driver import drive
 from rtee.remote.server import Server
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading, TouchSensor

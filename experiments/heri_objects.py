@@ -16,12 +16,11 @@ from experiments.common import Outcome, main, recording, strip
 from experiments.transfer import LOST, WAYS, Transfer, run_transfer
 from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.log import read
-from rtee.log.figure import Figure, PlotSubject, figure
-from rtee.log.labels import Band, bands_of
+from rtee.log.figure import Band, Figure, PlotSubject, bands_of, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
 from rtee.log.recording import Recording
-from rtee.loop.choice import OPEN
+from rtee.loop.planning import OPEN
 from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.pictures import Stills

@@ -18,7 +18,7 @@ from experiments.stance import Stance, standing
 from experiments.transfer import OFF, SLIDE, TILT, WAYS, Transfer, run_transfer
 from experiments.wires import on_the_wire, wired
 from rtee.log import read
-from rtee.loop.choice import OPEN
+from rtee.loop.planning import OPEN
 from rtee.trials.bench import bench
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.pictures import Stills

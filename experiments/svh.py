@@ -16,7 +16,7 @@ from rtee.actions.types import Action, ActionReference, Primitive, PrimitiveKind
 from rtee.extract.scene import Scene
 from rtee.hand.model import Hand
 from rtee.log import Recording, read
-from rtee.loop.choice import OPEN
+from rtee.loop.planning import OPEN
 from rtee.sample import FloatArray
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand

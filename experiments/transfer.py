@@ -18,8 +18,8 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
-from rtee.loop.choice import OPEN
 from rtee.loop.observer import LoopObserver
+from rtee.loop.planning import OPEN
 from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object

@@ -16,9 +16,8 @@ from rtee.errors import RteeError
 from rtee.hand.files import make_folder
 from rtee.log import Recorder, RecorderSettings
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
-from rtee.loop.tick_driver import drive
 from rtee.running.run import PreparedHand, RunOptions, prepare
 from rtee.types import Event, Goal, Lifecycle, Result
 

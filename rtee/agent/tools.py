@@ -28,7 +28,7 @@ from rtee.agent.texts import INSTRUCTIONS
 from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
 from rtee.hand.load import hand_folder, load_configured
 from rtee.messages.goals import goal_of
-from rtee.objects.table import TABLE, parse_table
+from rtee.objects.shape import TABLE, parse_table
 from rtee.planning.result import GraspPlan
 from rtee.remote.agents import AGENT
 from rtee.remote.client import stop_hand

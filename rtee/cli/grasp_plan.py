@@ -13,7 +13,7 @@ from rtee.cli._sweep import meshes_in
 from rtee.cli._table import Column, Row, TextTable
 from rtee.cli.define import Replace
 from rtee.errors import ConfigError, UserError, needing_extra
-from rtee.objects.table import parse_table
+from rtee.objects.shape import parse_table
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -141,7 +141,7 @@ def _axis(text: str) -> tuple[float, ...]:
 def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ranking) -> Ranking:
     """Return the ranking with the best grasps tried in dynamics."""
     from rtee.hand.load import hand_folder, load_configured
-    from rtee.loop.configure import loop_settings
+    from rtee.loop.settings import loop_settings
 
     with needing_extra("trying grasps in simulation", "sim"):
         from rtee.trials.bench import RATE

@@ -87,7 +87,7 @@ def tool_centres(library: ActionLibrary, table: Opening) -> tuple[Point, Point]:
     with needing_extra("tool centre points", "extract"):
         from rtee.planning.gripper_poses import grasp_frame
         from rtee.planning.tips import Fingertips
-    from rtee.hand.flange import base_in_flange
+    from rtee.hand.frames import base_in_flange
 
     flange = library.hand.flange
     assert flange is not None  # noqa: S101 - said above

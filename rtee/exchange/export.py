@@ -14,9 +14,9 @@ from xml.parsers import expat
 import numpy as np
 
 from rtee.errors import ConfigError, ModelError, needing_extra
+from rtee.hand.embedded_meshes import with_local_meshes
 from rtee.hand.files import read_bytes, write_all
 from rtee.hand.load import load_hand
-from rtee.hand.local_meshes import with_local_meshes
 from rtee.hand.model import Hand
 from rtee.hand.srdfwrite import format_srdf
 from rtee.hand.transmission import sample

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from rtee.hand.config_schema import FlangeSection
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple
 from rtee.objects.description import BASE_POSE, OBJECT_POSE
@@ -211,3 +212,13 @@ def _times_axis(wxyz: FloatArray, axes: FloatArray) -> FloatArray:
     """Return the products ``(n, 4)`` of quaternions (w, x, y, z) and pure ones (0, axis)."""
     w, v = wxyz[:, :1], wxyz[:, 1:]
     return np.hstack([-np.sum(v * axes, axis=1, keepdims=True), w * axes + np.cross(v, axes)])
+
+
+def base_in_flange(flange: FlangeSection) -> FloatArray:
+    """Return the pose ``(4, 4)`` of the hand's base frame in that of the flange [m]."""
+    return origin(flange.xyz, flange.rpy)
+
+
+def flange_with(flange: FlangeSection, base: FloatArray) -> FloatArray:
+    """Return the pose ``(4, 4)`` of the flange when the hand's base has a pose, in its frame."""
+    return base @ np.linalg.inv(base_in_flange(flange))

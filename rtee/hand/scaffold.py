@@ -21,9 +21,9 @@ from rtee.hand.candidates import (
 )
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.chains import GROUP_OF_FINGERS
+from rtee.hand.embedded_meshes import as_utf8, with_local_meshes
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
-from rtee.hand.local_meshes import as_utf8, with_local_meshes
 from rtee.hand.model import Finger, Hand, JointRole
 from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of

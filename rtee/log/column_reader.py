@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtee.errors import MessageError
 from rtee.log.chunks import MESSAGE
 from rtee.log.file_index import ChunkPlace
-from rtee.log.resync import DamagedRecordError
+from rtee.log.record_scanner import DamagedRecordError
 from rtee.messages.cdr import DTYPES
 from rtee.messages.layout import places
 from rtee.messages.schema import MessageType

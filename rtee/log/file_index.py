@@ -23,8 +23,17 @@ from rtee.errors import LogError
 from rtee.hand.files import reason
 from rtee.log.brief import DIGEST, MAGIC
 from rtee.log.chunks import INDEX_ENTRY
-from rtee.log.record_scanner import messages_of, parsed, records_of, scan
-from rtee.log.resync import DAMAGE, HEAD, LATEST, DamagedRecordError, Record
+from rtee.log.record_scanner import (
+    DAMAGE,
+    HEAD,
+    LATEST,
+    DamagedRecordError,
+    Record,
+    messages_of,
+    parsed,
+    records_of,
+    scan,
+)
 from rtee.log.rotation import METADATA
 from rtee.messages.codec import SECOND
 

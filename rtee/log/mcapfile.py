@@ -35,6 +35,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from rtee.hand.files import sync_folder
 from rtee.log.brief import DIGEST, LARGEST_DIGEST, MAGIC
 from rtee.log.chunks import PackedChunk, record_bytes
 from rtee.log.digest import Digest
@@ -57,15 +58,6 @@ class Preamble:
     attachments: Sequence[Attachment] = ()
     schemas: Sequence[Schema] = ()
     channels: Sequence[Channel] = ()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush a folder to the disk, so that the name of a new file survives a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 class McapFile:
@@ -95,7 +87,7 @@ class McapFile:
         try:
             self._append(*begin)
             if sync:
-                _sync_folder(path.parent)
+                sync_folder(path.parent)
         except OSError:
             os.close(self._descriptor)
             path.unlink(missing_ok=True)

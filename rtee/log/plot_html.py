@@ -11,8 +11,7 @@ import numpy as np
 
 from rtee.errors import needing_extra
 from rtee.log.export import replacing
-from rtee.log.figure import Figure, PlotLine
-from rtee.log.labels import MARK_COLOUR
+from rtee.log.figure import MARK_COLOUR, Figure, PlotLine
 
 _ROW_HEIGHT = 210  # of a panel [pixels]
 _LANE_HEIGHT = 18  # of a row of labels [pixels]

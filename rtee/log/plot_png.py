@@ -7,8 +7,7 @@ from typing import Any
 
 from rtee.errors import needing_extra
 from rtee.log.export import replacing
-from rtee.log.figure import Figure, PlotRow
-from rtee.log.labels import MARK_COLOUR
+from rtee.log.figure import MARK_COLOUR, Figure, PlotRow
 
 _WIDTH = 14.0  # of the drawing [inch]: two panels beside each other
 _ROW_HEIGHT = 1.9  # of a panel [inch]

@@ -17,7 +17,7 @@ from rtee.log import column_reader
 from rtee.log.brief import Brief, brief
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.plans import plan_of
-from rtee.log.record_scanner import messages_of
+from rtee.log.record_scanner import LATEST, DamagedRecordError, messages_of
 from rtee.log.recording import (
     ActuatorSeries,
     Channel,
@@ -28,7 +28,6 @@ from rtee.log.recording import (
     TouchSeries,
     touch_series,
 )
-from rtee.log.resync import LATEST, DamagedRecordError
 from rtee.log.rotation import MESHES, paths_of
 from rtee.loop.plan import Plan
 from rtee.messages import GOAL, convert, topics

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import re
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from io import BytesIO
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, NamedTuple, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -21,8 +24,214 @@ from mcap.records import (
 )
 
 from rtee.log.brief import MAGIC
-from rtee.log.resync import DAMAGE, HEAD, DamagedRecordError, Finder, Record
-from rtee.messages.mcap_chunk import DamagedChunkError, decompressed
+from rtee.messages.mcap_chunk import LARGEST_CHUNK, DamagedChunkError, decompressed
+
+HEAD = struct.Struct("<BQ")
+"""Layout of the head of a record: opcode and length of the content."""
+
+DAMAGE = 0
+"""Stands for the opcode of bytes that are no record; no record has this one."""
+
+LATEST = 2**63 - 1
+"""Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
+
+_OWN = 0x80  # first opcode of records that other software may define for itself
+_FOOTER = struct.Struct("<BQQQI")  # head, begin of the summary, of its offsets, checksum
+_CHUNK = struct.Struct("<QQQI")  # begin of a chunk's content: start, end, size, checksum
+_REACH = HEAD.size + _CHUNK.size + 8  # bytes that the pattern of a chunk looks at, at most
+_FIRST_BLOCK = 4096  # bytes searched first: most damage is short
+_LARGEST_BLOCK = 1 << 20  # most bytes searched at once, which bounds the memory
+_PREFIXES = {4: struct.Struct("<I"), 8: struct.Struct("<Q")}
+
+_BEGIN = re.compile(
+    rb"\x06(?=.{%d}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0))" % (8 + _CHUNK.size), re.S
+)
+"""The begin of a chunk: its opcode, and the name of a compression with its length in its place."""
+
+
+class _Layout(NamedTuple):
+    """Layout of a content (MCAP specification, "Records").
+
+    Attributes:
+        parts: For each string, map or array: bytes before it, and bytes of its length [bytes].
+        rest: Bytes behind the last one.
+    """
+
+    parts: tuple[tuple[int, int], ...]
+    rest: int = 0
+
+
+_LAYOUTS: dict[int, _Layout] = {
+    Opcode.HEADER: _Layout(((0, 4), (0, 4))),
+    Opcode.FOOTER: _Layout((), 20),
+    Opcode.SCHEMA: _Layout(((2, 4), (0, 4), (0, 4))),
+    Opcode.CHANNEL: _Layout(((4, 4), (0, 4), (0, 4))),
+    Opcode.CHUNK: _Layout(((_CHUNK.size, 4), (0, 8))),
+    Opcode.MESSAGE_INDEX: _Layout(((2, 4),)),
+    Opcode.CHUNK_INDEX: _Layout(((32, 4), (8, 4)), 16),
+    Opcode.ATTACHMENT: _Layout(((16, 4), (0, 4), (0, 8)), 4),
+    Opcode.ATTACHMENT_INDEX: _Layout(((40, 4), (0, 4))),
+    Opcode.STATISTICS: _Layout(((42, 4),)),
+    Opcode.METADATA: _Layout(((0, 4), (0, 4))),
+    Opcode.METADATA_INDEX: _Layout(((16, 4),)),
+    Opcode.SUMMARY_OFFSET: _Layout((), 17),
+    Opcode.DATA_END: _Layout((), 4),
+}
+
+_CHECKED = (
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.CHUNK,
+    Opcode.ATTACHMENT,
+    Opcode.METADATA,
+)
+"""Kinds whose content is checked when it is read."""
+
+
+class DamagedRecordError(ValueError):
+    """A record whose content is invalid."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A record in a file.
+
+    Attributes:
+        opcode: Its kind, or `DAMAGE` for bytes that are no record.
+        offset: Offset of its content in the file [bytes].
+        length: Length of its content [bytes].
+    """
+
+    opcode: int
+    offset: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Offset of the end in the file [bytes]."""
+        return self.offset + self.length
+
+    def read(self, stream: BinaryIO, most: int | None = None) -> bytes:
+        """Return the content, or at most its first ``most`` bytes."""
+        stream.seek(self.offset)
+        length = self.length if most is None else min(most, self.length)
+        data = stream.read(length)
+        if len(data) != length:
+            raise DamagedRecordError("the file ends within a record")
+        return data
+
+
+class Finder:
+    """Finds records in a file of ``size`` bytes.
+
+    No search begins before the end of what was found before, so that a walk takes a time
+    proportional to the file's size.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.size = os.fstat(stream.fileno()).st_size
+
+    def at(self, position: int) -> Record | None:
+        """Return the record that begins at a position [bytes], or ``None`` if none does."""
+        head = self._read(position, HEAD.size)
+        if len(head) < HEAD.size:
+            return None
+        opcode, length = HEAD.unpack(head)
+        offset = position + HEAD.size
+        said = self._length(opcode, offset)
+        if said == length:
+            return Record(opcode, offset, length)
+        if opcode == DAMAGE or not self._followed(offset + length):
+            return None
+        if opcode in _CHECKED or opcode not in _LAYOUTS or (said or length) < length:
+            # A kind, or fields, of later versions; or a content whose reader notices its damage.
+            return Record(opcode, offset, length)
+        return Record(DAMAGE, position, HEAD.size + length)
+
+    def after(self, position: int) -> int | None:
+        """Return where the walk goes on behind damage that begins at a position [bytes].
+
+        This is the next chunk, else the summary, else the footer. Returns ``None`` if there is none
+        of them.
+        """
+        ends = [end for end in self._ends() if end > position]
+        chunk = self._search(position + 1, ends[0] if ends else self.size)
+        if chunk is not None:
+            return chunk
+        return next((end for end in ends if self._confirmed(end)), None)
+
+    def _read(self, position: int, size: int) -> bytes:
+        self._stream.seek(position)
+        return self._stream.read(size)
+
+    def _length(self, opcode: int, offset: int) -> int | None:
+        """Return the length that a content has as a record of a kind [bytes]."""
+        layout = _LAYOUTS.get(opcode)
+        if layout is None:
+            return None
+        position = offset
+        for before, width in layout.parts:
+            prefix = self._read(position + before, width)
+            if len(prefix) < width:
+                return None
+            position += before + width + _PREFIXES[width].unpack(prefix)[0]
+            if position > self.size:
+                return None
+        position += layout.rest
+        return position - offset if position <= self.size else None
+
+    def _is_chunk(self, position: int) -> bool:
+        """Return whether a record that looks like a chunk agrees with its content."""
+        if not self._confirmed(position):
+            return False
+        start, end, size, checksum = _CHUNK.unpack(self._read(position + HEAD.size, _CHUNK.size))
+        # Without a checksum, a chunk could not be distinguished from other bytes.
+        return bool(checksum and start <= end <= LATEST and size <= LARGEST_CHUNK)
+
+    def _confirmed(self, position: int) -> bool:
+        """Return whether the head at a position is plausible and agrees with its content."""
+        head = self._read(position, HEAD.size)
+        if len(head) < HEAD.size:
+            return False
+        opcode, length = HEAD.unpack(head)
+        offset = position + HEAD.size
+        if opcode == Opcode.MESSAGE or opcode >= _OWN:
+            return int(offset + length) <= self.size
+        return bool(self._length(opcode, offset) == length)
+
+    def _followed(self, end: int) -> bool:
+        """Return whether the file, or a record, ends at an offset [bytes]."""
+        return end == self.size or (end < self.size and self._confirmed(end))
+
+    def _search(self, position: int, stop: int) -> int | None:
+        """Return the offset of the first chunk from a position to before a stop [bytes]."""
+        block = _FIRST_BLOCK
+        while position < stop:
+            # The overlap holds what the pattern looks at behind the last opcode.
+            data = self._read(position, block + _REACH)
+            for match in _BEGIN.finditer(data):
+                begin = position + match.start()
+                if match.start() >= block or begin >= stop:
+                    break
+                if self._is_chunk(begin):
+                    return begin
+            position += block
+            block = min(2 * block, _LARGEST_BLOCK)
+        return None
+
+    def _ends(self) -> tuple[int, ...]:
+        """Return the offsets of summary and footer of a file that was closed, else nothing."""
+        position = self.size - _FOOTER.size - len(MAGIC)
+        data = self._read(max(position, 0), _FOOTER.size + len(MAGIC))
+        if position < len(MAGIC) or data[_FOOTER.size :] != MAGIC:
+            return ()
+        opcode, length, summary, _, _ = _FOOTER.unpack_from(data)
+        if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - HEAD.size):
+            return ()
+        return (summary, position) if 0 < summary < position else (position,)
+
 
 R = TypeVar(
     "R",

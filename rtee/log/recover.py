@@ -22,8 +22,7 @@ from rtee.log.digest import lines_of
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.mcapfile import McapFile, Preamble
 from rtee.log.reader import read_indexed
-from rtee.log.record_scanner import messages_of
-from rtee.log.resync import HEAD, DamagedRecordError
+from rtee.log.record_scanner import HEAD, DamagedRecordError, messages_of
 from rtee.log.rotation import being_written
 from rtee.messages import topics
 from rtee.messages.codec import SECOND

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -57,9 +56,6 @@ class AnyClock(Protocol):
     def period(self) -> float:
         """Time between ticks [s]."""
 
-    def __aiter__(self) -> AsyncIterator[Tick]:
-        """Iterate over the ticks."""
-
     async def drive(self, function: Callable[[Tick], None]) -> None:
         """Call a function at every tick, until cancelled, it raises, or the clock ends."""
 
@@ -94,7 +90,7 @@ class _TickTimer(timerfd.Timer):
 
 
 class Clock:
-    """Ticks at a fixed rate: ``async for tick in Clock(1000)``.
+    """Ticks at a fixed rate; `drive` calls a function at each tick.
 
     On Linux a timerfd wakes the event loop within some ten microseconds of the due time. Elsewhere
     the clock sleeps, as precisely as the event loop can: asyncio rounds to a millisecond.
@@ -116,20 +112,11 @@ class Clock:
         """Time between ticks [s]."""
         return self.period_ns * 1e-9
 
-    def __aiter__(self) -> AsyncIterator[Tick]:
-        """Start now and iterate over the ticks; leaving the iteration ends it."""
-        return self._with_timerfd() if self.uses_timerfd else self._with_sleep()
-
     async def drive(self, function: Callable[[Tick], None]) -> None:
-        """Call a function at every tick, until cancelled or it raises.
+        """Call a function at every tick, until cancelled or it raises."""
+        await (self._by_timer if self.uses_timerfd else self._by_sleep)(function)
 
-        Equivalent to iterating, but the function runs one turn of the event loop sooner.
-        """
-        if not self.uses_timerfd:
-            async with ticking(self) as ticks:
-                async for tick in ticks:
-                    function(tick)
-            return
+    async def _by_timer(self, function: Callable[[Tick], None]) -> None:
         loop = asyncio.get_running_loop()
         timer = _TickTimer(self.period_ns)
         ended: asyncio.Future[None] = loop.create_future()
@@ -153,36 +140,7 @@ class Clock:
             loop.remove_reader(timer.fd)
             timer.close()
 
-    async def _with_timerfd(self) -> AsyncIterator[Tick]:
-        loop = asyncio.get_running_loop()
-        timer = _TickTimer(self.period_ns)
-        expired = 0
-        waiter: asyncio.Future[None] | None = None
-
-        def on_expiry() -> None:
-            nonlocal expired
-            expired += timer.expiries()
-            if waiter is not None and not waiter.done():
-                waiter.set_result(None)
-
-        loop.add_reader(timer.fd, on_expiry)
-        try:
-            while True:
-                if expired:
-                    # The last tick took longer than a period: other tasks must get their turn.
-                    await asyncio.sleep(0)
-                else:
-                    waiter = loop.create_future()
-                    await waiter
-                    waiter = None
-                passed, expired = expired, 0
-                # All expiries so far are one tick: what was missed is counted, not caught up.
-                yield timer.tick(passed)
-        finally:
-            loop.remove_reader(timer.fd)
-            timer.close()
-
-    async def _with_sleep(self) -> AsyncIterator[Tick]:
+    async def _by_sleep(self, function: Callable[[Tick], None]) -> None:
         start = monotonic.now_ns() + self.period_ns
         number = 0
         last = -1
@@ -198,20 +156,20 @@ class Clock:
                 number = 0
             due = start + number * self.period_ns
             if woken >= due:
-                yield Tick(number, due, woken, number - last - 1, wall - (woken - due))
+                tick = Tick(number, due, woken, number - last - 1, wall - (woken - due))
                 last = number
                 number += 1
+                function(tick)
 
 
 class ManualClock:
     """A clock whose time is set by the program: for tests and replay, at any speed.
 
-    Iterating over it yields ticks as fast as the loop takes them; in between, every other task runs
-    until it waits.
+    It ticks as fast as the loop takes the ticks; in between, every other task runs until it waits.
 
     Args:
         rate: Ticks per second of the clock's own time [Hz].
-        ticks: Number of ticks after which the iteration ends; ``None``: never.
+        ticks: Number of ticks after which `drive` returns; ``None``: never.
         start: The clock's time at the beginning [s].
         turns: Turns of the event loop that the other tasks get between two ticks.
     """
@@ -249,26 +207,8 @@ class ManualClock:
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
         """Call a function at every tick; see `Clock.drive`."""
-        async for tick in self:
-            function(tick)
-
-    async def __aiter__(self) -> AsyncIterator[Tick]:
-        """Iterate over the ticks."""
         done = 0
         while self.ticks is None or done < self.ticks:
             await self.settle()
-            yield self.next()
+            function(self.next())
             done += 1
-
-
-@contextlib.asynccontextmanager
-async def ticking(clock: AnyClock) -> AsyncIterator[AsyncIterator[Tick]]:
-    """Iterate over a clock and close it in the same task, whatever ends the iteration."""
-    ticks = aiter(clock)
-    try:
-        yield ticks
-    finally:
-        # Left to the garbage collector, the generator would close its file in another task.
-        close = getattr(ticks, "aclose", None)
-        if close is not None:
-            await close()

@@ -15,11 +15,10 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import GripForce
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.model import Hand
-from rtee.loop.forces import DeviceForces
+from rtee.loop.planning import DeviceForces
 from rtee.loop.settings import DeviceSettings
-from rtee.loop.state_aggregator import StateAggregator
+from rtee.loop.state_aggregator import StateAggregator, TouchGatherer
 from rtee.loop.supervisor import Supervisor
-from rtee.loop.touch import TouchGatherer
 from rtee.objects.description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.types import Event, Lifecycle, Reference, readonly

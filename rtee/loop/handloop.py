@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
@@ -20,13 +21,13 @@ from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.config_schema import Behaviour
 from rtee.hand.model import Hand
-from rtee.loop.choice import OPEN
+from rtee.loop.clock import AnyClock, Tick
 from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.histogram import TickStatistics
 from rtee.loop.observer import LoopObserver, Observers
 from rtee.loop.plan import Plan
-from rtee.loop.planning import make_plan
+from rtee.loop.planning import OPEN, make_plan
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
@@ -46,6 +47,7 @@ from rtee.types import (
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.loop.clock import Tick
+
 
 log = logging.getLogger(__name__)
 
@@ -517,3 +519,39 @@ class HandLoop:
         if clock is None:
             return LoopStatistics(rate=self.settings.rate)
         return clock.summary(self._observers.dropped)
+
+
+async def drive(
+    loops: Sequence[HandLoop], clock: AnyClock, idle: Callable[[int], None] | None = None
+) -> None:
+    """Tick some hands on one clock until cancelled, or until the clock ends.
+
+    The busy time of a tick is the processor time that this thread uses from one wake-up to the
+    next, for the hands, their devices' tasks, recording and publishing.
+
+    Args:
+        loops: The hands.
+        clock: Their clock.
+        idle: Called after each tick with the due time of the next one, CLOCK_MONOTONIC [ns].
+    """
+    statistics = TickStatistics(clock.rate)
+    period_ns = round(clock.period * 1e9)
+    for loop in loops:
+        loop.clock_statistics = statistics
+    used = time.thread_time_ns()
+
+    def at_tick(tick: Tick) -> None:
+        nonlocal used
+        before, used = used, time.thread_time_ns()
+        if statistics.started:
+            statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
+        statistics.started = True
+        # The devices of all hands before any observer, which may wake other threads.
+        for loop in loops:
+            loop.cycle(tick)
+        for loop in loops:
+            loop.notify_observers()
+        if idle is not None:
+            idle(tick.due_ns + period_ns)
+
+    await clock.drive(at_tick)

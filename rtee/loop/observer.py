@@ -49,29 +49,8 @@ class LoopObserver(Protocol):
         """Receive the status of devices and clock; called about once a second."""
 
 
-class Observer:
+class Observer(LoopObserver):
     """An observer that does nothing; subclass it and override the methods you need."""
-
-    def on_tick(self, record: TickRecord) -> None:
-        """Do nothing."""
-
-    def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Do nothing."""
-
-    def on_command(self, record: CommandRecord) -> None:
-        """Do nothing."""
-
-    def on_feedback(self, feedback: Feedback) -> None:
-        """Do nothing."""
-
-    def on_result(self, result: Result) -> None:
-        """Do nothing."""
-
-    def on_event(self, event: Event) -> None:
-        """Do nothing."""
-
-    def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Do nothing."""
 
 
 class Observers:

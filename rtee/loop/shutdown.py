@@ -8,8 +8,8 @@ import anyio
 
 from rtee.errors import RteeError
 from rtee.hand.config_schema import Behaviour
-from rtee.loop.choice import OPEN
 from rtee.loop.handloop import ITSELF, HandLoop
+from rtee.loop.planning import OPEN
 from rtee.types import Event, Goal, Named
 
 log = logging.getLogger(__name__)

@@ -28,7 +28,7 @@ from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.objects.description import ObjectDescription, ObjectPart
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.types import (
     Aim,
     DeviceStatus,

@@ -29,8 +29,7 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
     from rtee.hand.validation import validated
-    from rtee.objects.shape import refuse_paths
-    from rtee.objects.table import Table
+    from rtee.objects.shape import Table, refuse_paths
     from rtee.planning.result import to_document
 
     text, mass, scale = question["object"], question["mass"], question["scale"]

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from rtee.errors import ConfigError
-from rtee.hand.flange import flange_with
+from rtee.hand.frames import flange_with
 from rtee.hand.model import Hand
 from rtee.planning.result import Matrix
 from rtee.sample import FloatArray

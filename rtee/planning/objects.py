@@ -17,8 +17,7 @@ from rtee.errors import ConfigError, ModelError
 from rtee.hand.coarse import welded
 from rtee.hand.convex import convex_solids
 from rtee.hand.files import read_bytes
-from rtee.hand.geometry import hull_of
-from rtee.hand.mesh_repair import repaired
+from rtee.hand.geometry import hull_of, repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
 from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (

@@ -10,7 +10,7 @@ from typing import Final
 from rtee.actions.library import ActionLibrary, load_actions
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.composition import composed_for
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.planner import FRICTION, Planner

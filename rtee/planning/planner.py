@@ -13,9 +13,9 @@ import numpy as np
 from rtee.actions.naming import label
 from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
-from rtee.hand.flange import base_in_flange, flange_with
+from rtee.hand.frames import base_in_flange, flange_with
 from rtee.hand.model import Hand
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.approaches import GAP, PoseCandidate
 from rtee.planning.closing import ActionPath, Closure, HandClosing
 from rtee.planning.distance_bounds import DistanceBounds

@@ -16,7 +16,7 @@ from typing import Any, Final
 from rtee import child
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.meshes import FORMATS
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 
 LONGEST: Final = 60_000
 """Longest mesh that is sent over the network [bytes]; a request has 64 KiB at most."""

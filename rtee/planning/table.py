@@ -15,7 +15,7 @@ from typing import Final
 import coal
 import numpy as np
 
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.approaches import PoseCandidate
 from rtee.planning.closing import Closure, HandClosing
 from rtee.planning.postures import HandPose

@@ -27,7 +27,7 @@ from rtee.actions.types import (
 )
 from rtee.errors import ConfigError, RequestRejected
 from rtee.messages.convert import table_fields
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.grasp_solution import GraspSolution, WantedContact
 from rtee.planning.grasp_solution import from_document as solution_in
 from rtee.planning.question import Question, ReachQuestion, question_about

@@ -22,7 +22,6 @@ from rtee.actions.types import Primitive
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.hand.yamlwrite import emit
-from rtee.loop.choice import OPEN
 from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT, table_of
 from rtee.messages.touch import reply_fields

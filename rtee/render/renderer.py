@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.render.camera import Camera
-from rtee.render.raycast import Hits, Mask, RayCaster
-from rtee.render.sampling import (
+from rtee.render.raycast import (
+    Hits,
+    Mask,
+    RayCaster,
     cone,
     cosine_hemisphere,
     fibonacci_lattice,

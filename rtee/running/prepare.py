@@ -23,8 +23,13 @@ from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.hand.validation import defaults
 from rtee.log import RecorderSettings
-from rtee.loop.configure import DeviceChoice, device_settings, loop_settings
-from rtee.loop.settings import DeviceSettings, LoopSettings
+from rtee.loop.settings import (
+    DeviceChoice,
+    DeviceSettings,
+    LoopSettings,
+    device_settings,
+    loop_settings,
+)
 from rtee.types import DeviceSpec
 
 log = logging.getLogger(__name__)

@@ -22,8 +22,7 @@ from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
 from rtee.hand.config_schema import RealtimeSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
-from rtee.loop.configure import profile_words, realtime_settings
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.memory import give_memory_back
 from rtee.loop.realtime import (
     Collector,
@@ -35,6 +34,7 @@ from rtee.loop.realtime import (
 )
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.service import ServiceReporter
+from rtee.loop.settings import profile_words, realtime_settings
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.shutdown_signals import (
     Signals,
@@ -43,7 +43,6 @@ from rtee.loop.shutdown_signals import (
     receive_signals,
     wait_for_end,
 )
-from rtee.loop.tick_driver import drive
 from rtee.remote.server import Server, ServerSettings
 from rtee.remote.session import address_of
 from rtee.running import free_motion

@@ -24,9 +24,8 @@ from rtee.errors import NotReady
 from rtee.hand.load import hand_folder
 from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
-from rtee.loop.tick_driver import drive
 from rtee.remote.goal_values import (
     GoalOptions,
     GraspOptions,

@@ -87,7 +87,7 @@ def _plan(job: TrialJob, out: TextIO) -> None:
         from rtee.planning.planner import FRICTION
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_configured
-    from rtee.loop.configure import loop_settings
+    from rtee.loop.settings import loop_settings
     from rtee.planning.result import to_document
 
     _write(out, {"progress": 0.05, "text": "looking for grasps"})

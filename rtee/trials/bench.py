@@ -9,8 +9,7 @@ from pathlib import Path
 from rtee.actions.library import ActionLibrary
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
-from rtee.loop.configure import loop_settings
-from rtee.loop.settings import LoopSettings
+from rtee.loop.settings import LoopSettings, loop_settings
 
 RATE = 250.0
 """Ticks per second of a trial [Hz]."""

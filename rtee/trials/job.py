@@ -17,7 +17,7 @@ from typing import Any, Final
 from rtee import child
 from rtee.errors import ConfigError, MissingExtra
 from rtee.hand.validation import validated
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 
 MESHES: Final = (".stl", ".obj")
 """Formats of meshes that can be planned for and tried."""

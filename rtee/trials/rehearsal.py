@@ -17,8 +17,8 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, GoalRejected
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
-from rtee.loop.configure import loop_settings
 from rtee.loop.planning import make_plan
+from rtee.loop.settings import loop_settings
 from rtee.remote.words import sentence
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand

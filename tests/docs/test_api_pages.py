@@ -33,7 +33,7 @@ PROVISIONAL = {
     "rtee.log.recording.TouchSeries",
     "rtee.loop.plan.Plan",
     "rtee.objects.description.ObjectPart",
-    "rtee.objects.table.Table",
+    "rtee.objects.shape.Table",
     "rtee.planning.objects.GraspObject",
     "rtee.planning.grasp_solution.Collision",
     "rtee.planning.grasp_solution.Residual",

@@ -17,8 +17,7 @@ from rtee.drivers.registry import find_driver
 from rtee.drivers.schunk_svh.channels import CHANNELS
 from rtee.errors import GoalRejected
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
-from rtee.loop.tick_driver import drive
+from rtee.loop.handloop import HandLoop, drive
 from rtee.running.prepare import RunOptions, prepare
 from rtee.types import Around, Force, Goal, Named, Result
 

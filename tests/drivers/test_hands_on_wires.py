@@ -23,11 +23,10 @@ from rtee.errors import GoalRejected
 from rtee.hand.config_schema import Behaviour
 from rtee.loop import connection
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
-from rtee.loop.tick_driver import drive
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.session import open_files

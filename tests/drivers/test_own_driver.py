@@ -16,9 +16,8 @@ from rtee.drivers.registry import driver_names, find_driver
 from rtee.errors import ConfigError, DeviceFault
 from rtee.hand.load import load_model
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.loop.tick_driver import drive
 from rtee.testing import actuator
 from rtee.types import DeviceSpec, Goal, Lifecycle, Named, Reference
 

@@ -15,7 +15,7 @@ from rtee.gui.panels.trying import Jobs, folder_of, number, shape_text
 from rtee.gui.scene import arrows_of, strongest
 from rtee.gui.trial_results import Tried, object_name, rate, verdict
 from rtee.hand.load import load_hand
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.trials.job import TrialJob, meshes_of
 from rtee.trials.result import Trial, TrialResult
 

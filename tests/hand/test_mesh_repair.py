@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pytest
 
-from rtee.hand.mesh_repair import repaired, split_parts
+from rtee.hand.geometry import repaired, split_parts
 
 COLLADA = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">

@@ -28,9 +28,8 @@ from rtee.log.column_reader import walk
 from rtee.log.export import Format, export
 from rtee.log.file_index import index_file
 from rtee.log.info import info
-from rtee.log.record_scanner import messages_of, scan
+from rtee.log.record_scanner import DamagedRecordError, Record, messages_of, scan
 from rtee.log.recover import recover
-from rtee.log.resync import DamagedRecordError, Record
 from rtee.log.rotation import being_written, recordings
 
 HEAD = struct.Struct("<BQ")

@@ -40,11 +40,10 @@ from rtee.log import Recording, read, reader, to_pandas
 from rtee.log.dataclass_json import to_json
 from rtee.log.export import TABLES, Format, export, tables
 from rtee.log.export import read_for as export_pieces
-from rtee.log.figure import MOST_POINTS, PlotSubject, figure, thinned
+from rtee.log.figure import MOST_POINTS, PlotSubject, bands_of, figure, labels_of, thinned
 from rtee.log.figure import read_for as plot_pieces
 from rtee.log.file_index import index_file
 from rtee.log.info import info
-from rtee.log.labels import bands_of, labels_of
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
 from rtee.log.plot_html import write_html

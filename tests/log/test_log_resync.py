@@ -17,9 +17,8 @@ from rtee.errors import LogError
 from rtee.log import Recording, read
 from rtee.log.brief import MAGIC
 from rtee.log.file_index import index_file
-from rtee.log.record_scanner import scan
+from rtee.log.record_scanner import DAMAGE, HEAD, Record, scan
 from rtee.log.recover import recover
-from rtee.log.resync import DAMAGE, HEAD, Record
 
 HUGE = struct.pack("<Q", 2**63 + 5)
 """A length that no file has."""

@@ -31,8 +31,7 @@ from rtee.log.layout import Contents, Replayable
 from rtee.log.playback import write_hand
 from rtee.log.recover import recover
 from rtee.log.settings import RecorderSettings
-from rtee.log.tick_messages import LinkTransforms
-from rtee.log.writer import LogWriter
+from rtee.log.writer import LinkTransforms, LogWriter
 from rtee.loop.settings import LoopSettings
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import FloatArray, TickRecord

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import os
 import time
+from collections.abc import Callable
 
 import pytest
 
 from rtee.buses import timerfd
 from rtee.errors import ConfigError
-from rtee.loop.clock import Clock, ManualClock, Tick, ticking
+from rtee.loop.clock import Clock, ManualClock, Tick
 
 pytestmark = pytest.mark.anyio
 
@@ -24,13 +26,23 @@ def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, bool]]
     return "asyncio", {"use_uvloop": request.param}
 
 
-async def take(clock: Clock | ManualClock, count: int) -> list[Tick]:
+class EnoughError(Exception):
+    pass
+
+
+async def take(
+    clock: Clock | ManualClock, count: int, at: Callable[[Tick], object] = lambda tick: None
+) -> list[Tick]:
     found: list[Tick] = []
-    async with ticking(clock) as ticks:
-        async for tick in ticks:
-            found.append(tick)
-            if len(found) == count:
-                break
+
+    def take_tick(tick: Tick) -> None:
+        found.append(tick)
+        at(tick)
+        if len(found) == count:
+            raise EnoughError
+
+    with contextlib.suppress(EnoughError):
+        await clock.drive(take_tick)
     return found
 
 
@@ -48,16 +60,9 @@ async def test_ticks_are_on_absolute_deadlines(use_timerfd: bool) -> None:
 @pytest.mark.parametrize("use_timerfd", [True, False])
 async def test_missed_ticks_are_counted_and_not_caught_up(use_timerfd: bool) -> None:
     clock = Clock(1000, use_timerfd=use_timerfd)
-    numbers: list[int] = []
-    missed = 0
-    async with ticking(clock) as ticks:
-        async for tick in ticks:
-            numbers.append(tick.number)
-            missed += tick.missed
-            if len(numbers) == 3:
-                time.sleep(0.05)  # noqa: ASYNC251 - the loop is held up on purpose
-            if len(numbers) == 6:
-                break
+    seen = itertools.count(1)
+    ticks = await take(clock, 6, lambda _: time.sleep(0.05 if next(seen) == 3 else 0.0))
+    numbers, missed = [tick.number for tick in ticks], sum(tick.missed for tick in ticks)
     assert missed >= 49
     assert numbers[-1] - numbers[0] == len(numbers) - 1 + missed - (numbers[0] - 0)
 
@@ -94,13 +99,7 @@ async def test_other_tasks_run_though_ticks_take_too_long() -> None:
             await asyncio.sleep(0)
 
     task = asyncio.create_task(other())
-    async with ticking(Clock(2000)) as ticks:
-        count = 0
-        async for _ in ticks:
-            time.sleep(0.002)  # noqa: ASYNC251 - longer than the period
-            count += 1
-            if count == 10:
-                break
+    await take(Clock(2000), 10, lambda _: time.sleep(0.002))  # longer than the period
     task.cancel()
     assert turns >= 10
 
@@ -142,11 +141,10 @@ async def test_manual_clock_moves_only_by_hand() -> None:
 
 
 @pytest.mark.parametrize("use_timerfd", [True, False])
-async def test_driving_a_function_is_the_same_as_iterating(use_timerfd: bool) -> None:
+async def test_driving_counts_what_a_function_misses_and_ends_with_its_error(
+    use_timerfd: bool,
+) -> None:
     ticks: list[Tick] = []
-
-    class EnoughError(Exception):
-        pass
 
     def take_tick(tick: Tick) -> None:
         ticks.append(tick)

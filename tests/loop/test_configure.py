@@ -12,8 +12,13 @@ from rtee.hand.config import HandConfig
 from rtee.hand.config_schema import Behaviour, ProfileKind
 from rtee.hand.model import Hand
 from rtee.hand.validation import validated
-from rtee.loop.configure import DeviceChoice, device_settings, loop_settings, realtime_settings
-from rtee.loop.settings import LoopSettings
+from rtee.loop.settings import (
+    DeviceChoice,
+    LoopSettings,
+    device_settings,
+    loop_settings,
+    realtime_settings,
+)
 
 INDEX = ["index_tip", "index_base"]
 

@@ -16,13 +16,13 @@ from rtee.actions.library import ActionLibrary
 from rtee.commands import Abort, SetActive
 from rtee.hand.load import load_configured
 from rtee.log.dataclass_json import from_json, to_json
-from rtee.loop.configure import loop_settings
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip, grip_at
 from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.planning import make_plan
 from rtee.loop.pressing import ceilings
+from rtee.loop.settings import loop_settings
 from rtee.sample import TickRecord
 from rtee.types import (
     Around,

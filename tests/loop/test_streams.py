@@ -33,8 +33,8 @@ from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
 from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
+from rtee.loop.streams.intake import TimeBase
 from rtee.loop.streams.targets import Targets
-from rtee.loop.streams.time_base import TimeBase
 from rtee.types import Event, Goal, Named, Result
 
 from .hands import running

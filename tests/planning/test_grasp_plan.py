@@ -23,8 +23,7 @@ from rtee.hand.frames import origin
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
-from rtee.objects.shape import parse_object
-from rtee.objects.table import Table, parse_table
+from rtee.objects.shape import Table, parse_object, parse_table
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
 from rtee.planning.plan import grasp_plan, plan_grasps

@@ -21,10 +21,9 @@ from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.settings import RecorderStatus
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.loop.tick_driver import drive
 from rtee.remote.directory import claimed
 from rtee.remote.server import Server
 from rtee.sample import TickRecord

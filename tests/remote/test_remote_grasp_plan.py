@@ -14,7 +14,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.load import load_hand
 from rtee.hand.own_copy import copy_hand
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.plan import grasp_plan
 from rtee.planning.question import LONGEST
 from rtee.remote.blocking import BlockingHand

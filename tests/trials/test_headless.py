@@ -22,7 +22,7 @@ from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings, Recording, read
 from rtee.log.check import check
-from rtee.loop.configure import loop_settings
+from rtee.loop.settings import loop_settings
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.recorded import recorder_for

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
 from rtee.trials.bench import TrialBench, bench

@@ -12,8 +12,8 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.load import hand_folder, load_configured
-from rtee.loop.configure import loop_settings
 from rtee.loop.measured import Measured
+from rtee.loop.settings import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand

@@ -23,7 +23,7 @@ from rtee.gui.wording import offer, small
 from rtee.hand.catalog import find_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
-from rtee.objects.table import Table
+from rtee.objects.shape import Table
 from rtee.planning.result import GraspPlan, Ranking
 from rtee.planning.result import from_document as ranking_of
 from rtee.remote.client import RemoteHand
