@@ -15,7 +15,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import Surroundings
-from rtee.loop.observer import LoopObserver
+from rtee.loop.observer import Observer
 from rtee.sample import FloatArray
 from rtee.trials.bench import TrialBench, bench
 from rtee.trials.headless import HeadlessHand
@@ -148,7 +148,7 @@ def given(simulation: Simulation, pose: FloatArray) -> FloatArray:
 def use(
     ready: TrialBench,
     variation: Variation | None = None,
-    observers: Sequence[LoopObserver] = (),
+    observers: Sequence[Observer] = (),
     watch: Callable[[str, Simulation], None] | None = None,
 ) -> Use:
     """Give the drill to the hand, run the timed action, and look on for 2 s more.

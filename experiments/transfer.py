@@ -18,7 +18,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
-from rtee.loop.observer import LoopObserver
+from rtee.loop.observer import Observer
 from rtee.loop.planning import OPEN
 from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import parse_object
@@ -181,7 +181,7 @@ def run_transfer(
     settings: LoopSettings,
     transfer: Transfer,
     *,
-    observers: Sequence[LoopObserver] = (),
+    observers: Sequence[Observer] = (),
     watch: Watch | None = None,
     stances: Iterable[Stance] = (),
     teach: bool = True,
@@ -237,7 +237,7 @@ class _Bench:
         library: ActionLibrary,
         settings: LoopSettings,
         transfer: Transfer,
-        observers: Sequence[LoopObserver],
+        observers: Sequence[Observer],
         watch: Watch | None,
         ticks: int,
     ) -> None:

@@ -31,6 +31,7 @@ from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop import contact_rules
 from rtee.loop.controller import Controller
+from rtee.loop.observer import Observer
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.snapshot import capture
@@ -133,7 +134,7 @@ Work = TickRecord | PackedTicks | tuple[Item, float] | Callable[[], None] | None
 """What waits for the writer; packed ticks wait once for each of them, ``None`` is the end."""
 
 
-class Recorder:
+class Recorder(Observer):
     """Observer of a hand's loop that records it with a writer thread.
 
     The loop's reports go into a bounded queue. A thread that wakes up between the loop's ticks

@@ -25,7 +25,7 @@ from rtee.loop.clock import AnyClock, Tick
 from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.histogram import TickStatistics
-from rtee.loop.observer import LoopObserver, Observers
+from rtee.loop.observer import Observer, Observers
 from rtee.loop.plan import Plan
 from rtee.loop.planning import OPEN, make_plan
 from rtee.loop.settings import DeviceSettings, LoopSettings
@@ -477,11 +477,11 @@ class HandLoop:
 
     # --- watching ----------------------------------------------------------------------------
 
-    def add_observer(self, observer: LoopObserver) -> None:
+    def add_observer(self, observer: Observer) -> None:
         """Report everything to an observer from now on."""
         self._observers.add(observer)
 
-    def remove_observer(self, observer: LoopObserver) -> None:
+    def remove_observer(self, observer: Observer) -> None:
         """Stop reporting to an observer."""
         self._observers.remove(observer)
 

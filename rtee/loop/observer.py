@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from rtee import monotonic
 from rtee.commands import CommandRecord
@@ -16,15 +15,12 @@ from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Resu
 log = logging.getLogger(__name__)
 
 
-class LoopObserver(Protocol):
+class Observer:
     """Receives everything that happens in one hand's loop.
 
-    An observer may have two more methods: ``on_plan(plan, stamp)``, called after `on_goal` with the
-    goal's `rtee.loop.plan.Plan`, and ``on_object(description, stamp)``, called once with the
-    `rtee.objects.description.ObjectDescription` of the object that a simulated device grasps.
-
-    All methods are called in the loop's thread and must return at once: no I/O, no waiting. An
-    observer that raises is dropped with an event; the hand goes on.
+    Subclass it and override the methods you need; the others do nothing. All are called in the
+    loop's thread and must return at once: no I/O, no waiting. An observer that raises is dropped
+    with an event; the hand goes on.
     """
 
     def on_tick(self, record: TickRecord) -> None:
@@ -32,6 +28,12 @@ class LoopObserver(Protocol):
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
         """Receive an accepted goal, at the tick at which it begins, before its first reference."""
+
+    def on_plan(self, plan: Plan, stamp: float) -> None:
+        """Receive the plan of an accepted goal, after the goal."""
+
+    def on_object(self, obj: ObjectDescription, stamp: float) -> None:
+        """Receive the object that a simulated device grasps; called once for each object."""
 
     def on_command(self, record: CommandRecord) -> None:
         """Receive a command to the controller; goals and commands arrive in their order."""
@@ -49,25 +51,21 @@ class LoopObserver(Protocol):
         """Receive the status of devices and clock; called about once a second."""
 
 
-class Observer(LoopObserver):
-    """An observer that does nothing; subclass it and override the methods you need."""
-
-
 class Observers:
     """The observers of one hand. An observer that fails is dropped with an event."""
 
     def __init__(self, now: Callable[[], float] = monotonic.asked) -> None:
         self._now = now
-        self._all: tuple[LoopObserver, ...] = ()
+        self._all: tuple[Observer, ...] = ()
         self._object: ObjectDescription | None = None
 
-    def add(self, observer: LoopObserver) -> None:
+    def add(self, observer: Observer) -> None:
         """Add an observer, unless it was added before."""
         if observer not in self._all:
             # A new tuple: an observer may remove itself while the old tuple is iterated over.
             self._all = (*self._all, observer)
 
-    def remove(self, observer: LoopObserver) -> None:
+    def remove(self, observer: Observer) -> None:
         """Remove an observer, if it is there."""
         self._all = tuple(other for other in self._all if other is not observer)
 
@@ -76,14 +74,14 @@ class Observers:
         """Records that observers had to drop."""
         return sum(int(getattr(observer, "dropped", 0)) for observer in self._all)
 
-    def _each(self, call: Callable[[LoopObserver], None]) -> None:
+    def _each(self, call: Callable[[Observer], None]) -> None:
         for observer in self._all:
             try:
                 call(observer)
             except Exception as error:
                 self._failed(observer, error)
 
-    def _failed(self, observer: LoopObserver, error: Exception) -> None:
+    def _failed(self, observer: Observer, error: Exception) -> None:
         # Before the event, which would otherwise reach the observer and fail again, without end.
         self.remove(observer)
         name = type(observer).__name__
@@ -100,15 +98,15 @@ class Observers:
                 self._failed(observer, error)
 
     def goal(self, goal: Goal, plan: Plan, stamp: float) -> None:
-        """Report a goal that begins, and its plan to observers that have ``on_plan``."""
+        """Report a goal that begins, and its plan."""
         self._each(lambda observer: observer.on_goal(goal, stamp))
-        self._each(lambda observer: getattr(observer, "on_plan", _ignore)(plan, stamp))
+        self._each(lambda observer: observer.on_plan(plan, stamp))
 
     def describe_object(self, obj: ObjectDescription | None, stamp: float) -> None:
-        """Report a new simulated object to observers that have ``on_object``."""
+        """Report a new simulated object."""
         if obj is not self._object and obj is not None:
             self._object = obj
-            self._each(lambda observer: getattr(observer, "on_object", _ignore)(obj, stamp))
+            self._each(lambda observer: observer.on_object(obj, stamp))
 
     def command(self, record: CommandRecord) -> None:
         """Report a command."""
@@ -129,7 +127,3 @@ class Observers:
     def status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
         """Report the status of devices and clock."""
         self._each(lambda observer: observer.on_status(statuses, statistics))
-
-
-def _ignore(_: Plan | ObjectDescription, stamp: float) -> None:
-    """Replace the ``on_plan`` or ``on_object`` of an observer that has none."""

@@ -15,7 +15,7 @@ from rtee.hand.model import Hand
 from rtee.log.layout import RUN_BEGINS
 from rtee.loop.controller import Controller
 from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
-from rtee.loop.observer import LoopObserver
+from rtee.loop.observer import Observer
 from rtee.loop.plan import Plan
 from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
@@ -87,7 +87,7 @@ class HeadlessHand(Generic[P]):
         library: ActionLibrary,
         settings: LoopSettings,
         simulation: P,
-        observers: Sequence[LoopObserver] = (),
+        observers: Sequence[Observer] = (),
         *,
         ticks: int = 0,
     ) -> None:

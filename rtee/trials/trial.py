@@ -16,7 +16,7 @@ from rtee.drivers.mujoco.scene import build_hand, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
-from rtee.loop.observer import LoopObserver
+from rtee.loop.observer import Observer
 from rtee.loop.settings import LoopSettings
 from rtee.planning.objects import read_object
 from rtee.trials.grasp_placement import Place, Places
@@ -85,7 +85,7 @@ def run_trial(
     settings: LoopSettings,
     trial: Trial,
     *,
-    observers: Sequence[LoopObserver] = (),
+    observers: Sequence[Observer] = (),
     watch: Watch | None = None,
     skip: int = 0,
     progress: Progress | None = None,

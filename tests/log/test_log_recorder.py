@@ -24,7 +24,7 @@ from log.samples import (
 from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log import Recorder, read
-from rtee.loop.observer import LoopObserver
+from rtee.loop.observer import Observer
 from rtee.types import Event, Feedback
 
 
@@ -40,7 +40,7 @@ def feed(recorder: Recorder, first: int, last: int) -> None:
 
 def test_what_the_loop_tells_is_recorded(claw: Hand, tmp_path: Path) -> None:
     recorder = Recorder(claw, settings(tmp_path), rate=RATE, metadata={"driver": "kinematic"})
-    observer: LoopObserver = recorder
+    observer: Observer = recorder
     with recorder:
         for number in range(50):
             observer.on_tick(tick(number))
