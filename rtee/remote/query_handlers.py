@@ -23,6 +23,7 @@ from rtee.errors import RequestRejected, RteeError
 from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.hand.yamlwrite import emit
 from rtee.loop.handloop import HandLoop
+from rtee.loop.planning import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT, table_of
 from rtee.messages.touch import reply_fields
 from rtee.objects.description import NO_OBJECT
