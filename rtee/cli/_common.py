@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import json
 import math
 import os
+import re
 import sys
+import textwrap
 from collections.abc import Callable, Coroutine, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -279,18 +282,70 @@ def _is_number(word: str) -> bool:
     return True
 
 
+_HEADING = "Arguments and options:\n"
+"""Line of a command's docstring below which its parameters are described."""
+
+_ENTRY = re.compile(r"(\w+)(?: \((.+?)\))?: (.*)")
+"""An entry below it: ``name (SPEC; SPEC): text``; each SPEC is an option's name such as ``--from``,
+a range such as ``1..50``, or what stands for the value in the help."""
+
+
+def described(command: F) -> F:
+    """Give the parameters of a command what its docstring says of them.
+
+    As in a call, those before ``*`` are arguments and the others options, called like the parameter
+    unless the entry names them.
+    """
+    text, _, entries = (inspect.getdoc(command) or "").partition(_HEADING)
+    hints = get_type_hints(command, include_extras=True)
+    parameters = inspect.signature(command).parameters
+    for entry in re.split(r"\n(?=\S)", textwrap.dedent(entries).strip()) if entries else ():
+        match = _ENTRY.fullmatch(" ".join(entry.split()))
+        assert match is not None, entry  # noqa: S101 - a mistake in a docstring
+        name, specs, told = match.groups()
+        optional = parameters[name].kind is inspect.Parameter.KEYWORD_ONLY
+        known = getattr(hints[name], "__metadata__", ())
+        info: Any = known[0] if known else typer.Option() if optional else typer.Argument()
+        info.help, names = told, []
+        for spec in specs.split("; ") if specs else ():
+            low, dots, high = spec.partition("..")
+            if spec.startswith("-"):
+                names.append(spec)
+            elif dots and _is_number(low or high):
+                info.min, info.max = _bound(low), _bound(high)
+            else:
+                info.metavar = spec
+        if optional:
+            info.param_decls = names or [f"--{name.strip('_').replace('_', '-')}"]
+        hints[name] = hints[name] if known else Annotated[hints[name], info]
+    command.__doc__, command.__annotations__ = text.strip(), hints
+    return command
+
+
+def _bound(text: str) -> float | None:
+    return None if not text else float(text) if "." in text else int(text)
+
+
+class Commands(typer.Typer):
+    """A group of commands, each with the parameters that its docstring describes."""
+
+    def __init__(self, **given: Any) -> None:
+        # Rich's own markup would take units in brackets for tags and drop them.
+        given |= {"rich_markup_mode": "markdown", "no_args_is_help": True}
+        super().__init__(**given, add_completion=False)  # only `rtee` itself installs it
+
+    def command(self, name: str | None = None, **given: Any) -> Callable[[F], F]:
+        """Return a decorator that adds a command."""
+        add = super().command(name, cls=_Command, **given)
+        return lambda command: add(described(command))
+
+
 def app_of(command: Callable[..., None] | typer.Typer) -> typer.Typer:
     """Return the typer app of a command, given as a function or as a group of commands."""
-    app = command
-    if not isinstance(app, typer.Typer):
-        app = typer.Typer()
-        app.command()(command)
-    # Set here rather than in each decorator, so that commands of groups have it, too.
-    for registered in app.registered_commands:
-        registered.cls = _Command
-    app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
-    # Rich's own markup would take units in brackets for tags and drop them.
-    app.rich_markup_mode = "markdown"
+    if isinstance(command, typer.Typer):
+        return command
+    app = Commands()
+    app.command()(command)
     return app
 
 
@@ -409,6 +464,7 @@ def report_copy(before: Path | None, after: Path | None) -> None:
     print(copy_notice(before, after), file=sys.stderr)
 
 
+F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
 

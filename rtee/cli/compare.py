@@ -31,40 +31,17 @@ _EVERY: Final = 30.0
 
 
 def compare(
-    hands: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="HAND…", help="Names of hands, or folders.", autocompletion=complete_hand
-        ),
-    ],
-    objects: Annotated[
-        list[str],
-        typer.Option(
-            metavar="FOLDER",
-            help="A folder of meshes in metres, or one object as for rtee try; may be repeated.",
-        ),
-    ],
-    mass: Annotated[float, typer.Option(min=0.001, max=100.0, help="Mass of each [kg].")] = 0.1,
-    variations: Annotated[
-        int, typer.Option(min=1, max=1000, help="Variations of an action on a part, at most.")
-    ] = 20,
-    wanted: Annotated[
-        float,
-        typer.Option(
-            min=0.01,
-            max=0.99,
-            metavar="RATE",
-            help="Share of the variations in which a part has to be held; variations end once the "
-            "interval lies to one side of it.",
-        ),
-    ] = 0.7,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the variations.")] = 0,
+    hands: Annotated[list[str], typer.Argument(autocompletion=complete_hand)],
+    *,
+    objects: list[str],
+    mass: float = 0.1,
+    variations: int = 20,
+    wanted: float = 0.7,
+    seed: int = 0,
     jobs: JobsOption = 0,
     cluster: ClusterOption = None,
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Where the page and the results are written.")
-    ] = Path("comparison"),
-    pictures: Annotated[bool, typer.Option(help="Make a picture of each best grasp.")] = True,
+    out: Path = Path("comparison"),
+    pictures: bool = True,
     json_: JsonOption = False,
 ) -> None:
     """Try the best actions of each hand on each part; tell which hands hold all.
@@ -74,6 +51,18 @@ def compare(
     Exit status 1 when no hand, and no two, hold all parts.
 
     Example: rtee compare robotiq_2f_85 schunk_svh --objects parts
+
+    Arguments and options:
+        hands (HAND…): Names of hands, or folders.
+        objects (FOLDER): A folder of meshes in metres, or one object as for rtee try; may be
+            repeated.
+        mass (0.001..100.0): Mass of each [kg].
+        variations (1..1000): Variations of an action on a part, at most.
+        wanted (0.01..0.99; RATE): Share of the variations in which a part has to be held;
+            variations end once the interval lies to one side of it.
+        seed (0..): Seed of the variations.
+        out (FOLDER): Where the page and the results are written.
+        pictures (--pictures/--no-pictures): Make a picture of each best grasp.
     """
     with needing_extra("a comparison", "sim"):
         from rtee.drivers.mujoco.objects import MESHES

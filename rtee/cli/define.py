@@ -61,24 +61,20 @@ def _library(ctx: typer.Context) -> ActionLibrary | None:
 
 def compose(
     name: Name,
-    parts: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="PART…",
-            help="ACTION, ACTION:ELEMENT or ACTION:ELEMENT,ELEMENT, each *SCALE.",
-            autocompletion=complete_part,
-        ),
-    ],
+    parts: Annotated[list[str], typer.Argument(autocompletion=complete_part)],
+    *,
     hand: HandOption = None,
-    independent: Annotated[
-        bool, typer.Option("--independent", help="Refuse parts that share an actuator.")
-    ] = False,
+    independent: bool = False,
     description: Description = "",
     replace: Replace = False,
 ) -> None:
     """Define a composed action.
 
     Example: rtee compose grasp trig:index trig:middle trig:thumb*0.3
+
+    Arguments and options:
+        parts (PART…): ACTION, ACTION:ELEMENT or ACTION:ELEMENT,ELEMENT, each *SCALE.
+        independent: Refuse parts that share an actuator.
     """
     from rtee.actions.types import ActionReference
 
@@ -90,14 +86,8 @@ def compose(
 
 def time(
     name: Name,
-    steps: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="STEP…",
-            help="ACTION[:ELEMENT,…][*SCALE][:before=SECONDS,after=SECONDS,alias=NAME]",
-            autocompletion=complete_part,
-        ),
-    ],
+    steps: Annotated[list[str], typer.Argument(autocompletion=complete_part)],
+    *,
     hand: HandOption = None,
     description: Description = "",
     replace: Replace = False,
@@ -105,6 +95,9 @@ def time(
     """Define a timed action.
 
     Example: rtee time wide openWide:after=0.5 grasp:before=0.2,alias=close
+
+    Arguments and options:
+        steps (STEP…): ACTION[:ELEMENT,…][*SCALE][:before=SECONDS,after=SECONDS,alias=NAME]
     """
     from rtee.actions.cli_syntax import read_step
 
@@ -115,14 +108,8 @@ def time(
 
 def generic(
     name: Name,
-    set_points: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="ACTUATOR=VALUE…",
-            help="Set-points [rad | m]; other actuators do not move.",
-            autocompletion=complete_set_point,
-        ),
-    ],
+    set_points: Annotated[list[str], typer.Argument(autocompletion=complete_set_point)],
+    *,
     hand: HandOption = None,
     description: Description = "",
     replace: Replace = False,
@@ -130,6 +117,9 @@ def generic(
     """Define a generic action.
 
     Example: rtee generic point index_proximal=0 middle_proximal=0.8
+
+    Arguments and options:
+        set_points (ACTUATOR=VALUE…): Set-points [rad | m]; other actuators do not move.
     """
     from rtee.actions.build import generic as make
     from rtee.actions.cli_syntax import read_set_points

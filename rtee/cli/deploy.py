@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import Hand
+from rtee.cli._common import Commands, Hand
 from rtee.errors import ConfigError
 from rtee.hand.names import check_name
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtee.deploy.install import FileState, Installation
     from rtee.deploy.needs import Needs
 
-app = typer.Typer(no_args_is_help=True, help="Make a hand a service that starts with the computer.")
+app = Commands(help="Make a hand a service that starts with the computer.")
 
 Root = Annotated[
     Path, typer.Option(metavar="DIR", help="The system: an image's folder; by default this one.")
@@ -59,15 +59,19 @@ def plan(
 @app.command()
 def install(
     hand: Hand,
+    *,
     root: Root = THIS_SYSTEM,
     serial: Serial = None,
     program: Program = None,
     realtime: Realtime = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what it would do.")] = False,
+    dry_run: bool = False,
 ) -> None:
     """Write unit, user, udev rules and limits for a hand, and enable its service.
 
     Example: sudo rtee deploy install robotiq_2f_85 --serial gripper=FT4XXXXX
+
+    Arguments and options:
+        dry_run: Only say what it would do.
     """
     from rtee.deploy.install import Installation
 

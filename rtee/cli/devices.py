@@ -93,41 +93,27 @@ def _with_options(spec: DeviceSpec, **options: Any) -> DeviceSpec:
 
 
 def doctor(
-    hand: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[HAND]",
-            help="Name of a hand, or its folder; without it only this computer is checked.",
-            autocompletion=complete_hand,
-        ),
-    ] = None,
+    hand: Annotated[str | None, typer.Argument(autocompletion=complete_hand)] = None,
+    *,
     device: DeviceOption = None,
     emulated: EmulatedOption = False,
     ideal: IdealOption = False,
-    first_contact: Annotated[
-        bool,
-        typer.Option(
-            "--first-contact",
-            help="Lead through the first hour with a real device: it asks, moves little by little, "
-            "and writes a report.",
-        ),
-    ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of that report; by default logs/."),
-    ] = None,
-    files: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Only write the files for a robot PC: udev rule, limits, service."
-        ),
-    ] = None,
-    ros2: Annotated[
-        bool, typer.Option("--ros2", help="Also check the ROS 2 graph: who does not hear whom.")
-    ] = False,
+    first_contact: bool = False,
+    out: Path | None = None,
+    files: Path | None = None,
+    ros2: bool = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Check this computer and a hand's devices; each line is ok, or says what to type."""
+    """Check this computer and a hand's devices; each line is ok, or says what to type.
+
+    Arguments and options:
+        hand ([HAND]): Name of a hand, or its folder; without it only this computer is checked.
+        first_contact: Lead through the first hour with a real device: it asks, moves little by
+            little, and writes a report.
+        out (DIR): Folder of that report; by default logs/.
+        files (DIR): Only write the files for a robot PC: udev rule, limits, service.
+        ros2: Also check the ROS 2 graph: who does not hear whom.
+    """
     if files is not None:
         from rtee.deploy.files import write_files
 
@@ -311,19 +297,23 @@ def _print(name: str, checks: list[Check]) -> None:
 
 def locate(
     hand: Hand,
+    *,
     device: DeviceOption = None,
-    times: Annotated[int, typer.Option(min=1, max=50, help="How often it twitches.")] = 3,
-    share: Annotated[
-        float, typer.Option(min=0.01, max=0.3, help="Part of the range that it moves.")
-    ] = 0.06,
-    home: Annotated[
-        bool, typer.Option("--home", help="Home a device that needs it, which moves it fully.")
-    ] = False,
+    times: int = 3,
+    share: float = 0.06,
+    home: bool = False,
     emulated: EmulatedOption = False,
     ideal: IdealOption = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't ask for confirmation.")] = False,
+    yes: bool = False,
 ) -> None:
-    """Move a hand's actuators a little and back, one device after the other."""
+    """Move a hand's actuators a little and back, one device after the other.
+
+    Arguments and options:
+        times (1..50): How often it twitches.
+        share (0.01..0.3): Part of the range that it moves.
+        home: Home a device that needs it, which moves it fully.
+        yes (--yes; -y): Don't ask for confirmation.
+    """
     from rtee.buses.pool import BusPool
     from rtee.drivers.diagnosis.locate import twitch
     from rtee.drivers.registry import find_driver
@@ -354,35 +344,26 @@ def locate(
 
 def calibrate(
     hand: Hand,
-    actions: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="ACTION…",
-            help="With --opening: ACTION or ACTION:ELEMENT,ELEMENT; all unless given.",
-        ),
-    ] = None,
-    opening: Annotated[
-        bool,
-        typer.Option(
-            "--opening", help="Measure openings of the running hand with gauge blocks instead."
-        ),
-    ] = False,
+    actions: list[str] | None = None,
+    *,
+    opening: bool = False,
     device: DeviceOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="File to write; by default that in hand.yaml, or one beside it."
-        ),
-    ] = None,
+    out: Path | None = None,
     emulated: EmulatedOption = False,
     ideal: IdealOption = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't wait for Enter.")] = False,
+    yes: bool = False,
 ) -> None:
     """Find a device's offsets or end stops and store them; it may move fully.
 
     With --opening, the running hand closes on gauge blocks, and hand.yaml keeps what was measured.
 
     Example: rtee calibrate robotiq_2f_85 --opening PinchTight
+
+    Arguments and options:
+        actions (ACTION…): With --opening: ACTION or ACTION:ELEMENT,ELEMENT; all unless given.
+        opening: Measure openings of the running hand with gauge blocks instead.
+        out (FILE): File to write; by default that in hand.yaml, or one beside it.
+        yes (--yes; -y): Don't wait for Enter.
     """
     if opening:
         calibrate_opening(hand, actions or ())

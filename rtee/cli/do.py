@@ -41,49 +41,18 @@ if TYPE_CHECKING:
 
 
 def do(
-    action: Annotated[
-        str,
-        typer.Argument(
-            metavar="ACTION",
-            help="Name of an action, in any spelling.",
-            autocompletion=complete_action,
-        ),
-    ],
-    elements: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="ELEMENT…",
-            help="Fingers, or the actuator, of a primitive, in any order.",
-            autocompletion=complete_element,
-        ),
-    ] = None,
-    intensity: Annotated[
-        str,
-        typer.Option(
-            metavar="SHARE", help="0 (rest posture) to 1 (the action's posture), or 0% to 100%."
-        ),
-    ] = "1.0",
+    action: Annotated[str, typer.Argument(autocompletion=complete_action)],
+    elements: Annotated[list[str] | None, typer.Argument(autocompletion=complete_element)] = None,
+    *,
+    intensity: str = "1.0",
     effort: EffortOption = None,
-    speed: Annotated[
-        str, typer.Option(metavar="SHARE", help="Scale of the velocity limits, up to 1 or 100%.")
-    ] = "1.0",
-    tolerance: Annotated[float, typer.Option(help="Error norm that counts as reached.")] = 0.01,
+    speed: str = "1.0",
+    tolerance: float = 0.01,
     timeout: TimeoutOption = None,
-    stage: Annotated[Stage, typer.Option(help="How far a pinch goes.")] = Stage.BOTH,
-    kind: Annotated[
-        str | None, typer.Option(help="Kind of the action, where its name is ambiguous.")
-    ] = None,
-    opening: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH",
-            help="Opening of the fingertips instead of an intensity, such as 30mm.",
-        ),
-    ] = None,
-    force: Annotated[
-        str | None,
-        typer.Option(metavar="FORCE", help="Force between the fingertips, such as 10N."),
-    ] = None,
+    stage: Stage = Stage.BOTH,
+    kind: str | None = None,
+    opening: str | None = None,
+    force: str | None = None,
     on_contact: OnContactOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -93,6 +62,17 @@ def do(
     """Execute a grasping action; Ctrl-C cancels it.
 
     Example: rtee do pinch_tight index thumb --intensity 0.6
+
+    Arguments and options:
+        action (ACTION): Name of an action, in any spelling.
+        elements (ELEMENT…): Fingers, or the actuator, of a primitive, in any order.
+        intensity (SHARE): 0 (rest posture) to 1 (the action's posture), or 0% to 100%.
+        speed (SHARE): Scale of the velocity limits, up to 1 or 100%.
+        tolerance: Error norm that counts as reached.
+        stage: How far a pinch goes.
+        kind: Kind of the action, where its name is ambiguous.
+        opening (LENGTH): Opening of the fingertips instead of an intensity, such as 30mm.
+        force (FORCE): Force between the fingertips, such as 10N.
     """
     from rtee.actions.cli_syntax import read_efforts, read_on_contact
     from rtee.actions.naming import label
@@ -205,37 +185,17 @@ class _Bars:
 
 
 def grasp(
-    width: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Width of the object, such as 30mm, 3cm or 0.03.")
-    ],
-    fingers: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="FINGER…", help="Fingers to hold it with; the hand's best action unless given."
-        ),
-    ] = None,
-    force: Annotated[
-        str | None, typer.Option(metavar="FORCE", help="Force to hold it with, such as 10N.")
-    ] = None,
-    speed: Annotated[
-        str | None,
-        typer.Option(metavar="SPEED", help="Speed of opening and closing, such as 50mm/s."),
-    ] = None,
-    narrower: Annotated[
-        str, typer.Option(metavar="LENGTH", help="It may be held at less than its width by this.")
-    ] = "5mm",
-    wider: Annotated[
-        str, typer.Option(metavar="LENGTH", help="It may be held at more than its width by this.")
-    ] = "5mm",
-    action: Annotated[
-        str, typer.Option(help="The action to close with, instead of the best one.")
-    ] = "",
+    fingers: list[str] | None = None,
+    *,
+    width: str,
+    force: str | None = None,
+    speed: str | None = None,
+    narrower: str = "5mm",
+    wider: str = "5mm",
+    action: str = "",
     timeout: TimeoutOption = None,
     on_contact: OnContactOption = None,
-    max_force: Annotated[
-        str | None,
-        typer.Option(metavar="FORCE", help="Force up to which a slip raises --force."),
-    ] = None,
+    max_force: str | None = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -246,6 +206,16 @@ def grasp(
     Exit status 1 when nothing of that width is held.
 
     Example: rtee grasp --width 30mm --force 10N index thumb
+
+    Arguments and options:
+        width (LENGTH): Width of the object, such as 30mm, 3cm or 0.03.
+        fingers (FINGER…): Fingers to hold it with; the hand's best action unless given.
+        force (FORCE): Force to hold it with, such as 10N.
+        speed (SPEED): Speed of opening and closing, such as 50mm/s.
+        narrower (LENGTH): It may be held at less than its width by this.
+        wider (LENGTH): It may be held at more than its width by this.
+        action: The action to close with, instead of the best one.
+        max_force (FORCE): Force up to which a slip raises --force.
     """
     from rtee.actions.cli_syntax import read_on_contact
     from rtee.remote.goal_values import grasp_goal
@@ -280,14 +250,10 @@ def grasp(
 
 
 def touch(
-    fingers: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="FINGER…", help="Fingers to close; as many as possible by default."),
-    ] = None,
-    action: Annotated[str, typer.Option(help="The action to close with.")] = "",
-    speed: Annotated[
-        str | None, typer.Option(metavar="SPEED", help="Speed of closing; 10mm/s by default.")
-    ] = None,
+    fingers: list[str] | None = None,
+    *,
+    action: str = "",
+    speed: str | None = None,
     timeout: TimeoutOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -299,6 +265,11 @@ def touch(
     Exit status 1 when nothing was touched.
 
     Example: rtee touch index thumb
+
+    Arguments and options:
+        fingers (FINGER…): Fingers to close; as many as possible by default.
+        action: The action to close with.
+        speed (SPEED): Speed of closing; 10mm/s by default.
     """
     from rtee.remote.goal_values import touch_goal
 

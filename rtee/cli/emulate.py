@@ -20,52 +20,39 @@ def _complete_device(incomplete: str) -> list[str]:
 
 
 def emulate(
-    device: Annotated[
-        str,
-        typer.Argument(metavar="DEVICE", help="Name of a driver.", autocompletion=_complete_device),
-    ],
-    link: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Make a link to the port at this path.")
-    ] = None,
-    tcp: Annotated[
-        int | None, typer.Option(metavar="PORT", min=0, max=65535, help="Listen at a TCP port.")
-    ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
-    raw: Annotated[
-        bool, typer.Option("--raw", help="The TCP port carries a serial line's bytes.")
-    ] = False,
-    can: Annotated[
-        str | None, typer.Option(metavar="CHANNEL", help="Be a node on a CAN channel.")
-    ] = None,
-    interface: Annotated[
-        str, typer.Option(help="python-can interface of the channel.")
-    ] = "udp_multicast",
-    baudrate: Annotated[int | None, typer.Option(min=1, help="Bits per second.")] = None,
-    strict_rate: Annotated[
-        bool, typer.Option("--strict-rate", help="On a tty, receive only at that rate.")
-    ] = False,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="A property of the emulated device, written as in YAML: unit=9, 'ids=[1, 2, 3]'.",
-        ),
-    ] = None,
-    object_: Annotated[
-        str | None,
-        typer.Option(
-            "--object",
-            metavar="SIZE",
-            help="Object between its fingers: 50mm, or the fraction of the closing travel, 0.4.",
-        ),
-    ] = None,
+    device: Annotated[str, typer.Argument(autocompletion=_complete_device)],
+    *,
+    link: Path | None = None,
+    tcp: int | None = None,
+    host: str = "127.0.0.1",
+    raw: bool = False,
+    can: str | None = None,
+    interface: str = "udp_multicast",
+    baudrate: int | None = None,
+    strict_rate: bool = False,
+    set_: list[str] | None = None,
+    object_: str | None = None,
     ideal: IdealOption = False,
-    fault: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A fault that it has from the start.")
-    ] = None,
+    fault: list[str] | None = None,
 ) -> None:
-    """Emulate a device for other software until Ctrl-C; typed lines cause faults."""
+    """Emulate a device for other software until Ctrl-C; typed lines cause faults.
+
+    Arguments and options:
+        device (DEVICE): Name of a driver.
+        link (PATH): Make a link to the port at this path.
+        tcp (0..65535; PORT): Listen at a TCP port.
+        host: Address to listen at.
+        raw: The TCP port carries a serial line's bytes.
+        can (CHANNEL): Be a node on a CAN channel.
+        interface: python-can interface of the channel.
+        baudrate (1..): Bits per second.
+        strict_rate: On a tty, receive only at that rate.
+        set_ (NAME=VALUE): A property of the emulated device, written as in YAML: unit=9, 'ids=[1,
+            2, 3]'.
+        object_ (SIZE): Object between its fingers: 50mm, or the fraction of the closing travel,
+            0.4.
+        fault (NAME): A fault that it has from the start.
+    """
     from rtee.drivers.emulator_server import Player
     from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, ObjectInHand, grasping
 

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from rtee.cli._common import Hand, hand_folder
 
 
 def export(
     hand: Hand,
-    target: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder to write to; it is made if needed.")
-    ],
-    urdf: Annotated[
-        bool, typer.Option("--urdf", help="Write its URDF, with meshes beside it.")
-    ] = False,
-    mjcf: Annotated[bool, typer.Option("--mjcf", help="Write it as MJCF, for MuJoCo.")] = False,
-    srdf: Annotated[
-        bool, typer.Option("--srdf", help="Write its SRDF: fingers, rest, collisions.")
-    ] = False,
+    target: Path,
+    *,
+    urdf: bool = False,
+    mjcf: bool = False,
+    srdf: bool = False,
 ) -> None:
-    """Write a hand's model for other programs: URDF, MJCF and SRDF, or those asked for."""
+    """Write a hand's model for other programs: URDF, MJCF and SRDF, or those asked for.
+
+    Arguments and options:
+        target (DIR): Folder to write to; it is made if needed.
+        urdf: Write its URDF, with meshes beside it.
+        mjcf: Write it as MJCF, for MuJoCo.
+        srdf: Write its SRDF: fingers, rest, collisions.
+    """
     from rtee.exchange.export import ExportFormat, export_hand
 
     paths = {ExportFormat.URDF: urdf, ExportFormat.MJCF: mjcf, ExportFormat.SRDF: srdf}

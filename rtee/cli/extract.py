@@ -56,49 +56,38 @@ class Rank(StrEnum):
 
 
 def extract(
-    hand: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[HAND]", help="Name of a hand, or its folder.", autocompletion=complete_hand
-        ),
-    ] = None,
+    hand: Annotated[str | None, typer.Argument(autocompletion=complete_hand)] = None,
     arguments: XacroArguments = None,
-    urdf: Annotated[
-        Path | None,
-        typer.Option(help="A URDF, or a xacro file, instead of a hand of the configuration."),
-    ] = None,
-    mjcf: Annotated[
-        Path | None, typer.Option(help="An MJCF, as MuJoCo has it, instead of a URDF.")
-    ] = None,
-    srdf: Annotated[
-        Path | None, typer.Option(help="The model's SRDF; without it the fingers are found.")
-    ] = None,
+    *,
+    urdf: Path | None = None,
+    mjcf: Path | None = None,
+    srdf: Path | None = None,
     angle: AngleOption = None,
     root: RootOption = None,
     outside: OutsideOption = Outside.ABSENT,
-    package_dir: Annotated[
-        list[Path] | None, typer.Option(help="Folder to look packages up in; repeatable.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the primitives to files in this folder.")
-    ] = None,
-    save: Annotated[
-        bool,
-        typer.Option(
-            "--save", help="Write the primitives to the hand's own actions, and their openings."
-        ),
-    ] = False,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a page with a picture of every action (HTML).")
-    ] = None,
+    package_dir: list[Path] | None = None,
+    out: Path | None = None,
+    save: bool = False,
+    report: Path | None = None,
     wide: WideOption = False,
     as_json: JsonOption = False,
-    jobs: Annotated[
-        int, typer.Option(min=0, help="Processes to use; 0 means one per processor.")
-    ] = 0,
-    rank: Annotated[Rank, typer.Option(help="Which posture of a pinch comes first.")] = Rank.DEPTH,
+    jobs: int = 0,
+    rank: Rank = Rank.DEPTH,
 ) -> None:
-    """Find the primitive grasping actions of a hand."""
+    """Find the primitive grasping actions of a hand.
+
+    Arguments and options:
+        hand ([HAND]): Name of a hand, or its folder.
+        urdf: A URDF, or a xacro file, instead of a hand of the configuration.
+        mjcf: An MJCF, as MuJoCo has it, instead of a URDF.
+        srdf: The model's SRDF; without it the fingers are found.
+        package_dir: Folder to look packages up in; repeatable.
+        out: Write the primitives to files in this folder.
+        save: Write the primitives to the hand's own actions, and their openings.
+        report: Write a page with a picture of every action (HTML).
+        jobs (0..): Processes to use; 0 means one per processor.
+        rank: Which posture of a pinch comes first.
+    """
     from rtee.actions.openings import write_openings
     from rtee.exchange.reading import as_srdf, as_urdf
     from rtee.hand.load import load_hand

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -26,44 +26,16 @@ _CHECKED = 3
 
 def grasp_plan(
     hand: Hand,
-    object_: Annotated[
-        list[str],
-        typer.Option(
-            "--object",
-            metavar="SHAPE|MESH|FOLDER",
-            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a mesh file, or a "
-            "folder of them; may be repeated.",
-        ),
-    ],
-    mass: Annotated[float, typer.Option(help="Mass of the object [kg].")] = 0.1,
-    friction: Annotated[float, typer.Option(help="Coefficient of friction.")] = 0.5,
-    weight_axis: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,Z",
-            help="Where the weight pulls, in the hand's base frame; along its reach unless given.",
-        ),
-    ] = None,
-    table: Annotated[
-        str | None,
-        typer.Option(
-            metavar="gravity|X,Y,Z[,HEIGHT]",
-            help="The object stands on a table, of which the hand keeps clear: across the weight, "
-            "or with this upward normal in the object's frame (0,0,1: as it is modelled).",
-        ),
-    ] = None,
-    scale: Annotated[float, typer.Option(help="Brings a mesh to metres, such as 0.001.")] = 1.0,
-    top: Annotated[int, typer.Option(min=1, help="How many grasps are shown.")] = 5,
-    check: Annotated[
-        bool,
-        typer.Option(
-            "--check", help="Try the best ones in simulation, and more until one holds (extra sim)."
-        ),
-    ] = False,
-    save: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Store the first choice as an action of the hand."),
-    ] = None,
+    *,
+    object_: list[str],
+    mass: float = 0.1,
+    friction: float = 0.5,
+    weight_axis: str | None = None,
+    table: str | None = None,
+    scale: float = 1.0,
+    top: int = 5,
+    check: bool = False,
+    save: str | None = None,
     replace: Replace = False,
     json_: JsonOption = False,
 ) -> None:
@@ -72,6 +44,21 @@ def grasp_plan(
     Exit status 1 when no action can hold one of them.
 
     Example: rtee grasp-plan schunk_svh --object cylinder:0.03x0.12 --check
+
+    Arguments and options:
+        object_ (SHAPE|MESH|FOLDER): box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a
+            mesh file, or a folder of them; may be repeated.
+        mass: Mass of the object [kg].
+        friction: Coefficient of friction.
+        weight_axis (X,Y,Z): Where the weight pulls, in the hand's base frame; along its reach
+            unless given.
+        table (gravity|X,Y,Z[,HEIGHT]): The object stands on a table, of which the hand keeps clear:
+            across the weight, or with this upward normal in the object's frame (0,0,1: as it is
+            modelled).
+        scale: Brings a mesh to metres, such as 0.001.
+        top (1..): How many grasps are shown.
+        check: Try the best ones in simulation, and more until one holds (extra sim).
+        save (NAME): Store the first choice as an action of the hand.
     """
     with needing_extra("planning a grasp", "extract"):
         from rtee.hand.meshes import FORMATS

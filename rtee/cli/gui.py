@@ -5,43 +5,35 @@ from __future__ import annotations
 from collections.abc import Collection
 from functools import partial
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from rtee.cli._common import BesideOption, RunningOption, check_files, lower_priority
 from rtee.errors import ConfigError, NoHand, needing_extra
 
 
 def gui(
+    *,
     hand: RunningOption = None,
-    port: Annotated[int, typer.Option(help="Port to listen on.", min=0, max=65535)] = 8080,
-    host: Annotated[
-        str,
-        typer.Option(help="Address to listen on; beyond loopback with --tls-cert or a proxy only."),
-    ] = "127.0.0.1",
-    endpoint: Annotated[
-        str | None, typer.Option(help="Where the hand runs, such as tcp/robot:7447.")
-    ] = None,
-    observer: Annotated[
-        bool,
-        typer.Option("--observer", help="Print a second address, to watch and stop only."),
-    ] = False,
-    tls_cert: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Certificate (PEM), to serve HTTPS.")
-    ] = None,
-    tls_key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Private key of the certificate (PEM).")
-    ] = None,
-    behind_proxy: Annotated[
-        str | None,
-        typer.Option(metavar="ORIGIN", help="A proxy's address, such as https://hand.example.org."),
-    ] = None,
+    port: int = 8080,
+    host: str = "127.0.0.1",
+    endpoint: str | None = None,
+    observer: bool = False,
+    tls_cert: Path | None = None,
+    tls_key: Path | None = None,
+    behind_proxy: str | None = None,
     beside: BesideOption = None,
 ) -> None:
     """Open the hand in the browser; prints the address, with the token that opens it.
 
     Without a name, where several hands run, each has a card there.
+
+    Arguments and options:
+        port (0..65535): Port to listen on.
+        host: Address to listen on; beyond loopback with --tls-cert or a proxy only.
+        endpoint: Where the hand runs, such as tcp/robot:7447.
+        observer: Print a second address, to watch and stop only.
+        tls_cert (FILE): Certificate (PEM), to serve HTTPS.
+        tls_key (FILE): Private key of the certificate (PEM).
+        behind_proxy (ORIGIN): A proxy's address, such as https://hand.example.org.
     """
     import anyio
 

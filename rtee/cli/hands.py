@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from rtee.cli._common import JsonOption
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
@@ -17,14 +15,17 @@ from rtee.hand.catalog import hands as all_hands
 
 
 def hands(
-    running: Annotated[
-        bool, typer.Option("--running", help="Show the hands that run, as 'rtee status --all'.")
-    ] = False,
+    *,
+    running: bool = False,
     connect: ConnectOptions = None,
     watch: WatchOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List the configured hands with their fingers, actuators and devices."""
+    """List the configured hands with their fingers, actuators and devices.
+
+    Arguments and options:
+        running: Show the hands that run, as 'rtee status --all'.
+    """
     if running or watch:
         show_fleet(connect or [], as_json=as_json, watch=watch)
         return

@@ -16,20 +16,19 @@ if TYPE_CHECKING:
 
 
 def import_(
-    folder: Annotated[
-        Path,
-        typer.Argument(metavar="DIR", exists=True, file_okay=False, help="Folder of action files."),
-    ],
+    folder: Annotated[Path, typer.Argument(exists=True, file_okay=False)],
+    *,
     hand: HandOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Write to this folder instead of the hand's own actions."),
-    ] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Replace actions of the same name.")
-    ] = False,
+    out: Path | None = None,
+    replace: bool = False,
 ) -> None:
-    """Import action files of ROS End-Effector."""
+    """Import action files of ROS End-Effector.
+
+    Arguments and options:
+        folder (DIR): Folder of action files.
+        out: Write to this folder instead of the hand's own actions.
+        replace: Replace actions of the same name.
+    """
     from rtee.actions.library import ActionLibrary
     from rtee.actions.ros_end_effector import import_folder
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, JsonOption, RunningOption, to_json, with_hand
+from rtee.cli._common import Commands, ConnectOption, JsonOption, RunningOption, to_json, with_hand
 from rtee.cli._table import Column, Row, TextTable
 from rtee.errors import ConfigError, LogError, UserError, foreign, needing_extra
 from rtee.hand.catalog import find_hand
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rtee.log.info import Info
     from rtee.log.recording import Recording
 
-app = typer.Typer(no_args_is_help=True)
+app = Commands()
 
 File = Annotated[
     Path, typer.Argument(metavar="FILE", help="A recording, or a folder: its newest recording.")
@@ -41,13 +41,16 @@ def _paths(path: Path, series: bool) -> list[Path]:
 @app.command()
 def info(
     file: File,
+    *,
     series: Series = False,
-    deep: Annotated[
-        bool, typer.Option("--deep", help="Read all of it, which also finds damage within.")
-    ] = False,
+    deep: bool = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the contents of a recording."""
+    """Show the contents of a recording.
+
+    Arguments and options:
+        deep: Read all of it, which also finds damage within.
+    """
     from rtee.log.info import info as summarise
 
     summary = summarise(_paths(file, series), deep=deep)
@@ -88,13 +91,17 @@ def _show(summary: Info) -> None:
 
 @app.command()
 def mark(
-    text: Annotated[str, typer.Argument(help="What happens, in one line.")],
+    text: str,
+    *,
     hand: RunningOption = None,
     connect: ConnectOption = None,
 ) -> None:
     """Put a mark into the recording of a running hand.
 
     Example: rtee log mark "the cup slipped"
+
+    Arguments and options:
+        text: What happens, in one line.
     """
     with_hand(hand, connect, "mark", lambda remote: remote.record("mark", text))
 
@@ -135,23 +142,27 @@ def _show_goals(summary: Info) -> None:
 @app.command()
 def plot(
     file: File,
+    *,
     series: Series = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="PATH", help="Path without its ending; FILE's own unless given."
-        ),
-    ] = None,
-    by: Annotated[str | None, typer.Option(help="A row per 'actuator' or per 'finger'.")] = None,
-    actuator: Annotated[
-        list[str] | None, typer.Option(help="Only this actuator; may be given again.")
-    ] = None,
-    start: Annotated[float | None, typer.Option("--from", help="Begin here [s].")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="End here [s].")] = None,
-    html: Annotated[bool, typer.Option(help="Make a page.")] = True,
-    png: Annotated[bool, typer.Option(help="Make a picture.")] = True,
+    output: Path | None = None,
+    by: str | None = None,
+    actuator: list[str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    html: bool = True,
+    png: bool = True,
 ) -> None:
-    """Plot positions, references and efforts with the spans of the actions."""
+    """Plot positions, references and efforts with the spans of the actions.
+
+    Arguments and options:
+        output (--out; PATH): Path without its ending; FILE's own unless given.
+        by: A row per 'actuator' or per 'finger'.
+        actuator: Only this actuator; may be given again.
+        start (--from): Begin here [s].
+        end (--to): End here [s].
+        html (--html/--no-html): Make a page.
+        png (--png/--no-png): Make a picture.
+    """
     from rtee.log.figure import PlotSubject, figure, read_for
     from rtee.log.playback import fingers
 
@@ -201,18 +212,19 @@ def _write_pictures(recording: Recording, path: Path) -> None:
 @app.command()
 def export(
     file: File,
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="A folder, or a file that ends in .npz.")
-    ],
+    output: Path,
+    *,
     series: Series = False,
-    kind: Annotated[
-        str | None, typer.Option("--format", help="csv, parquet or npz; by OUT unless given.")
-    ] = None,
-    topic: Annotated[
-        list[str] | None, typer.Option(help="Only this topic; may be given again.")
-    ] = None,
+    kind: str | None = None,
+    topic: list[str] | None = None,
 ) -> None:
-    """Write a recording's topics as CSV, Parquet or NumPy files."""
+    """Write a recording's topics as CSV, Parquet or NumPy files.
+
+    Arguments and options:
+        output (OUT): A folder, or a file that ends in .npz.
+        kind (--format): csv, parquet or npz; by OUT unless given.
+        topic: Only this topic; may be given again.
+    """
     from rtee.log.export import Format, read_for
     from rtee.log.export import export as write
 
@@ -238,46 +250,33 @@ def export(
 
 @app.command()
 def lerobot(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RECORDING…",
-            help="Recordings of one hand (of a folder the newest), and files with images of its "
-            "cameras.",
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--out", metavar="DATASET", help="A new folder.")],
-    fps: Annotated[int, typer.Option(help="Frames per second.")] = 30,
-    episodes: Annotated[
-        str,
-        typer.Option(
-            help="marks: from a mark 'episode: TASK' to the next, or to 'episode: end'; 'episode: "
-            "discard' throws one away. goals: each goal that succeeded."
-        ),
-    ] = "marks",
-    task: Annotated[str, typer.Option(help="The task of all episodes, in words.")] = "",
-    action: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Take the intensity of this action for what was asked, instead of the actuators' "
-            "targets; may be given again."
-        ),
-    ] = None,
-    observe: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Observe this: position joint effort opening force touch taxel; may be given "
-            "again. All that is known but taxels, unless given."
-        ),
-    ] = None,
-    camera: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[NAME=]TOPIC", help="Only this camera; may be given again."),
-    ] = None,
+    files: list[Path],
+    *,
+    output: Path,
+    fps: int = 30,
+    episodes: str = "marks",
+    task: str = "",
+    action: list[str] | None = None,
+    observe: list[str] | None = None,
+    camera: list[str] | None = None,
 ) -> None:
     """Make a LeRobot dataset of recordings, to train on.
 
     Example: rtee log lerobot logs --out datasets/cups
+
+    Arguments and options:
+        files (RECORDING…): Recordings of one hand (of a folder the newest), and files with images
+            of its cameras.
+        output (--out; DATASET): A new folder.
+        fps: Frames per second.
+        episodes: marks: from a mark 'episode: TASK' to the next, or to 'episode: end'; 'episode:
+            discard' throws one away. goals: each goal that succeeded.
+        task: The task of all episodes, in words.
+        action: Take the intensity of this action for what was asked, instead of the actuators'
+            targets; may be given again.
+        observe: Observe this: position joint effort opening force touch taxel; may be given again.
+            All that is known but taxels, unless given.
+        camera ([NAME=]TOPIC): Only this camera; may be given again.
     """
     from rtee.log.dataset.convert import Choice, write_dataset
     from rtee.log.dataset.episodes import EpisodeBoundary
@@ -299,19 +298,22 @@ def lerobot(
 @app.command()
 def replay(
     file: File,
+    *,
     series: Series = False,
-    checking: Annotated[
-        bool,
-        typer.Option("--check", help="Compute the references again and compare them bit for bit."),
-    ] = False,
-    speed: Annotated[
-        float, typer.Option(min=0.01, max=1000.0, help="How fast time passes in it.")
-    ] = 1.0,
-    repeat: Annotated[bool, typer.Option("--repeat", help="Begin again at the end.")] = False,
-    gui: Annotated[bool, typer.Option("--gui", help="Open the hand in the browser.")] = False,
+    checking: bool = False,
+    speed: float = 1.0,
+    repeat: bool = False,
+    gui: bool = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show a recording to the GUI and all clients, or check that it is reproduced exactly."""
+    """Show a recording to the GUI and all clients, or check that it is reproduced exactly.
+
+    Arguments and options:
+        checking (--check): Compute the references again and compare them bit for bit.
+        speed (0.01..1000.0): How fast time passes in it.
+        repeat: Begin again at the end.
+        gui: Open the hand in the browser.
+    """
     paths = _paths(file, series)
     if checking:
         from rtee.log.check import TOPICS, check
@@ -418,11 +420,13 @@ def _show_check(comparison: ReplayCheck, as_json: bool) -> None:
 @app.command()
 def unpack(
     file: File,
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Where the hand's folder is made.")
-    ],
+    folder: Path,
 ) -> None:
-    """Write the hand of a recording with its meshes: for RViz, or to run it."""
+    """Write the hand of a recording with its meshes: for RViz, or to run it.
+
+    Arguments and options:
+        folder (FOLDER): Where the hand's folder is made.
+    """
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.messages.topics import ROBOT_DESCRIPTION
@@ -435,19 +439,18 @@ def unpack(
 
 @app.command()
 def recover(
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE…", help="Recordings, or folders: their newest recordings."),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="PATH", help="The whole file; unless given, NAME_recovered.mcap."
-        ),
-    ] = None,
-    in_place: Annotated[bool, typer.Option("--in-place", help="Replace the damaged file.")] = False,
+    files: list[Path],
+    *,
+    output: Path | None = None,
+    in_place: bool = False,
 ) -> None:
-    """Repair recordings whose program was killed, or that are damaged, into new files."""
+    """Repair recordings whose program was killed, or that are damaged, into new files.
+
+    Arguments and options:
+        files (FILE…): Recordings, or folders: their newest recordings.
+        output (--out; PATH): The whole file; unless given, NAME_recovered.mcap.
+        in_place: Replace the damaged file.
+    """
     from rtee.log.recover import recover as repair
 
     paths = [path for file in files for path in _paths(file, False)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import (
+    Commands,
     ConnectOption,
     RunningOption,
     complete_running,
@@ -21,24 +22,16 @@ from rtee.hand.config_schema import AgentSettings, Gate
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
 
-app = typer.Typer(no_args_is_help=True)
+app = Commands()
 
 _ABOVE_0 = 1e-6
 """Least value of a limit: typer knows no bound that is excluded."""
 
 
 def mcp(
-    hands: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[HAND…]",
-            help="Names of hands; all that run here unless given.",
-            autocompletion=complete_running,
-        ),
-    ] = None,
-    gate: Annotated[
-        Gate | None, typer.Option(help="What stands between the model and the hand.")
-    ] = None,
+    hands: Annotated[list[str] | None, typer.Argument(autocompletion=complete_running)] = None,
+    *,
+    gate: Gate | None = None,
     force: Annotated[
         float | None, typer.Option(min=_ABOVE_0, max=1000.0, help="Largest force [N]; 10.")
     ] = None,
@@ -50,10 +43,7 @@ def mcp(
         float | None,
         typer.Option(min=_ABOVE_0, max=1.0, help="Largest share of the velocity limits; 0.5."),
     ] = None,
-    action: Annotated[
-        list[str] | None,
-        typer.Option(help="An action that it may do, grasp or open; may be repeated; all."),
-    ] = None,
+    action: list[str] | None = None,
     connect: ConnectOption = None,
 ) -> None:
     """Offer hands to a language model by the Model Context Protocol, on stdin and stdout.
@@ -62,6 +52,11 @@ def mcp(
     reads. Its client starts this command; what it may do is yours to say.
 
     Example: rtee mcp robotiq_2f_85 --gate simulate --force 20
+
+    Arguments and options:
+        hands ([HAND…]): Names of hands; all that run here unless given.
+        gate: What stands between the model and the hand.
+        action: An action that it may do, grasp or open; may be repeated; all.
     """
     import anyio
 

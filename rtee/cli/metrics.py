@@ -12,24 +12,20 @@ from rtee.errors import needing_extra
 
 
 def metrics(
-    hands: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[HAND…]",
-            help="Names of hands; all that are found unless given.",
-            autocompletion=complete_running,
-        ),
-    ] = None,
+    hands: Annotated[list[str] | None, typer.Argument(autocompletion=complete_running)] = None,
+    *,
     connect: ConnectOptions = None,
-    listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Where Prometheus scrapes them.")
-    ] = "127.0.0.1:9464",
+    listen: str = "127.0.0.1:9464",
     beside: BesideOption = None,
 ) -> None:
     """Serve the metrics of running hands over HTTP for Prometheus, until Ctrl-C.
 
     'rtee run HAND --metrics HOST:PORT' does the same beside a run. Example: rtee metrics --connect
     tls/router:7447
+
+    Arguments and options:
+        hands ([HAND…]): Names of hands; all that are found unless given.
+        listen (HOST:PORT): Where Prometheus scrapes them.
     """
     import anyio
 

@@ -41,39 +41,32 @@ OutsideOption = Annotated[
 
 
 def new(
-    name: Annotated[str, typer.Argument(help="Name of the new hand.")],
+    name: str,
     arguments: XacroArguments = None,
-    urdf: Annotated[
-        Path | None, typer.Option("--urdf", help="Its URDF, or a xacro file, which is run.")
-    ] = None,
-    mjcf: Annotated[
-        Path | None, typer.Option("--mjcf", help="Its MJCF, as MuJoCo has it, instead of a URDF.")
-    ] = None,
-    srdf: Annotated[
-        Path | None, typer.Option("--srdf", help="Its SRDF; without one the fingers are found.")
-    ] = None,
+    *,
+    urdf: Path | None = None,
+    mjcf: Path | None = None,
+    srdf: Path | None = None,
     angle: AngleOption = None,
     root: RootOption = None,
     outside: OutsideOption = Outside.ABSENT,
-    package_dir: Annotated[
-        list[Path] | None,
-        typer.Option("--package-dir", help="Folder to look packages up in; may be repeated."),
-    ] = None,
-    source: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="HAND",
-            help="A hand to copy instead, with its actions.",
-            autocompletion=complete_hand,
-        ),
-    ] = None,
-    into: Annotated[Path, typer.Option("--into", help="Folder of the hands.")] = Path("config"),
-    ask: Annotated[
-        bool, typer.Option("--ask", help="Ask about what the files leave open.")
-    ] = False,
+    package_dir: list[Path] | None = None,
+    source: Annotated[str | None, typer.Option(autocompletion=complete_hand)] = None,
+    into: Path = Path("config"),
+    ask: bool = False,
 ) -> None:
-    """Make config/NAME with hand.yaml, URDF, SRDF and meshes; or copy a hand."""
+    """Make config/NAME with hand.yaml, URDF, SRDF and meshes; or copy a hand.
+
+    Arguments and options:
+        name: Name of the new hand.
+        urdf: Its URDF, or a xacro file, which is run.
+        mjcf: Its MJCF, as MuJoCo has it, instead of a URDF.
+        srdf: Its SRDF; without one the fingers are found.
+        package_dir: Folder to look packages up in; may be repeated.
+        source (--from; HAND): A hand to copy instead, with its actions.
+        into: Folder of the hands.
+        ask: Ask about what the files leave open.
+    """
     if sum(given is not None for given in (urdf, mjcf, source)) != 1:
         raise ConfigError("give either --urdf FILE, --mjcf FILE or --from HAND")
     if source is not None:
@@ -134,12 +127,16 @@ def _print(new_hand: NewHand, notes: Sequence[str]) -> None:
 
 
 def new_driver(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Such as my_gripper.")],
-    folder: Annotated[
-        Path, typer.Option("--in", metavar="DIR", help="Where the package's folder is made.")
-    ] = Path(),
+    name: str,
+    *,
+    folder: Path = Path(),
 ) -> None:
-    """Write a driver package: codec, driver, emulator, and tests that it passes."""
+    """Write a driver package: codec, driver, emulator, and tests that it passes.
+
+    Arguments and options:
+        name (NAME): Such as my_gripper.
+        folder (--in; DIR): Where the package's folder is made.
+    """
     from rtee.testing.scaffold import write_package
 
     for path in write_package(name, folder):

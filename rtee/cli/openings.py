@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 def openings(
     hand: Hand,
-    save: Annotated[
-        bool, typer.Option("--save", help="Make the tables and store them (extra extract).")
-    ] = False,
+    *,
+    save: bool = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the openings of a hand's actions; with --save, make their tables.
@@ -30,6 +29,9 @@ def openings(
     Exit status 1 when there are none, or some are out of date.
 
     Example: rtee openings schunk_svh --save
+
+    Arguments and options:
+        save: Make the tables and store them (extra extract).
     """
     if save:
         make(hand)

@@ -7,10 +7,9 @@ import sys
 from collections.abc import AsyncIterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import typer
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
 from rtee.cli._table import Column, Row, TextTable
@@ -27,22 +26,22 @@ if TYPE_CHECKING:
 
 def retarget(
     hand: Hand,
-    save: Annotated[
-        bool, typer.Option("--save", help="Find it in the model, and store it as retarget.yaml.")
-    ] = False,
-    show: Annotated[
-        bool, typer.Option("--show", help="Show it in the browser, beside a person's hand.")
-    ] = False,
-    landmarks: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The points to show; else a hand that pinches."),
-    ] = None,
-    port: Annotated[int, typer.Option(help="Port of the page.", min=0, max=65535)] = 8080,
+    *,
+    save: bool = False,
+    show: bool = False,
+    landmarks: Path | None = None,
+    port: int = 8080,
     as_json: JsonOption = False,
 ) -> None:
     """Show which finger of a hand follows which of a person's, and which tips meet.
 
     Example: rtee retarget leap_hand --show
+
+    Arguments and options:
+        save: Find it in the model, and store it as retarget.yaml.
+        show: Show it in the browser, beside a person's hand.
+        landmarks (FILE): The points to show; else a hand that pinches.
+        port (0..65535): Port of the page.
     """
     with needing_extra("retargeting", "retarget"):
         from rtee.retarget.correspondence import read_correspondence, write_correspondence

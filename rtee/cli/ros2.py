@@ -16,6 +16,7 @@ import typer
 
 from rtee.cli._common import (
     BesideOption,
+    Commands,
     ConnectOption,
     HandsArgument,
     JsonOption,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-app = typer.Typer(no_args_is_help=True)
+app = Commands()
 
 _NICE = 5
 """Nice value beside a run: on a busy processor its loop gets three times this process's share."""
@@ -49,19 +50,11 @@ _NICE = 5
 @app.command()
 def serve(
     hands: HandsArgument,
-    domain: Annotated[
-        int | None, typer.Option(min=0, max=232, help="The domain, before ROS_DOMAIN_ID.")
-    ] = None,
-    namespace: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Namespace of the nodes, such as left.")
-    ] = None,
-    router: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="Where the router of ROS 2 is.")
-    ] = None,
-    distro: Annotated[
-        str | None,
-        typer.Option(help="Distribution of the other nodes: jazzy, kilted, rolling or humble."),
-    ] = None,
+    *,
+    domain: int | None = None,
+    namespace: str | None = None,
+    router: str | None = None,
+    distro: str | None = None,
     endpoint: ConnectOption = None,
     beside: BesideOption = None,
     verbose: VerboseOption = False,
@@ -70,6 +63,12 @@ def serve(
 
     Options count before the section ros2 of each hand.yaml. 'rtee run HAND --ros2' does the same
     beside a run.
+
+    Arguments and options:
+        domain (0..232): The domain, before ROS_DOMAIN_ID.
+        namespace (NAME): Namespace of the nodes, such as left.
+        router (ENDPOINT): Where the router of ROS 2 is.
+        distro: Distribution of the other nodes: jazzy, kilted, rolling or humble.
     """
     import anyio
 
@@ -245,13 +244,9 @@ def _print(message: Message, as_json: bool) -> None:
 
 @app.command(name="list")
 def list_(
-    kind: Annotated[
-        str | None,
-        typer.Argument(metavar="[KIND]", help="Only these: nodes, topics, services or actions."),
-    ] = None,
-    parts: Annotated[
-        bool, typer.Option("--all", help="Also the topics and services that actions are made of.")
-    ] = False,
+    kind: str | None = None,
+    *,
+    parts: bool = False,
     domain: DomainOption = None,
     router: RouterOption = PLACE,
     distro: DistroOption = "jazzy",
@@ -260,6 +255,10 @@ def list_(
     """List what is in the ROS graph.
 
     What cannot hear each other, since type or hash differ, is listed apart.
+
+    Arguments and options:
+        kind ([KIND]): Only these: nodes, topics, services or actions.
+        parts (--all): Also the topics and services that actions are made of.
     """
     from rtee.ros2.listing import Sort, listed, unheard
 
@@ -312,18 +311,23 @@ def _short(type_hash: str) -> str:
 
 @app.command()
 def echo(
-    topic: Annotated[str, typer.Argument(help="Name of the topic.")],
+    topic: str,
     type_: TypeArgument = None,
-    count: Annotated[int | None, typer.Option(min=1, help="End after so many messages.")] = None,
-    timeout: Annotated[
-        float | None, typer.Option(min=0.0, help="End when nothing comes for so long [s].")
-    ] = None,
+    *,
+    count: int | None = None,
+    timeout: float | None = None,
     domain: DomainOption = None,
     router: RouterOption = PLACE,
     distro: DistroOption = "jazzy",
     as_json: JsonOption = False,
 ) -> None:
-    """Print the messages of a topic, as YAML."""
+    """Print the messages of a topic, as YAML.
+
+    Arguments and options:
+        topic: Name of the topic.
+        count (1..): End after so many messages.
+        timeout (0.0..): End when nothing comes for so long [s].
+    """
     from rtee.ros2 import DEFAULT, LATCHED
     from rtee.ros2.keys import Kind
     from rtee.ros2.listing import Sort
@@ -365,11 +369,10 @@ def echo(
 
 @app.command()
 def call(
-    service: Annotated[str, typer.Argument(help="Name of the service.")],
+    service: str,
     type_: TypeArgument = None,
-    request: Annotated[
-        str | None, typer.Argument(metavar="[REQUEST]", help="Its fields, as YAML.")
-    ] = None,
+    request: str | None = None,
+    *,
     timeout: TimeoutOption = 10.0,
     domain: DomainOption = None,
     router: RouterOption = PLACE,
@@ -379,6 +382,10 @@ def call(
     """Call a service and print its response, as YAML.
 
     Example: rtee ros2 call /schunk_svh/stop
+
+    Arguments and options:
+        service: Name of the service.
+        request ([REQUEST]): Its fields, as YAML.
     """
     from rtee.ros2.listing import Sort
 
@@ -402,12 +409,11 @@ def call(
 
 @app.command(name="send-goal")
 def send_goal(
-    action: Annotated[str, typer.Argument(help="Name of the action.")],
+    action: str,
     type_: TypeArgument = None,
-    goal: Annotated[
-        str | None, typer.Argument(metavar="[GOAL]", help="Its fields, as YAML.")
-    ] = None,
-    feedback: Annotated[bool, typer.Option("--feedback", help="Print its feedback, too.")] = False,
+    goal: str | None = None,
+    *,
+    feedback: bool = False,
     timeout: TimeoutOption = 60.0,
     domain: DomainOption = None,
     router: RouterOption = PLACE,
@@ -417,6 +423,11 @@ def send_goal(
     """Send a goal and print its result, as YAML; Ctrl-C and the end of the time cancel it.
 
     Example: rtee ros2 send-goal /robotiq_2f_85/gripper_cmd '{command: {position: 0.03}}'
+
+    Arguments and options:
+        action: Name of the action.
+        goal ([GOAL]): Its fields, as YAML.
+        feedback: Print its feedback, too.
     """
     from rtee.ros2.action_client import ActionClient
     from rtee.ros2.actions import GoalState
@@ -465,13 +476,16 @@ def _is_type(text: str) -> bool:
 
 @app.command()
 def router(
-    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where to listen.")] = PLACE,
-    insecure: Annotated[
-        bool,
-        typer.Option("--insecure", help="Let others in the network come without certificates."),
-    ] = False,
+    *,
+    listen: str = PLACE,
+    insecure: bool = False,
 ) -> None:
-    """Run a router of a ROS graph until Ctrl-C: a replacement for rmw_zenohd."""
+    """Run a router of a ROS graph until Ctrl-C: a replacement for rmw_zenohd.
+
+    Arguments and options:
+        listen (ENDPOINT): Where to listen.
+        insecure: Let others in the network come without certificates.
+    """
     from rtee.ros2.session import open_router
 
     async def main() -> None:
@@ -484,9 +498,13 @@ def router(
 
 @app.command()
 def messages(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write the package.")],
+    folder: Path,
 ) -> None:
-    """Write the ament package rtee_msgs, for programs that are compiled against it."""
+    """Write the ament package rtee_msgs, for programs that are compiled against it.
+
+    Arguments and options:
+        folder (DIR): Where to write the package.
+    """
     from rtee.ros2.package import write_package
 
     print(f"wrote {write_package(folder)}")

@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
 from rtee.cli._common import check_files
 from rtee.errors import ConfigError
 
 
 def router(
-    site: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[SITE]", help="Name of the site, as 'rtee secure init SITE' had it."
-        ),
-    ] = None,
-    listen: Annotated[
-        list[str] | None,
-        typer.Option(metavar="ENDPOINT", help="Where to listen; tls/0.0.0.0:7447 unless given."),
-    ] = None,
-    insecure: Annotated[
-        bool,
-        typer.Option(help="Without certificates: whoever reaches it can move the hands."),
-    ] = False,
-    zenohd: Annotated[
-        bool, typer.Option("--zenohd", help="Print the configuration for zenohd instead.")
-    ] = False,
+    site: str | None = None,
+    *,
+    listen: list[str] | None = None,
+    insecure: bool = False,
+    zenohd: bool = False,
 ) -> None:
     """Run a router between hands and their clients, until Ctrl-C.
 
     Example: rtee router factory --listen tls/0.0.0.0:7447
+
+    Arguments and options:
+        site ([SITE]): Name of the site, as 'rtee secure init SITE' had it.
+        listen (ENDPOINT): Where to listen; tls/0.0.0.0:7447 unless given.
+        insecure (--insecure/--no-insecure): Without certificates: whoever reaches it can move the
+            hands.
+        zenohd: Print the configuration for zenohd instead.
     """
     import anyio
 

@@ -61,69 +61,49 @@ def _scene(
 
 def run(
     hands: HandsArgument,
-    driver: Annotated[
-        str | None,
-        typer.Option(
-            help="kinematic, devices (those of hand.yaml), or a driver's name.",
-            autocompletion=_complete_driver,
-        ),
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Option of the driver; overrides hand.yaml."),
-    ] = None,
-    object_: Annotated[
-        str | None,
-        typer.Option(
-            "--object",
-            metavar="SHAPE",
-            help="Between the fingers. With --emulated: 50mm, or 0.4 of their closing travel. "
-            "With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a "
-            "mesh.",
-        ),
-    ] = None,
-    gravity: Annotated[
-        float | None,
-        typer.Option(metavar="A", help="With --driver mujoco: along z [m/s²], -9.81 unless given."),
-    ] = None,
+    *,
+    driver: Annotated[str | None, typer.Option(autocompletion=_complete_driver)] = None,
+    option: list[str] | None = None,
+    object_: str | None = None,
+    gravity: float | None = None,
     friction: FrictionOption = None,
     emulated: EmulatedOption = False,
     ideal: IdealOption = False,
-    home: Annotated[
-        bool,
-        typer.Option("--home", help="Home devices that need it, which moves them all the way."),
-    ] = False,
-    rate: Annotated[float | None, typer.Option(help="Ticks per second, 1 to 2000.")] = None,
-    realtime: Annotated[
-        bool, typer.Option("--realtime", help="Ask for real-time scheduling.")
-    ] = False,
-    log: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the recordings.")
-    ] = None,
-    no_log: Annotated[
-        bool,
-        typer.Option(
-            "--no-log",
-            help="Write no recordings; what was before a fault only to a folder given with --log or"
-            " in hand.yaml.",
-        ),
-    ] = False,
-    gui: Annotated[bool, typer.Option("--gui", help="Open the hands in the browser.")] = False,
-    ros2: Annotated[bool, typer.Option("--ros2", help="Show the hands as nodes of ROS 2.")] = False,
-    metrics: Annotated[
-        str,
-        typer.Option(metavar="HOST:PORT", help="Serve metrics for Prometheus there."),
-    ] = "",
-    events: Annotated[
-        Lines | None, typer.Option(help="Write each event as a line of JSON, or to the journal.")
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0.0, metavar="S", help="End after this many seconds.")
-    ] = None,
-    trace: Annotated[bool, typer.Option("--trace", help="Record the bytes on all buses.")] = False,
+    home: bool = False,
+    rate: float | None = None,
+    realtime: bool = False,
+    log: Path | None = None,
+    no_log: bool = False,
+    gui: bool = False,
+    ros2: bool = False,
+    metrics: str = "",
+    events: Lines | None = None,
+    duration: float | None = None,
+    trace: bool = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Run one hand or several until Ctrl-C: take goals, drive the devices, record everything."""
+    """Run one hand or several until Ctrl-C: take goals, drive the devices, record everything.
+
+    Arguments and options:
+        driver: kinematic, devices (those of hand.yaml), or a driver's name.
+        option (NAME=VALUE): Option of the driver; overrides hand.yaml.
+        object_ (SHAPE): Between the fingers. With --emulated: 50mm, or 0.4 of their closing travel.
+            With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a
+            mesh.
+        gravity (A): With --driver mujoco: along z [m/s²], -9.81 unless given.
+        home: Home devices that need it, which moves them all the way.
+        rate: Ticks per second, 1 to 2000.
+        realtime: Ask for real-time scheduling.
+        log (DIR): Folder for the recordings.
+        no_log: Write no recordings; what was before a fault only to a folder given with --log or in
+            hand.yaml.
+        gui: Open the hands in the browser.
+        ros2: Show the hands as nodes of ROS 2.
+        metrics (HOST:PORT): Serve metrics for Prometheus there.
+        events: Write each event as a line of JSON, or to the journal.
+        duration (0.0..; S): End after this many seconds.
+        trace: Record the bytes on all buses.
+    """
     import anyio
 
     from rtee.loop.realtime import backend_options

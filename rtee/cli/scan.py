@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -16,29 +16,26 @@ if TYPE_CHECKING:
 
 
 def scan(
-    port: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PORT", help="A tty, or socket://host:port; else all serial ports."),
-    ] = None,
-    host: Annotated[
-        list[str] | None, typer.Option(metavar="HOST", help="A Modbus TCP address, host[:port].")
-    ] = None,
-    can: Annotated[
-        list[str] | None, typer.Option(metavar="CHANNEL", help="A CAN channel, such as can0.")
-    ] = None,
-    interface: Annotated[str, typer.Option(help="python-can interface.")] = "socketcan",
-    bitrate: Annotated[
-        int, typer.Option(min=1, help="Bits per second of the CAN bus.")
-    ] = 1_000_000,
-    unit: Annotated[
-        list[int] | None,
-        typer.Option(metavar="N", min=0, max=255, help="Modbus number to query; else the usual."),
-    ] = None,
+    *,
+    port: list[str] | None = None,
+    host: list[str] | None = None,
+    can: list[str] | None = None,
+    interface: str = "socketcan",
+    bitrate: int = 1_000_000,
+    unit: list[int] | None = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find devices: their ports, rates and numbers. Nothing moves.
 
     The exit status is 1 if a port could not be scanned.
+
+    Arguments and options:
+        port (PORT): A tty, or socket://host:port; else all serial ports.
+        host (HOST): A Modbus TCP address, host[:port].
+        can (CHANNEL): A CAN channel, such as can0.
+        interface: python-can interface.
+        bitrate (1..): Bits per second of the CAN bus.
+        unit (0..255; N): Modbus number to query; else the usual.
     """
     import asyncio
 

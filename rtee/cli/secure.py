@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtee.cli._common import Commands
 from rtee.cli._table import Column, Row, TextTable
 from rtee.drivers.diagnosis.checks import ok, warning, wrong
 from rtee.errors import ConfigError, needing_extra, suggestion
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from rtee.drivers.diagnosis.checks import Check
     from rtee.messages.requests import Role
 
-app = typer.Typer(no_args_is_help=True)
+app = Commands()
 
 _DAY = 86400.0
 """Seconds in a day."""
@@ -72,16 +73,17 @@ def renew(hand: HandArgument, days: DaysOption = 825) -> None:
 def add_client(
     hand: HandArgument,
     name: PersonArgument,
-    role: Annotated[
-        str, typer.Option("--role", help="observer, operator or maintainer.")
-    ] = "operator",
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Where to write it; NAME@HAND.pem by default."),
-    ] = None,
+    *,
+    role: str = "operator",
+    out: Path | None = None,
     days: DaysOption = 825,
 ) -> None:
-    """Make a certificate for a client: watch (observer), move (operator), change (maintainer)."""
+    """Make a certificate for a client: watch (observer), move (operator), change (maintainer).
+
+    Arguments and options:
+        role: observer, operator or maintainer.
+        out (FILE): Where to write it; NAME@HAND.pem by default.
+    """
     path = out or Path(f"{name}@{hand}.pem")
     # Checked first: the hand would admit a certificate that could not be stored.
     if path.exists():
@@ -104,15 +106,18 @@ def add_client(
 
 @app.command(name="add-hand")
 def add_hand(
-    site: Annotated[str, typer.Argument(metavar="SITE", help="Name of the router's site.")],
+    site: str,
     hand: HandArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Where to write them; HAND@SITE by default."),
-    ] = None,
+    *,
+    out: Path | None = None,
     days: DaysOption = 825,
 ) -> None:
-    """Make the certificates with which a hand connects to the router of a site."""
+    """Make the certificates with which a hand connects to the router of a site.
+
+    Arguments and options:
+        site (SITE): Name of the router's site.
+        out (FOLDER): Where to write them; HAND@SITE by default.
+    """
     folder = out or Path(f"{check_name(hand, 'hand')}@{check_name(site, 'site')}")
     _authority().add_hand(_folder(site), hand, folder, days)
     print(f"made the certificates of {hand} at {site} in {folder}")

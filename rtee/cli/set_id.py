@@ -96,7 +96,8 @@ def _families() -> list[_Family]:
 
 def set_id(
     new: Annotated[int, typer.Argument(metavar="ID", min=0, max=_LARGEST, help="The new id.")],
-    port: Annotated[str, typer.Option(metavar="PORT", help="A tty, or socket://host:port.")],
+    *,
+    port: str,
     old: Annotated[
         int | None,
         typer.Option(
@@ -107,23 +108,22 @@ def set_id(
             help="Its present id; not needed where one servo is alone on the line.",
         ),
     ] = None,
-    baudrate: Annotated[
-        int | None,
-        typer.Option(
-            help="Rate of the line [baud]; else that of new servos, "
-            "1000000 (Feetech) and 57600 (Dynamixel)."
-        ),
-    ] = None,
-    new_baudrate: Annotated[
-        int | None, typer.Option(help="Rate that a Dynamixel servo gets, too [baud].")
-    ] = None,
-    family: Annotated[FamilyName | None, typer.Option(help="Who is asked; else both are.")] = None,
+    baudrate: int | None = None,
+    new_baudrate: int | None = None,
+    family: FamilyName | None = None,
 ) -> None:
     """Store another id in a Feetech or Dynamixel servo; its torque is taken away.
 
     Examples: rtee set-id 3 --port /dev/ttyUSB0
 
     rtee set-id 3 --port /dev/ttyUSB0 --new-baudrate 4000000
+
+    Arguments and options:
+        port (PORT): A tty, or socket://host:port.
+        baudrate: Rate of the line [baud]; else that of new servos, 1000000 (Feetech) and 57600
+            (Dynamixel).
+        new_baudrate: Rate that a Dynamixel servo gets, too [baud].
+        family: Who is asked; else both are.
     """
     import asyncio
 

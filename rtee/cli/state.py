@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -34,23 +34,23 @@ _COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
 
 
 def state(
+    *,
     hand: RunningOption = None,
     connect: ConnectOption = None,
-    once: Annotated[bool, typer.Option("--once", help="Show it once, on a terminal, too.")] = False,
-    follow: Annotated[
-        bool,
-        typer.Option("--follow", "-f", help="Go on, where the output goes to no terminal, too."),
-    ] = False,
-    rate: Annotated[
-        float, typer.Option(min=0.1, help="States per second that are shown or printed.")
-    ] = 10.0,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON, one object per line and state.")
-    ] = False,
+    once: bool = False,
+    follow: bool = False,
+    rate: float = 10.0,
+    as_json: bool = False,
 ) -> None:
     """Show the hand's state: on a terminal live until Ctrl-C; elsewhere once, unless --follow.
 
     Example: rtee state --json --follow --rate 50 > states.jsonl
+
+    Arguments and options:
+        once: Show it once, on a terminal, too.
+        follow (--follow; -f): Go on, where the output goes to no terminal, too.
+        rate (0.1..): States per second that are shown or printed.
+        as_json (--json): Print JSON, one object per line and state.
     """
     if once and follow:
         raise typer.BadParameter("--once and --follow exclude each other")

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -25,17 +25,19 @@ if TYPE_CHECKING:
 
 
 def status(
+    *,
     hand: RunningOption = None,
     connect: ConnectOptions = None,
-    every: Annotated[
-        bool, typer.Option("--all", help="Show all hands as a table, where only one runs, too.")
-    ] = False,
+    every: bool = False,
     watch: WatchOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show the status of a hand's loop and its devices; of several hands one line each.
 
     Example: rtee status --connect tls/router:7447 --watch
+
+    Arguments and options:
+        every (--all): Show all hands as a table, where only one runs, too.
     """
     from rtee.remote.find import hands_running
 
@@ -140,18 +142,11 @@ _KINDS = ("kp", "ki", "kd")
 
 
 def gains(
-    actuator: Annotated[
-        str | None, typer.Argument(help="Only this actuator's gains; all unless given.")
-    ] = None,
-    kp: Annotated[
-        float | None, typer.Option(min=0.0, help="Position gain [N·m/rad | N/m].")
-    ] = None,
-    ki: Annotated[
-        float | None, typer.Option(min=0.0, help="Integral gain [N·m/(rad·s) | N/(m·s)].")
-    ] = None,
-    kd: Annotated[
-        float | None, typer.Option(min=0.0, help="Damping gain [N·m·s/rad | N·s/m].")
-    ] = None,
+    actuator: str | None = None,
+    *,
+    kp: float | None = None,
+    ki: float | None = None,
+    kd: float | None = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     as_json: JsonOption = False,
@@ -162,6 +157,12 @@ def gains(
     hand.yaml. A device whose gains are not those of actuators has them in a unit of its own.
 
     Example: rtee gains index_flexion --kp 2 --kd 0.05
+
+    Arguments and options:
+        actuator: Only this actuator's gains; all unless given.
+        kp (0.0..): Position gain [N·m/rad | N/m].
+        ki (0.0..): Integral gain [N·m/(rad·s) | N/(m·s)].
+        kd (0.0..): Damping gain [N·m·s/rad | N·s/m].
     """
     values = {k: v for k, v in zip(_KINDS, (kp, ki, kd), strict=True) if v is not None}
 
@@ -237,20 +238,19 @@ def _show_gains(by_device: Mapping[str, Mapping[str, float]]) -> None:
 
 
 def info(
+    *,
     hand: RunningOption = None,
     connect: ConnectOption = None,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ACTUATOR=POSITION",
-            help="Posture for the poses and Jacobians [rad | m]; may be repeated; else at rest.",
-        ),
-    ] = None,
+    at: list[str] | None = None,
     as_json: JsonOption = False,
 ) -> None:
     """Describe a running hand: limits and stiffness of actuators, tips with their friction.
 
     With --json also tip poses, Jacobians, the transmission and the URDF.
+
+    Arguments and options:
+        at (ACTUATOR=POSITION): Posture for the poses and Jacobians [rad | m]; may be repeated; else
+            at rest.
     """
     posture = dict(map(_position, at or ()))
     description = with_hand(hand, connect, "info", lambda remote: remote.info(posture))

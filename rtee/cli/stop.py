@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -65,14 +65,17 @@ def stop(
 
 
 def recover(
-    device: Annotated[
-        str | None, typer.Argument(metavar="[DEVICE]", help="One device; by default all.")
-    ] = None,
+    device: str | None = None,
+    *,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring devices out of a fault, or connect them; only a device that must be homed moves."""
+    """Bring devices out of a fault, or connect them; only a device that must be homed moves.
+
+    Arguments and options:
+        device ([DEVICE]): One device; by default all.
+    """
 
     async def execute(remote: RemoteHand) -> HandStatus:
         await remote.recover(device)

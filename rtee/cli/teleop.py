@@ -8,11 +8,10 @@ import sys
 from collections.abc import AsyncIterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from rtee.cli._common import (
+    Commands,
     ConnectOption,
     EffortOption,
     RunningOption,
@@ -34,40 +33,19 @@ if TYPE_CHECKING:
 _PASS = 0.05
 """Wait after the last sample, so that the status counts it, too [s]: several ticks of any hand."""
 
-app = typer.Typer(no_args_is_help=True)
+app = Commands()
 
 
 def teleop(
-    actions: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[AXIS=]ACTION…",
-            help="Actions with their elements, each quoted: 'PinchTight index thumb'; with an axis "
-            "before, or by the next one: rt lt up right right_up right_right a b x y rb lb.",
-        ),
-    ] = None,
-    gamepad: Annotated[bool, typer.Option("--gamepad", help="From a gamepad.")] = False,
-    keyboard: Annotated[
-        bool, typer.Option("--keyboard", help="From the keyboard: q/a, w/s, e/d, …; space opens.")
-    ] = False,
-    landmarks: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|-",
-            help="Points of a person's hand: lines of JSON, or .npz; - reads them as they come.",
-        ),
-    ] = None,
-    layout: Annotated[
-        str,
-        typer.Option(help="Their order and unit: mediapipe webxr leap manus manus21 mano."),
-    ] = "mediapipe",
-    side: Annotated[
-        str, typer.Option(help="Which of the person's hands: right or left.")
-    ] = "right",
-    device: Annotated[
-        str | None, typer.Option(metavar="PATH", help="The gamepad, such as /dev/input/event5.")
-    ] = None,
-    rate: Annotated[float, typer.Option(help="Samples per second.")] = 50.0,
+    actions: list[str] | None = None,
+    *,
+    gamepad: bool = False,
+    keyboard: bool = False,
+    landmarks: str | None = None,
+    layout: str = "mediapipe",
+    side: str = "right",
+    device: str | None = None,
+    rate: float = 50.0,
     effort: EffortOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -78,6 +56,19 @@ def teleop(
     Until Ctrl-C, or until the points end.
 
     Example: rtee teleop --gamepad "rt=PinchTight index thumb" "lt=Trig ring"
+
+    Arguments and options:
+        actions ([AXIS=]ACTION…): Actions with their elements, each quoted: 'PinchTight index
+            thumb'; with an axis before, or by the next one: rt lt up right right_up right_right a b
+            x y rb lb.
+        gamepad: From a gamepad.
+        keyboard: From the keyboard: q/a, w/s, e/d, …; space opens.
+        landmarks (FILE|-): Points of a person's hand: lines of JSON, or .npz; - reads them as they
+            come.
+        layout: Their order and unit: mediapipe webxr leap manus manus21 mano.
+        side: Which of the person's hands: right or left.
+        device (PATH): The gamepad, such as /dev/input/event5.
+        rate: Samples per second.
     """
     if gamepad + keyboard + (landmarks is not None) != 1:
         raise ConfigError("give either --gamepad or --keyboard or --landmarks")
@@ -128,10 +119,9 @@ async def _drive(
 
 @app.command()
 def play(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A recording (.mcap, or its folder), or a .csv.")
-    ],
-    speed: Annotated[float, typer.Option(help="Scale of time: 2 is twice as fast.")] = 1.0,
+    file: Path,
+    *,
+    speed: float = 1.0,
     effort: EffortOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -140,6 +130,10 @@ def play(
     """Play the samples of a recorded stream, or of a table, to a running hand.
 
     Example: rtee stream play logs
+
+    Arguments and options:
+        file (FILE): A recording (.mcap, or its folder), or a .csv.
+        speed: Scale of time: 2 is twice as fast.
     """
     import anyio
 

@@ -35,122 +35,68 @@ _WRITING = 0.1
 
 
 def try_(
-    hand: Annotated[
-        str, typer.Argument(help="Name of the hand, or its folder.", autocompletion=complete_hand)
-    ],
-    action: Annotated[str | None, typer.Argument(help="Name of the action.")] = None,
-    elements: Annotated[
-        list[str] | None, typer.Argument(metavar="[ELEMENT]…", help="Elements of a primitive.")
-    ] = None,
-    object_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--object",
-            metavar="SHAPE",
-            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a mesh, or a folder "
-            "of meshes; may be repeated.",
-        ),
-    ] = None,
-    intensity: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="How far the action goes.")
-    ] = 1.0,
-    mass: Annotated[
-        float | None, typer.Option(min=0.001, max=100.0, help="Mass of the object [kg].")
-    ] = None,
+    hand: Annotated[str, typer.Argument(autocompletion=complete_hand)],
+    action: str | None = None,
+    elements: list[str] | None = None,
+    *,
+    object_: list[str] | None = None,
+    intensity: float = 1.0,
+    mass: float | None = None,
     friction: FrictionOption = None,
-    variations: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=1000,
-            metavar="N",
-            help="Try N times more with size ±10 %, mass up to +50 %, position ±10 mm, turns of up "
-            "to 10°, friction 0.5 to 1; 20 with --all unless given.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the variations.")] = 0,
-    choose_by: Annotated[
-        int | None,
-        typer.Option(
-            min=10,
-            max=1000,
-            metavar="N",
-            help="Choose the object's place by N tries with other variations; 20 or more find "
-            "better places, 40 or more look for the middle of where the object is held along each "
-            "axis, too, and take longer; 10 unless given.",
-        ),
-    ] = None,
-    all_: Annotated[
-        bool, typer.Option("--all", help="All actions with all standard objects; resumable.")
-    ] = False,
-    until: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            max=0.99,
-            metavar="RATE",
-            help="Leave variations out once the interval lies to one side of this rate, such as "
-            "0.7; all are tried unless given.",
-        ),
-    ] = None,
-    again: Annotated[
-        bool, typer.Option("--again", help="With --all: repeat trials whose results are known.")
-    ] = False,
+    variations: int | None = None,
+    seed: int = 0,
+    choose_by: int | None = None,
+    all_: bool = False,
+    until: float | None = None,
+    again: bool = False,
     jobs: JobsOption = 0,
     cluster: ClusterOption = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER|FILE",
-            help="Where --all writes its results, if not with the hand: files of Parquet in a "
-            "folder, or a small .yaml.",
-        ),
-    ] = None,
-    task: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TASK",
-            help="egg (breaks above 8 N), cup (filled with 500 g while held) or tug (of 5 N), "
-            "instead of lifting and shaking; may be repeated.",
-        ),
-    ] = None,
-    reflexes: Annotated[
-        bool | None,
-        typer.Option(
-            "--reflexes/--no-reflexes",
-            help="With --task: with reflexes only, or without only; each unless given.",
-        ),
-    ] = None,
-    force: Annotated[
-        str | None,
-        typer.Option(metavar="FORCE", help="With --task: force to hold with; 3N unless given."),
-    ] = None,
-    max_force: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORCE",
-            help="With --task: force up to which a slip raises it; 7N unless given.",
-        ),
-    ] = None,
-    width: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH", help="With --task: width of the object, if not its least extent."
-        ),
-    ] = None,
-    pictures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write a strip of pictures of each trial.")
-    ] = None,
-    log: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for recordings of the trials.")
-    ] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    out: Path | None = None,
+    task: list[str] | None = None,
+    reflexes: bool | None = None,
+    force: str | None = None,
+    max_force: str | None = None,
+    width: str | None = None,
+    pictures: Path | None = None,
+    log: Path | None = None,
+    json_: bool = False,
 ) -> None:
     """Try an action on an object: approach, grasp, lift, shake; was it held?
 
     With --task, the success rates of tasks, with reflexes and without.
 
     Exit status 1 when a single trial loses its object.
+
+    Arguments and options:
+        hand: Name of the hand, or its folder.
+        action: Name of the action.
+        elements ([ELEMENT]…): Elements of a primitive.
+        object_ (SHAPE): box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a mesh, or a
+            folder of meshes; may be repeated.
+        intensity (0.0..1.0): How far the action goes.
+        mass (0.001..100.0): Mass of the object [kg].
+        variations (0..1000; N): Try N times more with size ±10 %, mass up to +50 %, position ±10
+            mm, turns of up to 10°, friction 0.5 to 1; 20 with --all unless given.
+        seed (0..): Seed of the variations.
+        choose_by (10..1000; N): Choose the object's place by N tries with other variations; 20 or
+            more find better places, 40 or more look for the middle of where the object is held
+            along each axis, too, and take longer; 10 unless given.
+        all_: All actions with all standard objects; resumable.
+        until (0.01..0.99; RATE): Leave variations out once the interval lies to one side of this
+            rate, such as 0.7; all are tried unless given.
+        again: With --all: repeat trials whose results are known.
+        out (FOLDER|FILE): Where --all writes its results, if not with the hand: files of Parquet in
+            a folder, or a small .yaml.
+        task (TASK): egg (breaks above 8 N), cup (filled with 500 g while held) or tug (of 5 N),
+            instead of lifting and shaking; may be repeated.
+        reflexes (--reflexes/--no-reflexes): With --task: with reflexes only, or without only; each
+            unless given.
+        force (FORCE): With --task: force to hold with; 3N unless given.
+        max_force (FORCE): With --task: force up to which a slip raises it; 7N unless given.
+        width (LENGTH): With --task: width of the object, if not its least extent.
+        pictures (DIR): Write a strip of pictures of each trial.
+        log (DIR): Folder for recordings of the trials.
+        json_: Print JSON.
     """
     if object_:
         with needing_extra("a trial", "sim"):

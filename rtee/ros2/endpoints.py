@@ -29,6 +29,8 @@ from rtee.ros2.participant import Participant
 from rtee.ros2.qos import History, Qos
 from rtee.ros2.types import ServiceType, TopicType
 
+__all__ = ["Client", "Publisher", "Service", "Subscription"]  # the rest is for this room alone
+
 log = logging.getLogger(__name__)
 
 _MOST_KEPT = 1000
@@ -234,9 +236,6 @@ class Subscription:
         # The token first, as for a publisher.
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self._subscriber.undeclare()
-
-
-__all__ = ["Client", "Service"]  # `fields_handler` serves only the other modules of this room
 
 
 _MOST_WAITING = 100
