@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
+from rtee.buses.parser import Parser
 from rtee.buses.wear import IDEAL, TYPICAL, Wear
 from rtee.errors import ConfigError, suggestion
 
@@ -46,6 +47,9 @@ class Emulator(ABC):
     only grows.
 
     Attributes:
+        PROPERTIES: What can be set of it (``emulator:`` in a driver's options), a `Section` that
+            its constructor takes; ``None``: nothing.
+        SHARED: Options of the driver that are properties, too.
         FAULTS: Names of the faults that `inject` knows; every emulator knows ``stuck`` (the
             position does not follow) and ``wrong_device`` (another model answers).
         turnaround: Time between a request's last byte and the answer's first [s].
@@ -57,11 +61,14 @@ class Emulator(ABC):
         duplex: Of its line: half, as on a two-wire RS-485 or a single data wire, or full.
         WEAR: How the real device differs from its sheet, as far as it was measured.
         axes: Its motors.
+        parser: Finds the host's frames in the bytes of a line.
         faults: Faults injected at present.
         wear: How this one differs from its sheet.
         fresh: Whether no program has had an answer since the line was connected.
     """
 
+    PROPERTIES: ClassVar[type[Any] | None] = None
+    SHARED: ClassVar[tuple[str, ...]] = ()
     WEAR: ClassVar[Wear] = TYPICAL
     FAULTS: ClassVar[frozenset[str]] = frozenset({"stuck", "wrong_device"})
     BAUDRATES: ClassVar[frozenset[int]] = frozenset()
@@ -71,6 +78,7 @@ class Emulator(ABC):
     baudrate: int = 115200
     duplex: ClassVar[Duplex] = Duplex.HALF
     axes: Any = ()
+    parser: Parser[Any] | None = None
 
     def __init__(self) -> None:
         self.faults: set[str] = set()
@@ -79,13 +87,20 @@ class Emulator(ABC):
         self._clock: float | None = None
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the emulator that fits a driver's options; the options are checked already."""
-        return cls()
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the properties that follow from a driver's options, which are checked already."""
+        return {name: options[name] for name in cls.SHARED if options.get(name) is not None}
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes from a line and return the answers, if any."""
-        return []
+        self.advance(now)
+        if self.parser is None or "silent" in self.faults:
+            return []
+        return [one for frame in self.parser.feed(data) for one in self.answers(frame, now)]
+
+    def answers(self, frame: Any, now: float) -> Iterable[bytes]:
+        """Obey a frame that `parser` has found; return the answers, if any."""
+        return ()
 
     def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Receive a frame from a CAN bus and return the answers, if any."""
@@ -93,10 +108,19 @@ class Emulator(ABC):
 
     def step(self, now: float) -> list[bytes] | list[CanFrame]:
         """Let time pass up to ``now``; return what the device sends by itself."""
+        self.advance(now)
         return []
 
-    def line_reset(self) -> None:  # noqa: B027 - most devices have nothing to forget
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``; by default for the motors alone."""
+        dt = self._elapsed(now)
+        for motor in self.motors():
+            motor.advance(dt)
+
+    def line_reset(self) -> None:
         """Forget the bytes of an incomplete request: another program connected to the line."""
+        if self.parser is not None:
+            self.parser.reset()
 
     @abstractmethod
     def power_cycle(self, now: float) -> None:
@@ -142,11 +166,6 @@ class Emulator(ABC):
         # If the clock went back, the same time must not be simulated twice.
         self._clock = max(before, now)
         return self._clock - before
-
-    @staticmethod
-    def _given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
-        """Return the named options of a driver that are set."""
-        return {name: options[name] for name in names if options.get(name) is not None}
 
 
 EmulatorFactory = Callable[[], Emulator]

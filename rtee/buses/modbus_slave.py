@@ -55,6 +55,7 @@ class ModbusEmulator(Emulator):
         requests: Requests received, newest last, for tests.
     """
 
+    parser: RtuRequests | TcpRequests
     FUNCTIONS: ClassVar[frozenset[int]] = frozenset(
         {READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY, READ_WRITE}
     )
@@ -77,7 +78,7 @@ class ModbusEmulator(Emulator):
         self.any_unit = framing == "tcp"
         self.turnaround = silence(baudrate) if framing == "rtu" else 0.0
         self.requests: list[bytes] = []
-        self._parser = RtuRequests(unit) if framing == "rtu" else TcpRequests()
+        self.parser = RtuRequests(unit) if framing == "rtu" else TcpRequests()
 
     @abstractmethod
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
@@ -88,24 +89,18 @@ class ModbusEmulator(Emulator):
         """Set registers; raises `Refused`."""
 
     @classmethod
-    def _fitting(cls, options: Mapping[str, Any], *names: str) -> dict[str, Any]:
-        """Return the properties that follow from a driver's options: ``names`` and the framing."""
-        tcp = str(options.get("port") or cls.PORT).startswith("tcp://")
-        return {**cls._given(options, *names), "framing": "tcp" if tcp else "rtu"}
-
-    @abstractmethod
-    def advance(self, now: float) -> None:
-        """Let time pass up to ``now``."""
-
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; a slave never sends unasked."""
-        self.advance(now)
-        return []
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the properties that follow from a driver's options, the framing among them."""
+        found = super().fitting(options)
+        if "framing" in getattr(cls.PROPERTIES, "__struct_fields__", ()):
+            tcp = str(options.get("port") or cls.PORT).startswith("tcp://")
+            found["framing"] = "tcp" if tcp else "rtu"
+        return found
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes and return the answers."""
         answers = []
-        for request in self._parser.feed(data):
+        for request in self.parser.feed(data):
             if not (request.unit == self.unit or self.any_unit or request.unit == 0):
                 continue
             self.requests = [*self.requests[1 - _KEPT :], request.pdu]
@@ -114,10 +109,6 @@ class ModbusEmulator(Emulator):
             if pdu is not None and (request.unit or self.framing == "tcp"):
                 answers.append(request.answer(pdu))
         return answers
-
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete request."""
-        self._parser.reset()
 
     def _handle(self, request: ModbusRequest, now: float) -> bytes | None:
         function = request.pdu[0]

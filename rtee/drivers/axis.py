@@ -81,12 +81,15 @@ class Axis:
         gain: float = math.inf,
         friction: float = 0.0,
         resolution: float = 1e-9,
+        enabled: bool = False,
+        self_locking: bool = False,
+        rating: float | None = None,
     ) -> None:
         self.position = position
         self.target = position
         self.velocity = 0.0
         self.effort = 0.0
-        self.enabled = False
+        self.enabled = enabled
         self.max_velocity = max_velocity
         self.max_effort = max_effort
         self.time_constant = time_constant
@@ -96,14 +99,14 @@ class Axis:
         self.lower = lower
         self.upper = upper
         self.obstacle: VirtualObject | None = None
-        self.self_locking = False
+        self.self_locking = self_locking
         self.stuck = False
         # A small motor: at the rating it would settle 50 K above the ambient temperature.
         self.ambient = 25.0
         self.temperature = self.ambient
         self.heating = 0.5
         self.cooling = 0.01
-        self.rating = max_effort
+        self.rating = max_effort if rating is None else rating
         self.travel = upper - lower if upper - lower < _ENDLESS else 0.0
         self.lag = 0.0
         self.pace = 1.0

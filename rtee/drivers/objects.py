@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
@@ -14,6 +14,7 @@ from msgspec import structs
 from rtee.buses.emulator import Emulator
 from rtee.buses.wear import Wear
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.options import read_properties
 from rtee.errors import ConfigError
 from rtee.hand.validation import Fault, Invalid, validated
 from rtee.types import DeviceSpec
@@ -218,7 +219,12 @@ def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
     properties = dict(options.get("emulator") or {})
     # Removed, since the emulator would refuse a name that is not a property of its device.
     given, state = properties.pop(OPTION, None), properties.pop(WEAR, IDEAL_STATE)
-    emulator = kind.from_options({**options, "emulator": properties})
+    make: Callable[..., Emulator] = kind
+    if kind.PROPERTIES is None:
+        emulator = make()
+    else:
+        fitting = kind.fitting({**options, "emulator": properties})
+        emulator = make(read_properties(kind.PROPERTIES, {**fitting, **properties}))
     if state != IDEAL_STATE:
         wear_down(emulator, _wear_of(kind, state))
     if given is not None:

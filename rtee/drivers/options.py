@@ -56,19 +56,10 @@ def read_options(kind: type[S], spec: DeviceSpec) -> S:
         ) from None
 
 
-def read_properties(kind: type[S], options: Mapping[str, Any], **defaults: Any) -> S:
-    """Return the properties of an emulated device from its driver's options.
-
-    Args:
-        kind: The emulator's class of properties.
-        options: The driver's options; only ``emulator`` is read.
-        defaults: Values that follow from other options, for properties that are not given.
-
-    Raises:
-        ConfigError: if a name is unknown or a value invalid.
-    """
+def read_properties(kind: type[S], given: Mapping[str, Any]) -> S:
+    """Return the properties of an emulated device; raises `ConfigError`."""
     try:
-        return validated(kind, {**defaults, **dict(options.get("emulator") or {})})
+        return validated(kind, dict(given))
     except Invalid as error:
         words = _told(error, "property", "properties", " of the emulated device")[1]
         raise ConfigError(words) from None

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.parser import Parser
 from rtee.drivers.axis import Axis
+from rtee.drivers.objects import Closing, Grasps
 
 
 class EmulatedServo(ABC):
@@ -17,19 +18,31 @@ class EmulatedServo(ABC):
 
     Attributes:
         ID: The register of its id.
+        MODEL: That of its model number.
+        BAUD_RATE: That of the rate of its line.
         PENDING: The register that tells whether bytes wait for `action`.
         axis: Its shaft.
         silent_until: Time before which it does not answer [s].
         get: Returns a register's value.
         set: Sets a register without any check.
+        keep: Sets it and stores the value.
+        cause: The bits of errors whose cause persists.
+        model: Its model number.
+        travel: Its positions at power-up and closed, on the axis.
     """
 
     ID: ClassVar[Any]
+    MODEL: ClassVar[Any]
+    BAUD_RATE: ClassVar[Any]
     PENDING: ClassVar[Any]
     axis: Axis
     silent_until: float = -math.inf
     get: Callable[[Any], int]
     set: Callable[[Any, int], None]
+    keep: Callable[[Any, int], None]
+    cause: int = 0
+    model: int
+    travel: tuple[float, float]
     _pending: tuple[int, bytes] | None = None
 
     @property
@@ -44,6 +57,10 @@ class EmulatedServo(ABC):
     @abstractmethod
     def step(self, now: float) -> None:
         """Let time pass up to ``now`` [s]."""
+
+    @abstractmethod
+    def fail(self, error: Any) -> None:
+        """Set an error, which may disable the torque."""
 
     @abstractmethod
     def write(self, address: int, data: bytes) -> object:
@@ -65,20 +82,48 @@ class EmulatedServo(ABC):
 S = TypeVar("S", bound=EmulatedServo)
 
 
-class ServoLine(Emulator, Generic[S]):
-    """Servos on one line.
+class ServoLine(Emulator, Grasps, Generic[S]):
+    """Servos on one line; all receive every request, each answers for itself.
 
     Args:
         parser: The parser of requests.
 
     Attributes:
+        ERRORS: The errors of the first servo that can be injected.
+        RATES: Rates of the line by the value of their register [baud].
+        STRANGER: Model number of a servo of another kind.
         ordered: The servos in the order of the argument.
     """
+
+    SHARED: ClassVar[tuple[str, ...]] = ("baudrate",)
+    ERRORS: ClassVar[Mapping[str, int]]
+    RATES: ClassVar[Sequence[int]]
+    STRANGER: ClassVar[int]
 
     def __init__(self, servos: Sequence[S], parser: Parser[Any]) -> None:
         super().__init__()
         self.ordered = list(servos)
-        self._incoming = parser
+        self.parser = parser
+        self._shown_rate = 0
+
+    @classmethod
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the ids of a device's servos and where they start: at 0 rad."""
+        found = super().fitting(options)
+        if "turnaround" in options:
+            found["latency"] = options["turnaround"]
+        if servos := options.get("servos"):
+            emulated = options.get("emulator") or {}
+            found["ids"] = tuple(dict(servo)["id"] for servo in servos.values())
+            common = emulated.get("servo") or {}
+            places = {} if "special" in emulated else cls._places(options)
+            found["special"] = {number: {**at, **common} for number, at in places.items()}
+        return found
+
+    @classmethod
+    @abstractmethod
+    def _places(cls, options: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+        """Return where each servo of a device starts, and how it closes, by id."""
 
     @property
     def servos(self) -> dict[int, S]:
@@ -102,12 +147,28 @@ class ServoLine(Emulator, Generic[S]):
             servo.reboot(now)
         self.line_reset()
 
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete frame."""
-        self._incoming.reset()
-
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; servos send nothing without a request."""
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``, and show the rate of the line in the servos' registers."""
         for servo in self.ordered:
             servo.step(now)
-        return []
+        if self.baudrate != self._shown_rate and self.baudrate in self.RATES:
+            self._shown_rate = self.baudrate
+            for servo in self.ordered:
+                servo.keep(servo.BAUD_RATE, self.RATES.index(self.baudrate))
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the first servo (its errors) or all (the rest)."""
+        super().inject(fault)
+        if fault in self.ERRORS:
+            self.ordered[0].fail(self.ERRORS[fault])
+
+    def on_faults(self) -> None:
+        """Block the servos while they are stuck, and set their errors and model numbers."""
+        super().on_faults()
+        self.ordered[0].cause = sum(bit for name, bit in self.ERRORS.items() if name in self.faults)
+        for servo in self.ordered:
+            servo.keep(servo.MODEL, self.STRANGER if "wrong_device" in self.faults else servo.model)
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the servos close, from their positions at power-up."""
+        return [Closing(servo.axis, *servo.travel, servo.axis.rating) for servo in self.ordered]

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Literal
 
 from msgspec import Meta, structs
 
@@ -20,7 +20,7 @@ from rtee.drivers.ability_hand import codec
 from rtee.drivers.ability_hand.control import EFFORTS, SPEEDS
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, read_properties
+from rtee.drivers.options import Byte, Duration, Positive, Rate
 from rtee.hand.validation import Section
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -44,6 +44,7 @@ class AbilityProperties(Section, frozen=True):
 
     Attributes:
         start: Closure at power-up, 0 to 1.
+        baudrate: Rate that its line is set to [baud].
         touch: Whether it has touch sensors.
         touch_rest: Words of the six sensors of each finger while nothing touches them.
         fast: Fast mode: a reply has the variant that the previous request selected.
@@ -54,6 +55,7 @@ class AbilityProperties(Section, frozen=True):
     """
 
     address: Byte = codec.ADDRESS
+    baudrate: Rate = codec.BAUDRATES[0]
     start: Share = 0.0
     touch: bool = True
     touch_rest: tuple[int, int, int, int, int, int] = (0, 0, 0, 0, 0, 0)
@@ -67,9 +69,6 @@ class AbilityProperties(Section, frozen=True):
 class AbilityHandEmulator(Emulator, Grasps):
     """The hand.
 
-    Args:
-        baudrate: Rate that its line is set to [baud].
-
     Attributes:
         axes: Its motors: angles of the joints on the wire [rad], efforts [N·m].
         moves: Number of set-points received.
@@ -78,6 +77,8 @@ class AbilityHandEmulator(Emulator, Grasps):
         rest: Words of the six touch sensors of each finger while nothing touches them.
     """
 
+    PROPERTIES = AbilityProperties
+    SHARED = ("address", "turnaround", "baudrate")
     # Words of the sensors of one finger of a real hand, while nothing touches them.
     WEAR = structs.replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
     FAULTS = Emulator.FAULTS | {"silent", "hot"}
@@ -86,17 +87,15 @@ class AbilityHandEmulator(Emulator, Grasps):
     period = 0.05
     """Time between two steps [s]: it leaves API mode by itself, without any traffic."""
 
-    def __init__(
-        self, properties: AbilityProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]
-    ) -> None:
+    def __init__(self, properties: AbilityProperties | None = None) -> None:
         super().__init__()
         self.properties = made = properties or AbilityProperties()
-        self.baudrate = baudrate
-        self.turnaround = made.turnaround
+        self.baudrate, self.turnaround = made.baudrate, made.turnaround
         self.axes = []
         for (low, high), speed, effort in zip(_RANGES, SPEEDS, EFFORTS, strict=True):
             # Open is the end at 0; the thumb's rotator closes towards negative angles.
             opened, closed = sorted((low, high), key=abs)
+            # Gears of several hundred to one are self-locking.
             axis = Axis(
                 opened + made.start * (closed - opened),
                 lower=low,
@@ -105,9 +104,9 @@ class AbilityHandEmulator(Emulator, Grasps):
                 max_effort=effort,
                 friction=_FRICTION,
                 resolution=1e-4,
+                enabled=True,
+                self_locking=True,
             )
-            # Gears of several hundred to one are self-locking.
-            axis.self_locking = axis.enabled = True
             self.axes.append(axis)
         self.moves = 0
         self.api = False
@@ -119,14 +118,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         self._random = random.Random(1)  # noqa: S311 - noise, the same in every run
         self._variant = 1
         self._heard = -math.inf
-        self._parser = codec.CommandParser()
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the hand that the option ``emulator`` of a device describes."""
-        given = cls._given(options, "address", "turnaround")
-        rate = int(options.get("baudrate", codec.BAUDRATES[0]))
-        return cls(read_properties(AbilityProperties, options, **given), baudrate=rate)
+        self.parser = codec.CommandParser()
 
     def wear_down(self, wear: Wear) -> None:
         """Make it differ from its sheet; its touch sensors are not zero at rest, and noisy."""
@@ -149,16 +141,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         self._variant = 1
         self._stay()
 
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete command."""
-        self._parser.reset()
-
     # --- time --------------------------------------------------------------------------------
-
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; the hand never sends by itself."""
-        self.advance(now)
-        return []
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
@@ -204,20 +187,14 @@ class AbilityHandEmulator(Emulator, Grasps):
 
     # --- the wire ----------------------------------------------------------------------------
 
-    def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Receive bytes and return the replies."""
-        self.advance(now)
-        if "silent" in self.faults:
-            return []
-        replies = []
-        for command in self._parser.feed(data):
-            if command.address == self.properties.address and self._obey(command, now):
-                if "wrong_device" in self.faults:
-                    # A valid frame with a length that no reply of an Ability Hand has.
-                    replies.append(codec.Command(0x10, codec.Header.READ).to_bytes())
-                else:
-                    replies.append(self.reply(self._reply_variant(command.header)).to_bytes())
-        return replies
+    def answers(self, frame: codec.Command, now: float) -> Iterable[bytes]:
+        """Obey a command and return the reply, if any."""
+        if frame.address == self.properties.address and self._obey(frame, now):
+            if "wrong_device" in self.faults:
+                # A valid frame with a length that no reply of an Ability Hand has.
+                yield codec.Command(0x10, codec.Header.READ).to_bytes()
+            else:
+                yield self.reply(self._reply_variant(frame.header)).to_bytes()
 
     def _reply_variant(self, header: int) -> int:
         """Return the variant of the reply to a command."""

@@ -6,15 +6,15 @@ What the hand does when it receives no more torques is not known; here it is a p
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Literal
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.drivers.allegro import codec
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive
 from rtee.hand.validation import Section
 
 _STEP = 0.0005
@@ -121,6 +121,8 @@ class AllegroEmulator(Emulator, Grasps):
         frames: Number of frames received, by command.
     """
 
+    PROPERTIES = AllegroProperties
+    SHARED = ("hand", "version")
     FAULTS = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
     period = 0.0005
 
@@ -132,13 +134,6 @@ class AllegroEmulator(Emulator, Grasps):
         self.frames: dict[int, int] = {}
         self.temperature = 30.0
         self.power_cycle(0.0)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the hand that the option ``emulator`` of a device describes."""
-        hand = options.get("hand", 0)
-        version = options.get("version") or 4
-        return cls(read_properties(AllegroProperties, options, hand=hand, version=version))
 
     def power_cycle(self, now: float) -> None:
         """Restart with the motors off, silent until a request."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 from msgspec import structs
 
@@ -15,7 +15,6 @@ from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import read_properties
 
 _CODES = {"overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611}
 """Error codes of the faults of the first drive."""
@@ -28,6 +27,7 @@ class Cia402Emulator(Emulator, Grasps):
         drives: The drives by node id.
     """
 
+    PROPERTIES = DriveProperties
     # The encoder of a drive sits on its motor and is homed: it sees neither play nor an offset.
     WEAR = structs.replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
     FAULTS = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
@@ -40,11 +40,10 @@ class Cia402Emulator(Emulator, Grasps):
         self._booted = False
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the drives that a device's options name."""
-        nodes = options.get("nodes") or {}
-        ids = tuple(dict(n)["id"] for n in nodes.values())
-        return cls(read_properties(DriveProperties, options, **({"nodes": ids} if ids else {})))
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the node ids that a device's options name."""
+        ids = tuple(dict(n)["id"] for n in (options.get("nodes") or {}).values())
+        return {"nodes": ids} if ids else {}
 
     def power_cycle(self, now: float) -> None:
         """Restart; drives without an absolute encoder lose their positions."""

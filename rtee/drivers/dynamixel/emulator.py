@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 from msgspec import field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import codec, table
 from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
-from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import read_properties
+from rtee.drivers.options import Rate
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import LATENCY
 from rtee.hand.validation import Section
@@ -43,6 +42,7 @@ class LineProperties(Section, frozen=True):
         special: Properties of individual servos, by id.
         latency: Latency of the adapter per answer [s]; 1 ms or 16 ms with an FTDI chip.
         fast: Whether they support the fast reads.
+        baudrate: Rate of the line [baud].
     """
 
     ids: tuple[int, ...] = (1,)
@@ -50,108 +50,49 @@ class LineProperties(Section, frozen=True):
     special: dict[int, ServoProperties] = field(default_factory=dict)
     latency: float = LATENCY
     fast: bool = True
+    baudrate: Rate = 57_600
 
 
-class DynamixelEmulator(ServoLine[Servo], Grasps):
-    """Servos on one line; all receive every instruction, each answers for itself.
+class DynamixelEmulator(ServoLine[Servo]):
+    """X-series servos on one line.
 
     Attributes:
         properties: Properties of the line.
         counts: Number of received instructions, by instruction.
     """
 
+    PROPERTIES = LineProperties
+    ERRORS = _HARDWARE
     FAULTS = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
-
-    baudrate = 57_600
-
-    BAUDRATES = frozenset(table.BAUD_RATES)
+    RATES = table.BAUD_RATES
+    BAUDRATES = frozenset(RATES)
+    STRANGER = 350  # an XL-320, which has another control table
+    parser: codec.InstructionParser
 
     def __init__(self, properties: LineProperties | None = None) -> None:
         made = self.properties = properties or LineProperties()
-        self._parser = codec.InstructionParser()
-        super().__init__(
-            [Servo(i, made.special.get(i, made.servo)) for i in made.ids], self._parser
-        )
-        self._shown_rate = 0
+        servos = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
+        super().__init__(servos, codec.InstructionParser())
+        self.baudrate = made.baudrate
         self.counts: dict[int, int] = {}
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the servos that a device's options name, with their joints at 0 rad."""
-        servos: Mapping[str, Any] = options.get("servos") or {}
-        given = [dict(s) for s in servos.values()]
-        defaults: dict[str, Any] = {}
-        if given:
-            start = {
-                s["id"]: {
-                    "start": s.get("zero", table.CENTER),
-                    "closing": s.get("direction", 1) * QUARTER_TURN,
-                }
-                for s in given
+    def _places(cls, options: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+        return {
+            servo["id"]: {
+                "start": servo.get("zero", table.CENTER),
+                "closing": servo.get("direction", 1) * QUARTER_TURN,
             }
-            defaults = {"ids": tuple(s["id"] for s in given)}
-            if "servo" not in (options.get("emulator") or {}):
-                defaults["special"] = start
-        if "turnaround" in options:
-            defaults["latency"] = options["turnaround"]
-        line = cls(read_properties(LineProperties, options, **defaults))
-        line.baudrate = int(options.get("baudrate") or line.baudrate)
-        return line
-
-    def inject(self, fault: str) -> None:
-        """Put a fault into the first servo (hardware errors) or all (the rest)."""
-        super().inject(fault)
-        if fault in _HARDWARE:
-            self.ordered[0].cause |= _HARDWARE[fault]
-            self.ordered[0].fail(_HARDWARE[fault])
-
-    def clear(self, fault: str | None = None) -> None:
-        """Remove a fault; hardware errors stay latched until a reboot."""
-        super().clear(fault)
-        self.ordered[0].cause = codec.Hardware(0)
-
-    def on_faults(self) -> None:
-        """Block the servos while they are stuck, and set their model numbers."""
-        for servo in self.ordered:
-            servo.axis.stuck = "stuck" in self.faults
-            # 350 is an XL-320, which has another control table.
-            model = 350 if "wrong_device" in self.faults else servo.properties.model
-            servo.set(table.MODEL, model)
-
-    def closings(self) -> Sequence[Closing]:
-        """Return how the servos close, from their positions at power-up."""
-        strongest = float(table.CURRENT_LIMIT.default)
-        return [
-            Closing(servo.axis, made.start, made.start + made.closing, strongest)
-            for servo in self.ordered
-            for made in [servo.properties]
-        ]
+            for servo in map(dict, options["servos"].values())
+        }
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes from the host and return the answers."""
-        self.step(now)
-        self._show_rate()
-        answers: list[bytes] = []
-        for packet in self._parser.feed(data):
-            if "silent" in self.faults:
-                continue
-            self.counts[packet.instruction] = self.counts.get(packet.instruction, 0) + 1
-            for servo in self.ordered:
-                # Every instruction on the line resets the bus watchdogs of all servos.
-                servo.heard(now)
-            answers += self._answers(packet, now)
-        return answers + self._crc_errors(now)
-
-    def _show_rate(self) -> None:
-        """Set the register of the baud rate to the rate of the line."""
-        if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
-            self._shown_rate = self.baudrate
-            for servo in self.ordered:
-                servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
+        return super().feed(data, now) + self._crc_errors(now)
 
     def _crc_errors(self, now: float) -> list[bytes]:
         """Return the answers of servos to damaged instructions that are addressed to them."""
-        damaged, self._parser.damaged = self._parser.damaged, []
+        damaged, self.parser.damaged = self.parser.damaged, []
         if "silent" in self.faults:
             return []
         answers = []
@@ -168,20 +109,25 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
         """Return the servos of these ids that can answer, in this order."""
         return [servo for servo in self.listening(numbers, now) if not servo.unplugged]
 
-    def _answers(self, packet: codec.InstructionPacket, now: float) -> list[bytes]:
-        params = packet.params
-        match packet.instruction:
+    def answers(self, frame: codec.InstructionPacket, now: float) -> list[bytes]:
+        """Let the servos carry out an instruction; return their answers."""
+        self.counts[frame.instruction] = self.counts.get(frame.instruction, 0) + 1
+        for servo in self.ordered:
+            # Every instruction on the line resets the bus watchdogs of all servos.
+            servo.heard(now)
+        params = frame.params
+        match frame.instruction:
             case codec.Instruction.SYNC_READ | codec.Instruction.FAST_SYNC_READ if (
                 len(params) >= _SPAN
             ):
                 address, length = struct.unpack_from("<HH", params)
                 wanted = [(n, address, length) for n in params[_SPAN:]]
-                fast = packet.instruction == codec.Instruction.FAST_SYNC_READ
+                fast = frame.instruction == codec.Instruction.FAST_SYNC_READ
                 return self._read_many(wanted, fast, now)
             case codec.Instruction.BULK_READ | codec.Instruction.FAST_BULK_READ:
                 # A request cut off on the way may end within an entry.
                 wanted = list(struct.iter_unpack("<BHH", params[: len(params) // 5 * 5]))
-                fast = packet.instruction == codec.Instruction.FAST_BULK_READ
+                fast = frame.instruction == codec.Instruction.FAST_BULK_READ
                 return self._read_many(wanted, fast, now)
             case codec.Instruction.SYNC_WRITE if len(params) >= _SPAN:
                 address, length = struct.unpack_from("<HH", params)
@@ -192,17 +138,17 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             case codec.Instruction.BULK_WRITE:
                 self._bulk_write(params, now)
                 return []
-        everybody = packet.device == codec.BROADCAST
-        numbers = sorted(self.servos) if everybody else [packet.device]
+        everybody = frame.device == codec.BROADCAST
+        numbers = sorted(self.servos) if everybody else [frame.device]
         answers = []
         for servo in self._listening(numbers, now):
             number = servo.number
-            answer = self._single(servo, packet, now)
+            answer = self._single(servo, frame, now)
             if answer is not None:
                 # Under the id at which it was asked, even where the packet has changed that.
                 answers.append(replace(answer, device=number).to_bytes())
         # All servos carry out a broadcast, but none answers it, except for a ping.
-        if everybody and packet.instruction != codec.Instruction.PING:
+        if everybody and frame.instruction != codec.Instruction.PING:
             return []
         return self._delayed(answers, numbers)
 

@@ -126,6 +126,8 @@ class Servo(EmulatedServo):
 
     ID = table.ID
     PENDING = table.REGISTERED
+    MODEL = table.MODEL
+    BAUD_RATE = table.BAUD_RATE
 
     def __init__(self, number: int, properties: ServoProperties) -> None:
         self.properties = properties
@@ -139,9 +141,11 @@ class Servo(EmulatedServo):
             resolution=0.5,
         )
         self.unplugged = False
-        self.cause = Hardware(0)
+        self.model = properties.model
+        self.travel = properties.start, properties.start + properties.closing
         self._memory = Memory()
         self.get, self.set = self._memory.get, self._memory.set
+        self.keep = self.set
         self._heard = -math.inf
         self._strained: float | None = None
         self._turn = 0

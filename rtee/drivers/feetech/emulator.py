@@ -11,7 +11,7 @@ import functools
 import itertools
 import operator
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 from msgspec import field
 
@@ -21,9 +21,8 @@ from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestPar
 from rtee.drivers.feetech.joints import Differential
 from rtee.drivers.feetech.options import DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
-from rtee.drivers.feetech.table import FAMILIES, FULL, FamilyName
-from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, read_properties
+from rtee.drivers.feetech.table import FAMILIES, FamilyName
+from rtee.drivers.options import Byte, Duration, Rate
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, ServoScale
 from rtee.hand.validation import Section, validated
@@ -37,8 +36,6 @@ _ERRORS = {
 }
 _READS = (Instruction.PING, Instruction.READ)
 """Instructions that are answered whatever the response level."""
-_WRONG = 0x0101
-"""Model number of a device of another kind."""
 
 
 class LineProperties(Section, frozen=True):
@@ -50,6 +47,7 @@ class LineProperties(Section, frozen=True):
         latency: Latency of the adapter per answer [s].
         sync_read: Whether they answer a sync read; ``None``: as known of their family.
         echo: Whether the adapter echoes what it sends.
+        baudrate: Rate of the line [baud].
     """
 
     family: FamilyName = "sts"
@@ -59,110 +57,76 @@ class LineProperties(Section, frozen=True):
     latency: Duration = LATENCY
     sync_read: bool | None = None
     echo: bool = False
+    baudrate: Rate = table.BAUD_RATES[0]
 
 
-class FeetechEmulator(ServoLine[Servo], Grasps):
-    """Servos on one line; all receive every request, each answers for itself.
+class FeetechEmulator(ServoLine[Servo]):
+    """Feetech servos on one line.
 
     Attributes:
         properties: Properties of the line.
         family: The servos' family.
     """
 
+    PROPERTIES = LineProperties
+    SHARED = ("family", "baudrate")
+    ERRORS = _ERRORS
     FAULTS = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
-    BAUDRATES = frozenset(table.BAUD_RATES)
-
-    baudrate = table.BAUD_RATES[0]
+    RATES = table.BAUD_RATES
+    BAUDRATES = frozenset(RATES)
+    STRANGER = 0x0101
 
     def __init__(self, properties: LineProperties | None = None) -> None:
-        properties = properties or LineProperties()
-        family, self._parser = FAMILIES[properties.family], RequestParser()
-        super().__init__(
-            [
-                Servo(family, number, properties.special.get(number, properties.servo))
-                for number in properties.ids
-            ],
-            self._parser,
-        )
-        self.properties, self.family = properties, family
-        self._models = [servo.get(table.MODEL) for servo in self.ordered]
-        self._shown_rate = 0
+        made = self.properties = properties or LineProperties()
+        family = self.family = FAMILIES[made.family]
+        servos = [Servo(family, i, made.special.get(i, made.servo)) for i in made.ids]
+        super().__init__(servos, RequestParser())
+        self.baudrate = made.baudrate
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the servos that a device's options name, with their actuators at 0 rad."""
-        emulated = options.get("emulator") or {}
-        defaults: dict[str, Any] = {}
-        if "family" in options:
-            defaults["family"] = options["family"]
-        if "turnaround" in options:
-            defaults["latency"] = options["turnaround"]
-        servos: Mapping[str, Any] = options.get("servos") or {}
-        if servos:
-            defaults["ids"] = tuple(dict(servo)["id"] for servo in servos.values())
-            if "special" not in emulated:
-                common = dict(emulated.get("servo") or {})
-                defaults["special"] = _places(options, common)
-        line = cls(read_properties(LineProperties, options, **defaults))
-        line.baudrate = int(options.get("baudrate") or line.baudrate)
-        return line
-
-    def inject(self, fault: str) -> None:
-        """Put a fault into the first servo (its errors) or all (the rest)."""
-        super().inject(fault)
-        if fault in _ERRORS:
-            self.ordered[0].fail(_ERRORS[fault])
-
-    def on_faults(self) -> None:
-        """Block the servos while they are stuck, and set their errors and model numbers."""
-        causes = [bit for name, bit in _ERRORS.items() if name in self.faults]
-        self.ordered[0].cause = Status(sum(causes))
-        for servo, model in zip(self.ordered, self._models, strict=True):
-            servo.axis.stuck = "stuck" in self.faults
-            servo.memory.keep(table.MODEL, _WRONG if "wrong_device" in self.faults else model)
-
-    # --- objects -----------------------------------------------------------------------------
-
-    def closings(self) -> Sequence[Closing]:
-        """Return how the servos close, from their positions at power-up."""
-        quarter = self.family.counts / self.family.span * 1.57
-        closings = []
-        for servo in self.ordered:
-            properties = servo.properties
-            start = self.family.center if properties.start < 0.0 else properties.start
-            opened = start + properties.offset
-            closed = opened + (properties.closing or quarter)
-            closings.append(Closing(servo.axis, opened, closed, float(FULL)))
-        return closings
+    def _places(cls, options: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+        family = FAMILIES[options.get("family", "sts")]
+        angles: dict[str, tuple[float, float]] = {}
+        if options.get("differential"):
+            pairing = validated(DifferentialOptions, options["differential"])
+            differential = Differential(pairing)
+            bent = max(pairing.flexion[-1][1], pairing.flexion[0][1])
+            for pair in pairing.pairs.values():
+                opened, closed = differential.servos(0.0, 0.0), differential.servos(bent, 0.0)
+                for name, start, end in zip(pair.servos, opened, closed, strict=True):
+                    angles[name] = start, end
+        places = {}
+        for name, servo in options["servos"].items():
+            given = dict(servo)
+            zero = given.get("zero")
+            scale = ServoScale(
+                family.rad_per_count,
+                float(family.center if zero is None else zero),
+                given.get("direction", 1),
+                given.get("gear", 1.0),
+            )
+            # A quarter turn if the travel of its actuator is not known.
+            start, end = angles.get(name, (0.0, 1.57 / scale.gear))
+            first, last = scale.to_counts(start), scale.to_counts(end)
+            places[given["id"]] = {"start": float(first), "closing": float(last - first)}
+        return places
 
     # --- the line ----------------------------------------------------------------------------
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes from the host and return the answers."""
-        self.step(now)
-        self._show_rate()
-        answers = [data] if self.properties.echo else []
-        for request in self._parser.feed(data):
-            if "silent" not in self.faults:
-                answers += self._answers(request, now)
-        return answers
+        return ([data] if self.properties.echo else []) + super().feed(data, now)
 
-    def _show_rate(self) -> None:
-        """Set the register of the baud rate to the rate of the line."""
-        if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
-            self._shown_rate = self.baudrate
-            for servo in self.ordered:
-                servo.memory.keep(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
-
-    def _answers(self, request: Frame, now: float) -> list[bytes]:
-        params = request.params
-        if request.code == Instruction.SYNC_WRITE and len(params) > 2:
+    def answers(self, frame: Frame, now: float) -> list[bytes]:
+        """Let the servos carry out a request; return their answers."""
+        params = frame.params
+        if frame.code == Instruction.SYNC_WRITE and len(params) > 2:
             address, size = params[0], params[1]
             for at in range(2, len(params) - size, size + 1):
                 for servo in self.listening([params[at]], now):
                     servo.write(address, params[at + 1 : at + 1 + size])
             return []
-        if request.code == Instruction.SYNC_READ and len(params) > 2:
+        if frame.code == Instruction.SYNC_READ and len(params) > 2:
             knows = self.properties.sync_read
             if not (self.family.sync_read if knows is None else knows):
                 return []
@@ -173,18 +137,18 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
                 for servo in found
             ]
             return self._delayed(replies, found)
-        everybody = request.device == BROADCAST
-        found = self.listening(sorted(self.servos) if everybody else [request.device], now)
+        everybody = frame.device == BROADCAST
+        found = self.listening(sorted(self.servos) if everybody else [frame.device], now)
         replies = []
         for servo in found:
             number = servo.number
-            answer = self._single(servo, request, now)
+            answer = self._single(servo, frame, now)
             if answer is None:
                 continue
-            if request.code in _READS or servo.get(table.RESPONSE_LEVEL):
+            if frame.code in _READS or servo.get(table.RESPONSE_LEVEL):
                 # Under the id at which it was asked, even where the request has changed that.
                 replies.append(Frame(number, servo.status, answer).to_bytes())
-        if everybody and request.code != Instruction.PING:
+        if everybody and frame.code != Instruction.PING:
             return []
         # Families that answer a sync read in turn do so here, too; the answers of others collide.
         collide = len(replies) > 1 and not self.family.sync_read
@@ -230,33 +194,3 @@ def _collided(answers: Sequence[bytes]) -> bytes:
     # 0xFF: a servo that is done leaves the line at rest, which is high.
     columns = itertools.zip_longest(*answers, fillvalue=0xFF)
     return bytes(functools.reduce(operator.and_, column) for column in columns)
-
-
-def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """Return the properties of each servo of a device by id: its start and how it closes."""
-    family = FAMILIES[options.get("family", "sts")]
-    angles: dict[str, tuple[float, float]] = {}
-    if options.get("differential"):
-        pairing = validated(DifferentialOptions, options["differential"])
-        differential = Differential(pairing)
-        bent = max(pairing.flexion[-1][1], pairing.flexion[0][1])
-        for pair in pairing.pairs.values():
-            opened, closed = differential.servos(0.0, 0.0), differential.servos(bent, 0.0)
-            for name, start, end in zip(pair.servos, opened, closed, strict=True):
-                angles[name] = start, end
-    places = {}
-    for name, servo in options["servos"].items():
-        given = dict(servo)
-        zero = given.get("zero")
-        scale = ServoScale(
-            family.rad_per_count,
-            float(family.center if zero is None else zero),
-            given.get("direction", 1),
-            given.get("gear", 1.0),
-        )
-        # A quarter turn if the travel of its actuator is not known.
-        start, end = angles.get(name, (0.0, 1.57 / scale.gear))
-        first, last = scale.to_counts(start), scale.to_counts(end)
-        place = {"start": float(first), "closing": float(last - first)}
-        places[given["id"]] = {**place, **common}
-    return places

@@ -181,21 +181,23 @@ class Servo(EmulatedServo):
 
     Attributes:
         axis: Its shaft, in counts of its encoder and 0.1 % of its largest torque.
-        cause: Errors whose cause persists.
     """
 
     ID = table.ID
     PENDING = table.PENDING
+    MODEL = table.MODEL
+    BAUD_RATE = table.BAUD_RATE
 
     def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
         self.properties = properties
         self._family = family
         self.memory = Memory(family)
-        self.get, self.set = self.memory.get, self.memory.set
+        self.get, self.set, self.keep = self.memory.get, self.memory.set, self.memory.keep
         known = next(model for model, one in MODELS.items() if one.family == family.name)
+        self.model = properties.model or known
         stored: dict[Register, int | None] = {
             table.FIRMWARE: int.from_bytes(b"\x03\x0a", family.order),
-            table.MODEL: properties.model or known,
+            table.MODEL: self.model,
             table.ID: number,
             table.RETURN_DELAY: properties.return_delay,
             table.RESPONSE_LEVEL: properties.level,
@@ -211,8 +213,11 @@ class Servo(EmulatedServo):
                 self.set(register, value)
         self.memory.store()
         start = family.center if properties.start < 0.0 else properties.start
+        opened = start + properties.offset
+        quarter = 1.57 / family.rad_per_count
+        self.travel = opened, opened + (properties.closing or quarter)
         self.axis = Axis(
-            start + properties.offset,
+            opened,
             lower=properties.lower,
             upper=properties.upper,
             max_effort=float(FULL),
@@ -220,7 +225,6 @@ class Servo(EmulatedServo):
             friction=_FRICTION,
             resolution=0.5,
         )
-        self.cause = Status(0)
         self._latched = Status(0)
         self._strained: float | None = None
         self._start()
@@ -230,7 +234,7 @@ class Servo(EmulatedServo):
     @property
     def status(self) -> Status:
         """The errors in the status of every reply."""
-        return self.cause | self._latched
+        return Status(self.cause) | self._latched
 
     @property
     def position(self) -> int:
@@ -294,11 +298,7 @@ class Servo(EmulatedServo):
         self._act()
 
     def fail(self, error: Status) -> None:
-        """Set an error whose cause persists; if the mask contains it, disable the torque."""
-        self.cause |= error
-        self._unload(error)
-
-    def _unload(self, error: Status) -> None:
+        """Disable the torque if the mask contains an error."""
         if error & self.get(table.UNLOAD):
             self.set(table.TORQUE, 0)
         self._act()
@@ -310,7 +310,7 @@ class Servo(EmulatedServo):
         self.axis.step(now)
         if self.axis.temperature > self.get(table.MAX_TEMPERATURE):
             self._latched |= Status.OVERHEATING
-            self._unload(Status.OVERHEATING)
+            self.fail(Status.OVERHEATING)
         self._watch_load(now)
 
     def _watch_load(self, now: float) -> None:
@@ -325,7 +325,7 @@ class Servo(EmulatedServo):
         elif now - self._strained > lasting * self._family.torque_time:
             self._strained = None
             self._latched |= Status.OVERLOAD
-            self._unload(Status.OVERLOAD)
+            self.fail(Status.OVERLOAD)
 
     def _act(self) -> None:
         """Apply the registers to the shaft."""

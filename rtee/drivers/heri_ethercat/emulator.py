@@ -10,14 +10,13 @@ missing frames are not public: here they are properties, or missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, SlaveState
 from rtee.drivers.axis import Axis
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Positive, read_properties
+from rtee.drivers.options import Positive
 from rtee.hand.validation import Section
 
 _FAULTS = {"hardware": codec.Fault.HARDWARE, "encoder": codec.Fault.ENCODER_1}
@@ -108,6 +107,7 @@ class HeriEmulator(Emulator, Grasps):
         timeout: Process data watchdog [s]; 0: off.
     """
 
+    PROPERTIES = BoardProperties
     FAULTS = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
 
     def __init__(self, properties: BoardProperties | None = None) -> None:
@@ -118,11 +118,6 @@ class HeriEmulator(Emulator, Grasps):
         self.timeout = 0.0
         self._heard: float | None = None
         self._dropped = False
-
-    @classmethod
-    def from_options(cls, options: Any) -> Self:
-        """Make the boards that the option ``emulator`` of a device describes."""
-        return cls(read_properties(BoardProperties, options))
 
     def power_cycle(self, now: float) -> None:
         """Restart; the motors stay where they are."""

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 from msgspec import structs
 
-from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.buses.wear import TYPICAL, Wear
 from rtee.drivers.axis import Axis
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import read_properties
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
 _POLL = 0.05
@@ -30,14 +29,12 @@ _REFUSED = b"\x00"
 class InspireRh56Emulator(ModbusEmulator, Grasps):
     """The hand.
 
-    Args:
-        framing: Of Modbus; ``None``: its own frames.
-        baudrate: Rate that its line is set to [baud].
-
     Attributes:
         memory: Its registers and motors.
     """
 
+    PROPERTIES = Rh56Properties
+    SHARED = ("unit", "model", "travel_time", "turnaround", "protocol", "baudrate")
     # Recorded with real hands: 44 to 70 ms from a command to the motion, 281 to 2222 counts/s where
     # the sheet's 0.3 s for the whole way are 3333, and force sensors that read a few grams.
     WEAR = structs.replace(TYPICAL, lag=0.066, pace=2222.0 / 3333.0, force=(5, -12, 0, 8, -4, 0))
@@ -45,30 +42,20 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     BAUDRATES = frozenset(codec.BAUDRATES)
     EXCEPTIONS = True
 
-    def __init__(
-        self,
-        properties: Rh56Properties | None = None,
-        framing: Framing | None = None,
-        *,
-        baudrate: int = codec.BAUDRATES[0],
-    ) -> None:
-        properties = properties or Rh56Properties()
-        super().__init__(properties.unit, framing or "rtu", baudrate=baudrate)
-        self.turnaround = max(self.turnaround, properties.turnaround)
-        self.memory = Memory(properties)
-        self._frames = codec.RequestParser() if framing is None else None
+    def __init__(self, properties: Rh56Properties | None = None) -> None:
+        made = properties or Rh56Properties()
+        super().__init__(made.unit, made.framing, baudrate=made.baudrate)
+        self.turnaround = max(self.turnaround, made.turnaround)
+        self.memory = Memory(made)
+        self._frames = codec.RequestParser() if made.protocol == "frames" else None
         self._saved: tuple[float, bytes] | None = None  # when it tells that it has saved, and how
         self._before = b"\0\0"
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the hand that the option ``emulator`` of a device describes."""
-        given = cls._given(options, "unit", "model", "travel_time", "turnaround", "protocol")
-        made = read_properties(Rh56Properties, options, **given)
-        framing: Framing | None = "rtu" if made.protocol == "modbus" else None
-        if str(options.get("port", "")).startswith("tcp://"):
-            framing = "tcp"
-        return cls(made, framing, baudrate=int(options.get("baudrate", codec.BAUDRATES[0])))
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the properties that follow from a driver's options."""
+        found = super().fitting(options)
+        return found | ({"protocol": "modbus"} if found["framing"] == "tcp" else {})
 
     @property
     def axes(self) -> Sequence[Any]:

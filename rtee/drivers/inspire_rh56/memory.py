@@ -6,10 +6,11 @@ import struct
 from collections.abc import Sequence
 from typing import Literal
 
+from rtee.buses.modbus_slave import Framing
 from rtee.drivers.axis import Axis
 from rtee.drivers.inspire_rh56 import codec, tactile
 from rtee.drivers.inspire_rh56.options import TURNAROUND
-from rtee.drivers.options import Byte, Duration, Positive
+from rtee.drivers.options import Byte, Duration, Positive, Rate
 from rtee.hand.validation import Section
 
 FIRST, LAST = codec.Register.HAND_ID, codec.Register.TEMPERATURE + codec.COUNT
@@ -46,7 +47,9 @@ class Rh56Properties(Section, frozen=True):
 
     Attributes:
         unit: Its number.
-        protocol: What it speaks on a serial line: its own frames, or Modbus RTU.
+        protocol: What it speaks: its own frames, or Modbus.
+        framing: Of Modbus: ``rtu`` or ``tcp``.
+        baudrate: Rate that its line is set to [baud].
         model: With tactile sensors (``dftp``) its force limits go up to 3000 g.
         unknown: Whether it returns registers without meaning as 0, or refuses to.
         behind: Whether answers over Modbus TCP carry the number of the previous transaction.
@@ -60,6 +63,8 @@ class Rh56Properties(Section, frozen=True):
 
     unit: Byte = 1
     protocol: Literal["frames", "modbus"] = "frames"
+    framing: Framing = "rtu"
+    baudrate: Rate = codec.BAUDRATES[0]
     model: Literal["dfx", "dfq", "bfx", "dftp"] = "dfx"
     unknown: Literal["zeros", "refused"] = "zeros"
     behind: bool = False
@@ -98,12 +103,12 @@ class Memory:
                 max_velocity=fastest,
                 max_effort=float(properties.most),
                 resolution=0.5,
+                enabled=True,
+                # Spindles are self-locking: a squeezed object does not push a finger back.
+                self_locking=True,
             )
             for _ in range(codec.COUNT)
         ]
-        for axis in self.axes:
-            # Spindles are self-locking: a squeezed object does not push a finger back.
-            axis.self_locking = axis.enabled = True
         self.moves = 0
         self.begun = [properties.most] * codec.COUNT
         self.errors = [codec.Error(0)] * codec.COUNT

@@ -6,8 +6,8 @@ last set-points when the line falls silent, and answers wrong addresses with exc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from collections.abc import Sequence
+from typing import Literal
 
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus_frames import READ_INPUT, WRITE_MANY, WRITE_ONE
@@ -15,7 +15,7 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulat
 from rtee.drivers.axis import Axis
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, read_properties
+from rtee.drivers.options import Byte, Duration, Positive
 from rtee.hand.validation import Section
 
 _FAULTS = {
@@ -65,6 +65,8 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         begun: Torque limits when the last motion began.
     """
 
+    PROPERTIES = LinkerProperties
+    SHARED = ("model", "unit", "travel_time")
     FAULTS = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
     BAUDRATES = frozenset({codec.BAUDRATE})
     FUNCTIONS = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
@@ -78,15 +80,16 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         self.turnaround = max(self.turnaround, properties.turnaround)
         self.axes = []
         for name in self.model.motors:
+            # Worm gears are self-locking: a squeezed object does not push a finger back.
             axis = Axis(
                 _OPEN.get(name, float(codec.MOST)),
                 lower=0.0,
                 upper=float(codec.MOST),
                 max_effort=float(codec.MOST),
                 resolution=0.5,
+                enabled=True,
+                self_locking=True,
             )
-            # Worm gears are self-locking: a squeezed object does not push a finger back.
-            axis.self_locking = axis.enabled = True
             axis.heating = _RATING
             self.axes.append(axis)
         self.moves = 0
@@ -94,12 +97,6 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         self._torques = [codec.MOST] * self.model.count
         self._speeds = [codec.MOST] * self.model.count
         self._limit()
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the hand that the option ``emulator`` of a device describes."""
-        given = cls._given(options, "model", "unit", "travel_time")
-        return cls(read_properties(LinkerProperties, options, **given))
 
     def closings(self) -> Sequence[Closing]:
         """Return how the motors that bend the digits close."""
@@ -124,12 +121,6 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         """Stop the motor that has a fault; it continues when the fault is gone."""
         super().on_faults()
         self.axes[_INDEX].enabled = not self.faults & set(_FAULTS)
-
-    def advance(self, now: float) -> None:
-        """Let time pass up to ``now``."""
-        dt = self._elapsed(now)
-        for axis in self.axes:
-            axis.advance(dt)
 
     def _limit(self) -> None:
         fastest = codec.MOST / self.properties.travel_time * self.properties.haste

@@ -7,7 +7,7 @@ what an unlisted register does, and how a missing tool answers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Literal
 
 from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
 from rtee.drivers.axis import Axis
@@ -20,7 +20,7 @@ from rtee.drivers.onrobot_emulator import (
     OnRobotProperties,
     identity,
 )
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive
 
 _SETTINGS = 0x0401
 """First register of the fingers' settings; the targets begin at 0."""
@@ -69,6 +69,8 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         begun: The force register when the last motion started.
     """
 
+    PROPERTIES = OnRobot3FGProperties
+    SHARED = ("unit", "baudrate", "grip")
     FAULTS = OnRobotEmulator.FAULTS | {"calibration_lost"}
     READABLE = (
         (0x0000, 0x0003),
@@ -93,20 +95,14 @@ class OnRobot3FGEmulator(OnRobotEmulator):
             max_effort=_APPROACH_FORCE,
             time_constant=0.01,
             resolution=2e-5,
+            rating=made.force,
+            enabled=True,
         )
-        self.axis.rating = made.force
-        self.axis.enabled = True
         self.axes = [self.axis]
         self.begun = 0
         # The factory's fingers in the registers' units: 49 mm, second hole, 6.3 mm offset.
         self._settings = [490, 0, 2, 630]
         self.power_cycle(0.0)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the gripper that a driver's options describe."""
-        fitting = cls._fitting(options, "unit", "baudrate", "grip")
-        return cls(read_properties(OnRobot3FGProperties, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
         """Stop, and forget targets and contact; encoders are absolute and the gears hold."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Literal
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
@@ -20,7 +20,7 @@ from rtee.drivers.onrobot_emulator import (
     identity,
 )
 from rtee.drivers.onrobot_rg import codec
-from rtee.drivers.options import Duration, read_properties
+from rtee.drivers.options import Duration
 
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
 _SAFETY_ERROR = "safety_error"
@@ -61,11 +61,9 @@ class OnRobotRGEmulator(OnRobotEmulator):
         stopped: Number of motions ended by a stop.
     """
 
-    FAULTS = OnRobotEmulator.FAULTS | {
-        _PUSHED_1,
-        _PUSHED_2,
-        _SAFETY_ERROR,
-    }
+    PROPERTIES = OnRobotRGProperties
+    SHARED = ("unit", "baudrate", "model")
+    FAULTS = OnRobotEmulator.FAULTS | {_PUSHED_1, _PUSHED_2, _SAFETY_ERROR}
     READABLE = (
         (TARGETS, TARGETS + 2),
         (0x0100, 0x0117),
@@ -90,23 +88,17 @@ class OnRobotRGEmulator(OnRobotEmulator):
             max_effort=0.0,
             time_constant=0.01,  # short compared with a motion
             resolution=1e-4,
+            rating=model.force,
+            enabled=True,
+            self_locking=True,  # the worm gear keeps the fingers where they are
         )
-        self.axis.rating = model.force
-        self.axis.enabled = True
         self.axes = [self.axis]
-        self.axis.self_locking = True  # the worm gear keeps the fingers where they are
         self.begun = 0
         self.stopped = 0
         self._offset = round(made.offset / TENTH_MM)
         self._triggered = [False, False]
         self._error = False
         self.power_cycle(0.0)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the gripper that a driver's options describe."""
-        found = cls._fitting(options, "unit", "baudrate", "model")
-        return cls(read_properties(OnRobotRGProperties, options, **found))
 
     def power_cycle(self, now: float) -> None:
         """Stop, forget targets and safety stops; the encoder is absolute and the gear holds."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterable
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, field
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.timing import wire_time
-from rtee.drivers.options import Duration, read_properties
+from rtee.drivers.options import Duration, Rate
 from rtee.drivers.orca_touch import codec
 from rtee.hand.validation import Section
 from rtee.sample import FloatArray
@@ -41,6 +41,7 @@ class OrcaTouchProperties(Section, frozen=True):
     taxels: dict[_Finger, _Taxels] = field(default_factory=_TAXELS.copy)
     encoders: bool = False
     period: Duration = 0.0
+    baudrate: Rate = codec.BAUDRATES[0]
 
 
 class OrcaTouchEmulator(Emulator):
@@ -53,32 +54,25 @@ class OrcaTouchEmulator(Emulator):
         angles: Counts of the joint encoders ``(17,)``.
     """
 
+    PROPERTIES = OrcaTouchProperties
+    SHARED = ("baudrate",)
     FAULTS = Emulator.FAULTS | {"error", "silent"}
     BAUDRATES = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL
 
-    def __init__(
-        self, properties: OrcaTouchProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]
-    ) -> None:
+    def __init__(self, properties: OrcaTouchProperties | None = None) -> None:
         super().__init__()
-        properties = properties or OrcaTouchProperties()
-        self.baudrate = baudrate
-        self.properties = properties
-        self.fingers = tuple(finger for finger in codec.FINGERS if finger in properties.taxels)
+        made = self.properties = properties or OrcaTouchProperties()
+        self.baudrate = made.baudrate
+        self.fingers = tuple(finger for finger in codec.FINGERS if finger in made.taxels)
         self.forces: dict[str, FloatArray] = {
-            finger: np.zeros((properties.taxels[finger], 3)) for finger in self.fingers
+            finger: np.zeros((made.taxels[finger], 3)) for finger in self.fingers
         }
         self.angles = [0] * codec.ENCODERS
-        self._parser = codec.RequestParser()
+        self.parser = codec.RequestParser()
         self._due = 0.0
         self.content, self.streaming = codec.Content.RESULTANTS, False
         self._pace()
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the board that the option ``emulator`` of a device describes."""
-        rate = int(options.get("baudrate", codec.BAUDRATES[0]))
-        return cls(read_properties(OrcaTouchProperties, options), baudrate=rate)
 
     def _pace(self) -> None:
         counts = [len(self.forces[finger]) for finger in self.fingers]
@@ -88,20 +82,9 @@ class OrcaTouchEmulator(Emulator):
 
     def power_cycle(self, now: float) -> None:
         """Restart; it does not stream until the stream is started."""
-        self._parser.reset()
+        self.line_reset()
         self.content, self.streaming = codec.Content.RESULTANTS, False
         self._pace()
-
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete request."""
-        self._parser.reset()
-
-    def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Receive bytes and return the replies."""
-        if "silent" in self.faults:
-            return []
-        replies = (self._answer(request) for request in self._parser.feed(data))
-        return [reply.to_bytes() for reply in replies if reply is not None]
 
     def step(self, now: float) -> list[bytes]:
         """Return the frames that are due, if any are; encoders send without being asked to."""
@@ -125,12 +108,13 @@ class OrcaTouchEmulator(Emulator):
         resultants = np.array([each.sum(axis=0) for each in taxels]).reshape(-1, 3)
         return codec.forces_bytes(resultants, taxels, content)
 
-    def _answer(self, request: codec.Request) -> codec.Reply | None:
-        if request.function == codec.Function.READ:
-            data = self._register(request.address, request.count)
+    def answers(self, frame: codec.Request, now: float) -> Iterable[bytes]:
+        """Obey a request and return the reply."""
+        if frame.function == codec.Function.READ:
+            data = self._register(frame.address, frame.count)
         else:
-            data = b"\0" if self._set(request.address, request.data) else b"\x01"
-        return codec.Reply(request.function, request.address, request.count, data)
+            data = b"\0" if self._set(frame.address, frame.data) else b"\x01"
+        yield codec.Reply(frame.function, frame.address, frame.count, data).to_bytes()
 
     def _register(self, address: int, count: int) -> bytes:
         if "wrong_device" in self.faults:

@@ -1,20 +1,20 @@
 """Emulates a qb SoftHand on the wire.
 
 What differs between generations of firmware, or is not known, is a property here: the form of
-acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET_INPUTS_ACK.
+acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import reduce
 from operator import xor
-from typing import Any, Literal, Self
+from typing import Literal
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, read_properties
+from rtee.drivers.options import Byte, Duration, Positive
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
 from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
@@ -22,6 +22,11 @@ from rtee.hand.validation import Section
 
 _LOWEST = -4_000
 """Lower limit of the motors of a hand with two [ticks]."""
+_CURRENT_LIMIT = 1500.0
+"""Current limit of a motor [mA], the setting from the factory."""
+_FRICTION, _GAIN = 120.0, 0.25
+"""Current of a motor that moves freely [mA], and per position error [mA/tick]; no document gives
+them."""
 _RATES = {13: 460_800}
 """Rates by the parameter of SET_BAUDRATE [baud]; other parameters set the factory's rate."""
 _TEXT_REQUEST = b"?\r\n"  # requests the information text without a frame
@@ -38,13 +43,9 @@ class QbOptions(Section, frozen=True):
         activation_mask: Whether GET_ACTIVATE returns the true mask with one motor, too, as in some
             firmware; else 3 or 0, as the vendor's library expects.
         watchdog: Whether SET_WATCHDOG is implemented: silence deactivates the motors.
-        inputs_ack: Whether SET_INPUTS_ACK is implemented.
         startup_active: Whether the motors are active after power-up, as from the factory.
         boot_time: Silence after power-up [s].
         speed: Speed of a motor [ticks/s].
-        current_limit_ma: Current limit of a motor [mA].
-        friction_ma: Current of a motor that moves freely [mA].
-        gain_ma: Current per position error [mA/tick]; no document gives it.
         turnaround: Time between a request and its answer [s], mostly a USB adapter's latency.
         text: The information text that it reports.
     """
@@ -55,13 +56,9 @@ class QbOptions(Section, frozen=True):
     limit: int = 19_000
     activation_mask: bool = False
     watchdog: bool = False
-    inputs_ack: bool = False
     startup_active: bool = True
     boot_time: Duration = 0.0
     speed: Positive = 25_000.0
-    current_limit_ma: Positive = 1500.0
-    friction_ma: float = 120.0
-    gain_ma: Positive = 0.25
     turnaround: Duration = codec.TURNAROUND
     text: str = "Firmware: SoftHand (emulated)\r\nMotor control: position\r\n"
 
@@ -87,8 +84,9 @@ class QbSoftHandEmulator(Emulator, Grasps):
         frames: Number of frames received, by command.
     """
 
+    PROPERTIES = QbOptions
+    SHARED = ("device", "motors", "turnaround")
     FAULTS = Emulator.FAULTS | {"silent", "low_supply"}
-
     BAUDRATES = frozenset(codec.BAUDRATES)
 
     def __init__(self, options: QbOptions | None = None) -> None:
@@ -101,9 +99,9 @@ class QbSoftHandEmulator(Emulator, Grasps):
                 lower=made.lower,
                 upper=made.upper,
                 max_velocity=made.speed,
-                max_effort=made.current_limit_ma,
-                gain=made.gain_ma,
-                friction=made.friction_ma,
+                max_effort=_CURRENT_LIMIT,
+                gain=_GAIN,
+                friction=_FRICTION,
                 resolution=0.5,
             )
             for _ in range(made.motors)
@@ -112,15 +110,9 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self._accelerations = [0.0] * made.motors
         self.power_cycle(0.0)
 
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the hand that the option ``emulator`` of a device describes."""
-        given = cls._given(options, "device", "motors", "turnaround")
-        return cls(read_properties(QbOptions, options, **given))
-
     def power_cycle(self, now: float) -> None:
         """Restart; the fingers stay where they are."""
-        self._parser = Parser()
+        self.parser = Parser()
         self._boot = now
         self._heard = now
         self.baudrate = codec.BAUDRATE
@@ -131,10 +123,6 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self._activate(0)
         self._activate(0x03 if self.options.startup_active else 0)
 
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete frame."""
-        self._parser.reset()
-
     def on_faults(self) -> None:
         """Block the motors while they are stuck; a low supply deactivates them."""
         if "low_supply" in self.faults:
@@ -144,7 +132,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
     def closings(self) -> Sequence[Closing]:
         """Return how the motors close the fingers."""
         made = self.options
-        return [Closing(axis, 0.0, made.limit, made.current_limit_ma) for axis in self.axes]
+        return [Closing(axis, 0.0, made.limit, _CURRENT_LIMIT) for axis in self.axes]
 
     def _activate(self, mask: int) -> None:
         for index, axis in enumerate(self.axes):
@@ -160,37 +148,33 @@ class QbSoftHandEmulator(Emulator, Grasps):
         """Mask of the active motors."""
         return sum(axis.enabled << index for index, axis in enumerate(self.axes))
 
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; the hand sends nothing without a request."""
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
         passed = self._elapsed(now)
         for index, axis in enumerate(self.axes):
             before = axis.velocity
-            axis.step(now)
+            axis.advance(passed)
             if passed > 0.0:
                 self._accelerations[index] = (axis.velocity - before) / passed
         if self.watchdog and now - self._heard > self.watchdog:
             self._activate(0)
-        return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes from the host and return the hand's replies."""
-        self.step(now)
-        if "silent" in self.faults or now - self._boot < self.options.boot_time:
-            return []
-        replies: list[bytes] = []
+        replies = super().feed(data, now)
         # The request has no frame and may come in pieces, so the last bytes are kept.
         self._text = (self._text + data)[-len(_TEXT_REQUEST) :]
-        if self._text.endswith(_TEXT_REQUEST):
+        if self._text.endswith(_TEXT_REQUEST) and "silent" not in self.faults:
             replies.append(self.options.text.encode("ascii"))
-        for frame in self._parser.feed(data):
-            if frame.device not in {self._number, BROADCAST}:
-                continue
+        return [] if now - self._boot < self.options.boot_time else replies
+
+    def answers(self, frame: Frame, now: float) -> Iterable[bytes]:
+        """Obey a frame and return the reply, if any."""
+        if frame.device in {self._number, BROADCAST}:
             self._heard = now
             self.frames[frame.command] = self.frames.get(frame.command, 0) + 1
-            reply = self._answer(frame)
-            if reply is not None:
-                replies.append(reply)
-        return replies
+            if (reply := self._answer(frame)) is not None:
+                yield reply
 
     @property
     def _number(self) -> int:
@@ -246,9 +230,6 @@ class QbSoftHandEmulator(Emulator, Grasps):
                 self._activate(data[0])
             case Command.SET_INPUTS if len(data) == 4:
                 self._inputs(data)
-            case Command.SET_INPUTS_ACK if len(data) == 4 and self.options.inputs_ack:
-                self._inputs(data)
-                return self._reply(command, b"\x01")
             case Command.SET_WATCHDOG if data and self.options.watchdog:
                 self.watchdog = codec.watchdog_seconds(data[0])
             case Command.SET_BAUDRATE if data:
@@ -281,7 +262,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
             7: Parameter(2, (3, 3, 3), "7 - Resolutions:"),
             10: Parameter(0, (1,), "10 - Pos. limits active:"),
             11: Parameter(5, travel, "11 - Pos. limits [tick]:"),
-            13: Parameter(3, (made.current_limit_ma,), "13 - Current limit [mA]:"),
+            13: Parameter(3, (_CURRENT_LIMIT,), "13 - Current limit [mA]:"),
         }
         slots = [known.get(i, Parameter(2, (0,), f"{i} - (not emulated)")) for i in range(1, 14)]
         return bytes([len(slots)]) + b"".join(slot.to_bytes().ljust(SLOT) for slot in slots)

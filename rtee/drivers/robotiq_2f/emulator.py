@@ -7,11 +7,11 @@ release goes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
-from rtee.drivers.options import Byte, Duration, read_properties
+from rtee.drivers.options import Byte, Duration
 from rtee.drivers.robotiq_2f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_2f.codec import MODELS, Command, Grasp, Status
 from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
@@ -55,6 +55,8 @@ class Robotiq2FEmulator(RobotiqEmulator):
         axis: Its fingers; positions in counts of gPO, efforts in N at the fingertips.
     """
 
+    PROPERTIES = Robotiq2FProperties
+    SHARED = ("unit", "baudrate", "model", "open_count", "closed_count")
     CODES: ClassVar[Mapping[str, int]] = {
         "over_temperature": 0x08,
         "under_voltage": 0x0A,
@@ -79,9 +81,9 @@ class Robotiq2FEmulator(RobotiqEmulator):
             time_constant=0.01,
             friction=0.1 * high,
             resolution=0.3,
+            rating=high,
+            self_locking=True,  # the screw keeps the fingers where they are
         )
-        self.axis.rating = high
-        self.axis.self_locking = True  # the screw keeps the fingers where they are
         counts = (made.closed_count - made.open_count) / self.model.stroke  # [1/m]
         slow, fast = self.model.speed
         self._speed = LinearScale(COUNTS, (slow * counts, fast * counts))
@@ -91,13 +93,11 @@ class Robotiq2FEmulator(RobotiqEmulator):
         super().__init__(made, [self.axis])
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the gripper that a driver's options describe."""
-        names = ("unit", "baudrate", "model", "open_count", "closed_count")
-        fitting = cls._fitting(options, *names)
-        if options.get("register_base") is not None:
-            fitting |= {"output": options["register_base"], "input": options["register_base"]}
-        return cls(read_properties(Robotiq2FProperties, options, **fitting))
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the properties that follow from a driver's options."""
+        base = options.get("register_base")
+        places = {} if base is None else {"output": base, "input": base}
+        return {**super().fitting(options), **places}
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close."""

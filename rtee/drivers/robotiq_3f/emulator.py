@@ -7,11 +7,11 @@ change of mode take. The blocks are served in both places that the editions name
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
-from rtee.drivers.options import Duration, read_properties
+from rtee.drivers.options import Duration
 from rtee.drivers.robotiq_3f import codec
 from rtee.drivers.robotiq_3f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Progress
@@ -56,6 +56,8 @@ class Robotiq3FProperties(RobotiqProperties, frozen=True):
 class Robotiq3FEmulator(RobotiqEmulator):
     """The three-finger gripper; its axes are fingers a, b, c and the scissor."""
 
+    PROPERTIES = Robotiq3FProperties
+    SHARED = ("unit", "baudrate")
     CODES: ClassVar[Mapping[str, int]] = {
         "scissor_obstructed": _OBSTRUCTED,
         "activation_failed": 0x0D,
@@ -70,12 +72,6 @@ class Robotiq3FEmulator(RobotiqEmulator):
         made = self.properties = properties or Robotiq3FProperties()
         fingers = [_axis(_OPEN, _OPEN) for _ in range(3)]
         super().__init__(made, [*fingers, _axis(_SCISSOR_OF[codec.Mode.BASIC], 0)])
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the gripper that a driver's options describe."""
-        found = cls._fitting(options, "unit", "baudrate")
-        return cls(read_properties(Robotiq3FProperties, options, **found))
 
     def _power_up(self, activated: bool) -> None:
         self._mode = codec.Mode.BASIC
@@ -181,10 +177,16 @@ class Robotiq3FEmulator(RobotiqEmulator):
 
 
 def _axis(position: float, lower: int) -> Axis:
-    axis = Axis(position, lower=lower, upper=255, time_constant=0.01, friction=2.0, resolution=0.3)
-    # Currents are reported relative to the strongest grip, independent of the commanded force.
-    axis.rating = codec.FORCE[1]
-    return axis
+    return Axis(
+        position,
+        lower=lower,
+        upper=255,
+        time_constant=0.01,
+        friction=2.0,
+        resolution=0.3,
+        # Currents are reported relative to the strongest grip, independent of the commanded force.
+        rating=codec.FORCE[1],
+    )
 
 
 def _contact(axis: Axis, moving: bool) -> codec.Contact:

@@ -7,12 +7,11 @@ grip, and the time to build up its force.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Byte, Duration, Positive, Rate, read_properties
+from rtee.drivers.options import Byte, Duration, Positive, Rate
 from rtee.drivers.schunk_egu.codec import (
     COMMANDS,
     FAST_STOP,
@@ -113,6 +112,8 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         taken: Accepted commands, newest last, for tests.
     """
 
+    PROPERTIES = SchunkEguProperties
+    SHARED = ("unit", "baudrate")
     FAULTS = ModbusEmulator.FAULTS | frozenset(_ERRORS)
     FUNCTIONS = frozenset({0x03, 0x10})
     EXCEPTIONS = True
@@ -127,11 +128,11 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             max_effort=_MOVE_FORCE * made.force,
             time_constant=0.01,
             resolution=_NEAR / 2,
+            rating=made.force,
+            enabled=True,
+            self_locking=True,
         )
-        self.axis.rating = made.force
-        self.axis.enabled = True
         self.axes = [self.axis]
-        self.axis.self_locking = True
         self.moves = 0
         self.begun = 0
         self.tests = 0
@@ -143,12 +144,6 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         for parameter in (Parameter.RELEASE_DELTA, Parameter.PREPOSITION):
             self._kept[parameter] = data_of(float_registers(made.release))
         self._start(made.ready)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the gripper that a driver's options describe."""
-        given = cls._given(options, "unit", "baudrate")
-        return cls(read_properties(SchunkEguProperties, options, **given))
 
     def _start(self, ready: bool) -> None:
         self._output = Output(Control.RUN if ready else Control(0))

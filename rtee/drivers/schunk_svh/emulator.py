@@ -1,26 +1,27 @@
 """Emulates an SVH on the wire.
 
-Unknown behaviour of the real hand is a property here: the length of replies, whether they echo the
-request's index, the effect of a packet that comes too early, and which channels need the 12 V
-supply.
+Unknown behaviour of the real hand is a property here: the length of replies, and whether they echo
+the request's index.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any, Self
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import channels_for, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
 from rtee.hand.validation import Section
 
+_FRICTION = 40.0
+"""Current of a channel that moves freely [mA]; no source gives it."""
 _ASIDE = ("Thumb_Opposition", "Finger_Spread")  # channels that do not close on an object
 
 
@@ -35,9 +36,6 @@ class SvhOptions(Section, frozen=True):
         padded: Whether replies have 64 bytes of data like requests, or only those needed.
         echo_index: Whether replies carry the index of their request, or 0.
         turnaround: Time between a request and its reply [s]; not known of the real hand.
-        strict_gap: Whether a packet sooner than `codec.GAP` after the previous one is lost.
-        supply_mask: Channels that move only while the 12 V supply is on.
-        friction_ma: Current of a channel that moves freely [mA].
         hot: Temperature at which the over-temperature warning latches [°C].
         haste: Factor by which it moves and homes faster than a real one.
         latch_echo: Whether the state also returns the bits written to clear faults.
@@ -50,9 +48,6 @@ class SvhOptions(Section, frozen=True):
     padded: bool = True
     echo_index: bool = True
     turnaround: Duration = codec.TURNAROUND
-    strict_gap: bool = False
-    supply_mask: int = 0x1FF
-    friction_ma: float = 40.0
     hot: float = 90.0
     haste: Positive = 1.0
     latch_echo: bool = False
@@ -75,10 +70,9 @@ class SchunkSvhEmulator(Emulator, Grasps):
         early: Packets that came sooner than `codec.GAP` after the previous one.
     """
 
-    FAULTS = Emulator.FAULTS | {
-        "driver_fault", "over_temperature", "silent",
-    }  # fmt: skip
-
+    PROPERTIES = SvhOptions
+    SHARED = ("turnaround",)
+    FAULTS = Emulator.FAULTS | {"driver_fault", "over_temperature", "silent"}
     BAUDRATES = frozenset({codec.BAUDRATE})
     baudrate = codec.BAUDRATE
     duplex = Duplex.FULL  # RS-485 with a pair of wires for each direction, or USB
@@ -93,11 +87,6 @@ class SchunkSvhEmulator(Emulator, Grasps):
         self._last = 0.0
         self.channels: list[_Channel] = []
         self.power_cycle(0.0)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the hand that the option ``emulator`` of a device describes."""
-        return cls(read_properties(SvhOptions, options, **cls._given(options, "turnaround")))
 
     def power_cycle(self, now: float) -> None:
         """Restart: everything off, encoders at 0 where the fingers are."""
@@ -114,11 +103,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         self._fault = 0
         self._hot = 0
         self._encoders = (1,) * codec.CHANNELS
-        self._parser = Parser()
-
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete packet."""
-        self._parser.reset()
+        self.parser = Parser()
 
     def inject(self, fault: str) -> None:
         """Put a fault into the hand; driver faults and over-temperature stay latched."""
@@ -146,7 +131,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
             upper=upper,
             max_velocity=position.max_rate * self.options.haste,
             max_effort=current.maximum,
-            friction=self.options.friction_ma,
+            friction=_FRICTION,
             resolution=1.0,
         )
         return _Channel(axis, position, current)
@@ -181,33 +166,22 @@ class SchunkSvhEmulator(Emulator, Grasps):
         spec = self.table[channel]
         return spec.zero(self.stop_of(channel)) + closure * spec.range / spec.rad_per_tick
 
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; the hand sends nothing without a request."""
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+        super().advance(now)
         for index, channel in enumerate(self.channels):
-            channel.axis.step(now)
             if channel.axis.temperature > self.options.hot:
                 self._hot |= 1 << index
-        return []
 
-    def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Receive bytes from the host and return the hand's replies."""
-        self.step(now)
-        replies = []
-        for packet in self._parser.feed(data):
-            early = now - self._last < codec.GAP
-            self._last = now
-            self.early += early
-            if (early and self.options.strict_gap) or "silent" in self.faults:
-                continue
-            self.packets[packet.command] = self.packets.get(packet.command, 0) + 1
-            try:
-                answer = self._answer(packet)
-            except SvhFrameError:
-                continue
-            index = packet.index if self.options.echo_index else 0
-            reply = Packet(packet.command, packet.channel, answer, index)
-            replies.append(reply.to_bytes(pad=self.options.padded))
-        return replies
+    def answers(self, frame: Packet, now: float) -> Iterable[bytes]:
+        """Obey a packet and return the reply."""
+        self.early += now - self._last < codec.GAP
+        self._last = now
+        self.packets[frame.command] = self.packets.get(frame.command, 0) + 1
+        with contextlib.suppress(SvhFrameError):
+            index = frame.index if self.options.echo_index else 0
+            reply = Packet(frame.command, frame.channel, self._answer(frame), index)
+            yield reply.to_bytes(pad=self.options.padded)
 
     def _feedback(self, index: int) -> codec.Feedback:
         axis = self.channels[index].axis
@@ -290,6 +264,4 @@ class SchunkSvhEmulator(Emulator, Grasps):
         running = bool(state.position_control and state.current_control)
         supplied = bool(state.pwm_reset & state.pwm_active & ControllerState.SUPPLY)
         for index, channel in enumerate(self.channels):
-            bit = 1 << index
-            powered = supplied or not self.options.supply_mask & bit
-            channel.axis.enabled = bool(running and powered and state.enabled & bit)
+            channel.axis.enabled = bool(running and supplied and state.enabled >> index & 1)

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Duration, Positive, read_properties
+from rtee.drivers.options import Duration, Positive
 from rtee.drivers.wsg50.codec import (
     MOTIONS,
     Command,
@@ -88,8 +87,10 @@ class Wsg50Emulator(Emulator, Grasps):
         requests: Frames received that ask for no measurement, newest last, for tests.
     """
 
+    PROPERTIES = Wsg50Properties
     FAULTS = Emulator.FAULTS | frozenset(_ERRORS)
     SCHEME = "socket"
+    parser: FrameParser
     period = 0.005
 
     def __init__(self, properties: Wsg50Properties | None = None) -> None:
@@ -103,27 +104,21 @@ class Wsg50Emulator(Emulator, Grasps):
             max_effort=self.limits.force[1],
             time_constant=0.01,
             resolution=_NEAR / 2,
+            enabled=True,
+            self_locking=True,
         )
-        self.axis.rating = self.limits.force[1]
-        self.axis.enabled = True
         self.axes = [self.axis]
-        self.axis.self_locking = True
         self.moves = 0
         self.homings = 0
         self.begun = 0.0
         self.requests: list[Frame] = []
-        self._parser = FrameParser()
+        self.parser = FrameParser()
         self._announced = True
         self._latched = False
         self._auto: dict[int, list[float]] = {}
         self._aborted: list[Frame] = []
         self._running: int | None = None
         self._start(made.referenced)
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the gripper that a driver's options describe."""
-        return cls(read_properties(Wsg50Properties, options))
 
     def _start(self, referenced: bool) -> None:
         self._referenced = referenced
@@ -152,7 +147,7 @@ class Wsg50Emulator(Emulator, Grasps):
 
         Periodic answers end with the connection.
         """
-        self._parser.reset()
+        super().line_reset()
         self._auto.clear()
         if self.properties.error_on_disconnect and not self._announced:
             self._fast_stop()
@@ -188,7 +183,7 @@ class Wsg50Emulator(Emulator, Grasps):
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes and return the answers."""
         answers = self._pass(now)
-        for frame in self._parser.feed(data):
+        for frame in self.parser.feed(data):
             if frame.command not in _AUTO:
                 # The newest 64: a run of hours must not fill the memory.
                 self.requests = [*self.requests[-63:], frame]

@@ -7,12 +7,12 @@ real server interpolates them; the sign of efforts is not known and an option of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.options import Positive, read_properties
+from rtee.drivers.options import Positive
 from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
@@ -53,6 +53,7 @@ class XBot2Emulator(Emulator, Grasps):
         commands: Number of commands received.
     """
 
+    PROPERTIES = ServerProperties
     FAULTS = Emulator.FAULTS | {"silent"}
 
     def __init__(self, properties: ServerProperties | None = None) -> None:
@@ -69,23 +70,22 @@ class XBot2Emulator(Emulator, Grasps):
                 time_constant=0.01,
                 friction=0.02 * made.effort,
                 resolution=1e-4,
+                enabled=True,
             )
             for name in made.joints
         }
-        for axis in self.axes.values():
-            axis.enabled = True
         self.commands = 0
         self._sequence = 0
 
     @classmethod
-    def from_options(cls, options: Mapping[str, Any]) -> Self:
+    def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
         """Make a server with the joints that a device's options name; ``ends`` are their stops."""
         given = options.get("joints") or {}
         names = tuple(dict(j).get("joint") or actuator for actuator, j in given.items())
         fitting: dict[str, Any] = {"joints": names} if names else {}
         if options.get("ends"):
             fitting["lower"], fitting["upper"] = options["ends"]
-        return cls(read_properties(ServerProperties, options, **fitting))
+        return fitting
 
     def power_cycle(self, now: float) -> None:
         """Restart; the joints stay where they are."""

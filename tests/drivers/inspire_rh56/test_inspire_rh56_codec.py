@@ -245,7 +245,7 @@ def test_one_finger_is_commanded_by_a_part_of_a_table() -> None:
     speeds = Frame(1, WRITE, Register.SPEED_SET + 8, (300).to_bytes(2, "little") * 2)
     asked(hand, speeds.to_bytes(REQUEST).hex())
     assert words_at(hand, Register.SPEED_SET) == (1000, 1000, 1000, 1000, 300, 300)
-    modbus = InspireRh56Emulator(framing="tcp")
+    modbus = InspireRh56Emulator(Rh56Properties(protocol="modbus", framing="tcp"))
     assert asked(modbus, "00 01 00 00 00 06 01 06 05 D4 03 D0").endswith("01 06 05 D4 03 D0")
     assert words_at(modbus, Register.ANGLE_SET)[3] == 976
 
@@ -264,7 +264,7 @@ def test_its_supply_reads_as_that_of_real_hands() -> None:
 
 
 def test_it_speaks_modbus_on_a_line_where_told_to() -> None:
-    hand = InspireRh56Emulator.from_options({"emulator": {"protocol": "modbus"}})
+    hand = InspireRh56Emulator(Rh56Properties(protocol="modbus"))
     request = rtu_frame(1, bytes.fromhex("03 06 0A 00 06"))
     assert asked(hand, request.hex()).startswith("01 03 0C 03 E8")
 
@@ -296,4 +296,5 @@ def test_it_is_silent_or_refuses_where_it_must() -> None:
     ],
 )
 def test_it_answers_over_modbus_as_in_the_sheet(request_: str, reply: str) -> None:
-    assert asked(InspireRh56Emulator(framing="tcp"), request_) == reply
+    hand = InspireRh56Emulator(Rh56Properties(protocol="modbus", framing="tcp"))
+    assert asked(hand, request_) == reply
