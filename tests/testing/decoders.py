@@ -25,15 +25,15 @@ from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.onrobot_rg import codec as rg
 from rtee.drivers.orca_touch import codec as orca
 from rtee.drivers.qb_softhand import codec as qb
+from rtee.drivers.qb_softhand.codec import SLOT, ListParser, Parameter
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
-from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
 from rtee.drivers.robotiq_2f import codec as two
 from rtee.drivers.robotiq_3f import codec as three
 from rtee.drivers.schunk_egu import codec as egu
 from rtee.drivers.schunk_svh import codec as svh
 from rtee.drivers.wsg50 import codec as wsg
 from rtee.drivers.xbot2 import codec as xbot2
-from rtee.drivers.xbot2.messages import XBot2FrameError
+from rtee.drivers.xbot2.codec import XBot2FrameError
 from rtee.errors import FrameError
 from tests.testing.fuzz import Decoder
 

@@ -13,9 +13,8 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Status
 from rtee.drivers.feetech.identity import recognise
-from rtee.drivers.feetech.joints import Joints
 from rtee.drivers.feetech.link import FeetechLink
-from rtee.drivers.feetech.options import FeetechOptions
+from rtee.drivers.feetech.options import FeetechOptions, Joints
 from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, State, model_name
 from rtee.drivers.options import read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale

@@ -18,8 +18,7 @@ from msgspec import field
 from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestParser, Status
-from rtee.drivers.feetech.joints import Differential
-from rtee.drivers.feetech.options import DifferentialOptions
+from rtee.drivers.feetech.options import Differential, DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
 from rtee.drivers.options import Byte, Duration, Rate

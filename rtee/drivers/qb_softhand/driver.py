@@ -21,9 +21,8 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import Command
+from rtee.drivers.qb_softhand.codec import Command, Limits, current_limit, limits
 from rtee.drivers.qb_softhand.link import QbLink
-from rtee.drivers.qb_softhand.parameters import Limits, current_limit, limits
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference

@@ -16,8 +16,15 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Byte, Duration, Positive
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
-from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
+from rtee.drivers.qb_softhand.codec import (
+    BROADCAST,
+    HEADER,
+    SLOT,
+    Command,
+    Frame,
+    Parameter,
+    Parser,
+)
 from rtee.hand.validation import Section
 
 _LOWEST = -4_000

@@ -8,8 +8,15 @@ from typing import Any, TypeVar
 
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import BROADCAST, Command, Frame, Parser, QbFrameError
-from rtee.drivers.qb_softhand.parameters import ListParser, Parameter
+from rtee.drivers.qb_softhand.codec import (
+    BROADCAST,
+    Command,
+    Frame,
+    ListParser,
+    Parameter,
+    Parser,
+    QbFrameError,
+)
 from rtee.errors import BusTimeout, FrameError
 
 T = TypeVar("T")

@@ -18,18 +18,18 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
-from rtee.drivers.schunk_svh import codec, homing, power
+from rtee.drivers.schunk_svh import codec, homing
 from rtee.drivers.schunk_svh.channels import (
     CHANNELS,
     HOMING_ORDER,
     Channel,
+    SchunkSvhOptions,
     channels_for,
     channels_of,
 )
 from rtee.drivers.schunk_svh.codec import FeedbackAll
 from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
-from rtee.drivers.schunk_svh.options import SchunkSvhOptions
 from rtee.errors import DeviceFault, HandshakeError, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
@@ -136,7 +136,7 @@ class SchunkSvhDriver(Driver):
         self._scales: ChannelScales | None = None
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
-        self._health = power.Health(spec.name)
+        self._health = homing.Health(spec.name)
         self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(spec.actuators), math.nan)
         self._home_asked = False
@@ -228,7 +228,7 @@ class SchunkSvhDriver(Driver):
             return
         if not homed:
             if self.options.home == "on_demand" and not self._home_asked:
-                raise DeviceFault(self.spec.name, power.NOT_HOMED, "not homed", hint=power.HOMING)
+                raise DeviceFault(self.spec.name, homing.NOT_HOMED, "not homed", hint=homing.HOMING)
             await self.home()
         self._home_asked = False
         await self._enable()
@@ -248,7 +248,7 @@ class SchunkSvhDriver(Driver):
         self._health.off()
         # The old zeros end here, so that a failed homing does not leave them behind.
         self._adopt_stops({})
-        await power.disable(self.connection.link)
+        await homing.disable(self.connection.link)
         # Homing needs the current limits: at the stop, only they protect the gears.
         await self._limits.write(self.connection.link, self._index)
         stops: dict[int, int] = {}
@@ -274,7 +274,7 @@ class SchunkSvhDriver(Driver):
         await self._limits.write(self.connection.link, self._index)
         await self._seed()
         await self.connection.link.set_targets(self._targets)
-        state = await power.enable(self.connection.link, self._index)
+        state = await homing.enable(self.connection.link, self._index)
         self._health.begin(state, self._index)
         self._check(state)
 
@@ -312,7 +312,7 @@ class SchunkSvhDriver(Driver):
         try:
             self._health.check(state, self._table)
         except DeviceFault as fault:
-            if fault.code == power.LOST_POWER:
+            if fault.code == homing.LOST_POWER:
                 # Without its supply the hand loses the positions.
                 self._adopt_stops({})
             raise
@@ -364,7 +364,7 @@ class SchunkSvhDriver(Driver):
         Otherwise the next `activate` homes the hand, which moves it.
         """
         self.connection.link.patient = True
-        await power.disable(self.connection.link)
+        await homing.disable(self.connection.link)
         # Disabled on purpose, so channels without power are not a fault now.
         self._health.off()
         state = await self.connection.link.state()
@@ -380,7 +380,7 @@ class SchunkSvhDriver(Driver):
         self._answer = None
         if self.connection.is_open:
             self._health.off()
-            await power.disable(self.connection.link)
+            await homing.disable(self.connection.link)
 
     async def close(self) -> None:
         """Detach from the line; enabled channels stay enabled."""

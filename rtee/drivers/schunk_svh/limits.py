@@ -6,10 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rtee.drivers.schunk_svh.channels import Channel, current_settings, position_settings
+from rtee.drivers.schunk_svh.channels import (
+    Channel,
+    ChannelOptions,
+    current_settings,
+    position_settings,
+)
 from rtee.drivers.schunk_svh.codec import CurrentSettings, PositionSettings
 from rtee.drivers.schunk_svh.link import SvhLink
-from rtee.drivers.schunk_svh.options import ChannelOptions
 from rtee.errors import HandshakeError
 from rtee.types import Reference
 

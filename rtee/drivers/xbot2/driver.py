@@ -24,8 +24,15 @@ from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import COMMAND_PORT, SERVICE_PORT, STATE_PORT, Command, Control, State
-from rtee.drivers.xbot2.messages import XBot2FrameError
+from rtee.drivers.xbot2.codec import (
+    COMMAND_PORT,
+    SERVICE_PORT,
+    STATE_PORT,
+    Command,
+    Control,
+    State,
+    XBot2FrameError,
+)
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, RteeError, suggestion
 from rtee.hand.validation import Misfit, Section
 from rtee.sample import ActuatorState, FloatArray

@@ -14,8 +14,7 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Positive
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import Command, Control, State
-from rtee.drivers.xbot2.messages import XBot2FrameError
+from rtee.drivers.xbot2.codec import Command, Control, State, XBot2FrameError
 from rtee.hand.validation import Section
 
 

@@ -12,8 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtee.drivers.feetech.joints import Curve, Differential, Joints
-from rtee.drivers.feetech.options import DifferentialOptions, FeetechOptions
+from rtee.drivers.feetech.options import (
+    Curve,
+    Differential,
+    DifferentialOptions,
+    FeetechOptions,
+    Joints,
+)
 from rtee.errors import ConfigError
 from rtee.hand.validation import validated
 from rtee.running.run import RunOptions, prepare

@@ -12,7 +12,7 @@ from typing import Any
 import anyio
 import pytest
 
-from rtee.drivers.inspire_rh56 import calibration
+from rtee.drivers.inspire_rh56 import driver as calibration
 from rtee.drivers.inspire_rh56.codec import Register, table, words
 from rtee.drivers.inspire_rh56.driver import InspireRh56Driver
 from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of

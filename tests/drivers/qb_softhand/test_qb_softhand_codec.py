@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtee.buses.serial import SerialBus
-from rtee.drivers.qb_softhand import codec, parameters
+from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command, Frame, Parser, QbFrameError
 from rtee.drivers.qb_softhand.driver import OneMotor, TwoMotors
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
@@ -130,36 +130,36 @@ def test_frames_are_found_however_the_stream_is_cut(cuts: list[int]) -> None:
 def test_parameter_list_is_read_in_both_framings(generation: str, motors: int) -> None:
     hand = QbSoftHandEmulator(QbOptions(generation=generation, motors=motors))  # type: ignore[arg-type]
     reply = hand.feed(bytes.fromhex("3A3A01040C00000C"), 0.0)
-    parser = parameters.ListParser(1)
-    found: list[dict[int, parameters.Parameter]] = []
+    parser = codec.ListParser(1)
+    found: list[dict[int, codec.Parameter]] = []
     for byte in b"\x3a\x00" + b"".join(reply):
         found += parser.feed(bytes([byte]))
     assert len(found) == 1
-    limits = parameters.limits(found[0])
-    expected = parameters.Limits(0, 19000) if motors == 1 else parameters.Limits(-4000, 23000)
+    limits = codec.limits(found[0])
+    expected = codec.Limits(0, 19000) if motors == 1 else codec.Limits(-4000, 23000)
     assert limits == (expected,) * motors
-    assert parameters.current_limit(found[0]) == 1.5
-    assert found[0][parameters.Index.DEVICE].values == (1,)
-    assert found[0][parameters.Index.DEVICE].label.startswith("1 - Device ID")
+    assert codec.current_limit(found[0]) == 1.5
+    assert found[0][codec.Index.DEVICE].values == (1,)
+    assert found[0][codec.Index.DEVICE].label.startswith("1 - Device ID")
 
 
 @settings(max_examples=200)
 @given(st.lists(st.binary(max_size=700), max_size=6))
 def test_parameter_parser_is_bounded_whatever_comes(pieces: list[bytes]) -> None:
-    parser = parameters.ListParser(1)
+    parser = codec.ListParser(1)
     for piece in [b"\x3a\x3a\x01\x00\x0c\x05", *pieces]:
         parser.feed(piece)
-        assert parser.pending <= parameters.ListParser.LIMIT
+        assert parser.pending <= codec.ListParser.LIMIT
 
 
 def test_parameters_that_make_no_sense_are_not_believed() -> None:
-    assert parameters.limits({11: parameters.Parameter(5, (100, -100))}) == ()
-    assert parameters.limits({}) == ()
-    assert parameters.current_limit({13: parameters.Parameter(3, (-1,))}) is None
+    assert codec.limits({11: codec.Parameter(5, (100, -100))}) == ()
+    assert codec.limits({}) == ()
+    assert codec.current_limit({13: codec.Parameter(3, (-1,))}) is None
     with pytest.raises(QbFrameError):
-        parameters.Parameter.from_bytes(b"\x09" * 50)
+        codec.Parameter.from_bytes(b"\x09" * 50)
     with pytest.raises(QbFrameError):
-        parameters.Parameter.from_bytes(b"\x08\x07".ljust(50, b"\x00"))
+        codec.Parameter.from_bytes(b"\x08\x07".ljust(50, b"\x00"))
 
 
 @given(st.floats(0.0, 1.0))

@@ -18,10 +18,9 @@ from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_zmq import SimulatedZmq
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import Command, Control, State
+from rtee.drivers.xbot2.codec import Command, Control, State, XBot2FrameError
 from rtee.drivers.xbot2.driver import XBot2Driver
 from rtee.drivers.xbot2.emulator import ServerProperties, XBot2Emulator
-from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 from tests.drivers.objects import obstruct
