@@ -128,9 +128,7 @@ class Driver(ABC):
             yield
         except strangers as error:
             reason = getattr(error, "message", None) or str(error)
-            raise HandshakeError(
-                self.spec.name, expected, f"another device ({reason})", hint=check
-            ) from error
+            raise self.stranger(expected, f"another device ({reason})", hint=check) from error
         except (BusTimeout, FrameError) as error:
             raise NotConnected(self.spec.name, absent, hint=hint) from error
 
@@ -199,11 +197,15 @@ class Driver(ABC):
         """
         return ""
 
-    def fault(self, code: int, name: str, hint: str) -> DeviceFault:
+    def fault(self, code: int, name: str, hint: str = "") -> DeviceFault:
         """Return a fault that the device reports; the driver is inactive from here on."""
         # An inactive driver only reads, so that the fault is raised once and not in every cycle.
         self.active = False
         return DeviceFault(self.spec.name, code, name, hint=hint)
+
+    def stranger(self, expected: str, found: str, hint: str = "") -> HandshakeError:
+        """Return that another device was found than the one expected."""
+        return HandshakeError(self.spec.name, expected, found, hint=hint)
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the device's bus, for its status; must return at once."""

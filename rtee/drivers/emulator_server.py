@@ -207,7 +207,8 @@ def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
             raise ConfigError(f"'{name}' is a server on the network: give --tcp PORT, or nothing")
         return
     # An emulator overrides the handlers of the transports that its device has.
-    hears, reads = kind.on_frame is not Emulator.on_frame, kind.feed is not Emulator.feed
+    hears = kind.on_frame is not Emulator.on_frame
+    reads = kind.feed is not Emulator.feed or kind.answers is not Emulator.answers
     if hears and not (reads or can):
         raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
     if reads and can and not hears:

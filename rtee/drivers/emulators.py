@@ -8,29 +8,16 @@ from typing import Any
 from rtee.buses.emulator import Emulator, EmulatorFactory
 from rtee.drivers.lookup import find_class, known_names
 from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, made_by
+from rtee.drivers.registry import DRIVERS
 from rtee.types import DeviceSpec
 
+_OF_NONE = ("kinematic", "replay", "mujoco")  # drivers of no device on a wire
 EMULATORS: Mapping[str, str] = {
-    "robotiq_2f": "rtee.drivers.robotiq_2f.emulator:Robotiq2FEmulator",
-    "robotiq_3f": "rtee.drivers.robotiq_3f.emulator:Robotiq3FEmulator",
-    "onrobot_3fg": "rtee.drivers.onrobot_3fg.emulator:OnRobot3FGEmulator",
-    "onrobot_rg": "rtee.drivers.onrobot_rg.emulator:OnRobotRGEmulator",
-    "wsg50": "rtee.drivers.wsg50.emulator:Wsg50Emulator",
-    "qb_softhand": "rtee.drivers.qb_softhand.emulator:QbSoftHandEmulator",
-    "schunk_svh": "rtee.drivers.schunk_svh.emulator:SchunkSvhEmulator",
-    "schunk_egu": "rtee.drivers.schunk_egu.emulator:SchunkEguEmulator",
-    "inspire_rh56": "rtee.drivers.inspire_rh56.emulator:InspireRh56Emulator",
-    "ability_hand": "rtee.drivers.ability_hand.emulator:AbilityHandEmulator",
-    "linkerhand": "rtee.drivers.linkerhand.emulator:LinkerHandEmulator",
-    "dynamixel": "rtee.drivers.dynamixel.emulator:DynamixelEmulator",
-    "feetech": "rtee.drivers.feetech.emulator:FeetechEmulator",
-    "cia402": "rtee.drivers.cia402.emulator:Cia402Emulator",
-    "allegro": "rtee.drivers.allegro.emulator:AllegroEmulator",
-    "xbot2": "rtee.drivers.xbot2.emulator:XBot2Emulator",
-    "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
-    "orca_touch": "rtee.drivers.orca_touch.emulator:OrcaTouchEmulator",
+    name: place.replace(".driver:", ".emulator:").removesuffix("Driver") + "Emulator"
+    for name, place in DRIVERS.items()
+    if name not in _OF_NONE
 }
-"""Built-in emulators: name of the driver to ``module:Class``."""
+"""Built-in emulators, each beside its driver: name of the driver to ``module:Class``."""
 
 EMULATOR_GROUP = "rtee.emulators"
 """The entry point group in which other packages offer emulators."""

@@ -195,7 +195,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     def _too_slow(self) -> DeviceFault:
         hint = "free the fingers, then `rtee recover`"
-        return DeviceFault(self.spec.name, 0x0D, "activation not done in time", hint=hint)
+        return self.fault(0x0D, "activation not done in time", hint=hint)
 
     async def _end_activation(self) -> None:
         # Only a reset ends an activation; without it the gripper goes on once its fingers are free.

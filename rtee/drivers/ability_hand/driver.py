@@ -27,7 +27,7 @@ from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.tare import Tare
-from rtee.errors import DeviceFault, FrameError, RteeError
+from rtee.errors import FrameError, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
@@ -277,8 +277,7 @@ class AbilityHandDriver(Driver):
                 pairs = zip(before.positions, reply.positions, strict=True)
                 self._moved = any(abs(old - new) > _MOVED for old, new in pairs)
         if self._moved:
-            raise DeviceFault(
-                self.spec.name,
+            raise self.fault(
                 _LEFT,
                 f"it received nothing for {codec.API_TIME:g} s, left API mode, and moved by itself",
                 hint="check that nothing was dropped, then `rtee recover`",

@@ -38,8 +38,6 @@ from rtee.errors import (
     BusError,
     BusTimeout,
     ConfigError,
-    DeviceFault,
-    HandshakeError,
     NotConnected,
     RteeError,
 )
@@ -280,8 +278,7 @@ class AllegroDriver(Driver):
             info = await link.info(patient=True)
         expected = {options.version} if options.version else set(SCALES)
         if info.version not in expected:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 " or ".join(f"version {v}" for v in sorted(expected)),
                 f"version {info.version}",
                 hint="the scales of other versions are not known",
@@ -289,7 +286,7 @@ class AllegroDriver(Driver):
         serial = await link.serial()
         side = codec.side_of(info, serial)
         if options.side is not None and side and side != options.side:
-            raise HandshakeError(self.spec.name, f"a {options.side} hand", f"a {side} one")
+            raise self.stranger(f"a {options.side} hand", f"a {side} one")
         return info, serial
 
     async def _first_set(self) -> None:
@@ -407,12 +404,11 @@ class AllegroDriver(Driver):
         for bit, name, hint in faults:
             if info.status & bit:
                 self._driving = False
-                raise DeviceFault(self.spec.name, int(bit), name, hint=hint)
+                raise self.fault(int(bit), name, hint=hint)
         # After a power cycle it answers again, but its motors stay off until they are switched on.
         if self._driving and not info.status & Status.SERVO_ON:
             self._driving = False
-            raise DeviceFault(
-                self.spec.name,
+            raise self.fault(
                 _SERVO_OFF,
                 "motors off",
                 hint="was its supply cut? `rtee recover` switches them on again",

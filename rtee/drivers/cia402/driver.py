@@ -27,7 +27,6 @@ from rtee.drivers.wiring import check_names
 from rtee.errors import (
     BusTimeout,
     ConfigError,
-    DeviceFault,
     HandshakeError,
     NotConnected,
     RteeError,
@@ -218,8 +217,7 @@ class Cia402Driver(Driver):
             await cycle.settle()
         except BusTimeout as error:
             # They have answered SDO, so supply, wiring and bit rate are right.
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 "process data after each SYNC",
                 f"{error.message}, though SDO is answered",
                 hint="its PDOs must support transmission type 1, and no other master may stop it",
@@ -250,8 +248,7 @@ class Cia402Driver(Driver):
         await cycle.settle()
         unhomed = self._unhomed(cycle)
         if unhomed and self.options.home != "on_connect" and not self._home_asked:
-            raise DeviceFault(
-                self.spec.name,
+            raise self.fault(
                 _NOT_HOMED,
                 f"not homed: {', '.join(d.name for d in unhomed)}",
                 hint="`rtee recover`, or `rtee run --home`, homes it, which moves it",

@@ -22,7 +22,7 @@ from rtee.drivers.options import Positive, read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
 from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
-from rtee.errors import BusError, BusTimeout, ConfigError, FrameError, HandshakeError
+from rtee.errors import BusError, BusTimeout, ConfigError, FrameError
 from rtee.sample import FloatArray
 from rtee.types import DeviceSpec
 
@@ -171,8 +171,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     def _check_model(self, name: str, servo: ServoOptions, model: int) -> None:
         if servo.model is None and model not in table.MODELS:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"an X-series servo as {servo.id} ({name})",
                 f"model {model}",
                 hint="if it has the same control table, say so by 'model'",
@@ -200,8 +199,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     def _check_found(self, name: str, found: Found) -> None:
         expected = self.options.servos[name].drive_mode
         if found.drive_mode & table.REVERSE != expected & table.REVERSE:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"servo {found.id} ({name}) with drive mode {expected}",
                 f"drive mode {found.drive_mode}",
                 hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",

@@ -19,7 +19,7 @@ from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, Sta
 from rtee.drivers.options import read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
 from rtee.drivers.servos import POWERED, Found, Goals, Readings, ServoDriver
-from rtee.errors import BusTimeout, ConfigError, FrameError, HandshakeError
+from rtee.errors import BusTimeout, ConfigError, FrameError
 from rtee.types import DeviceSpec
 
 RESTARTED = 0x200
@@ -107,8 +107,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         if servo.model is None and (known is None or known.family != family.name):
             data = family.pack(table.MODEL, model)
             other = recognise(data)
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"an {family.name.upper()} servo as {servo.id} ({name})",
                 f"model {data.hex(' ').upper()}"
                 if other is None
@@ -141,8 +140,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
 
     def _check_found(self, name: str, found: Found) -> None:
         if found.limits == (0, 0) and self.family.offset is None:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"servo {found.id} ({name}) with limits of its position",
                 "limits of 0 and 0, with which it turns without end",
                 hint="give it its limits back; from the factory they are 20 and 1003",

@@ -258,8 +258,7 @@ class HeriEthercatDriver(Driver):
             fault = codec.faults_of(self._replies[position].fault)
             if fault:
                 raise self._fault(position, fault)
-            raise DeviceFault(
-                self.spec.name,
+            raise self.fault(
                 _REFUSED,
                 f"board {position} does not take '{code.name.lower().replace('_', ' ')}'",
                 hint="is its motor supply on?",
@@ -347,8 +346,7 @@ class HeriEthercatDriver(Driver):
                 raise self._fault(position, fault)
 
     def _fault(self, position: int, fault: codec.Fault) -> DeviceFault:
-        return DeviceFault(
-            self.spec.name,
+        return self.fault(
             int(fault),
             f"board {position}: {codec.words(fault)}",
             hint="remove the cause, then `rtee recover` acknowledges it",

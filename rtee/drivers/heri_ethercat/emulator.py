@@ -98,7 +98,7 @@ class _Board:
         self.drive()
 
 
-class HeriEmulator(Emulator, Grasps):
+class HeriEthercatEmulator(Emulator, Grasps):
     """The boards of one hand.
 
     Attributes:

@@ -33,7 +33,6 @@ from rtee.errors import (
     BusError,
     CalibrationError,
     CommandRejected,
-    DeviceFault,
     FrameError,
     RteeError,
 )
@@ -372,7 +371,7 @@ class InspireRh56Driver(Driver):
         hint = "free the finger, then `rtee recover`"
         if together & codec.Error.TOO_HOT:
             hint = "let it cool down, then `rtee recover`; nothing else clears it"
-        raise DeviceFault(self.spec.name, int(together), "; ".join(names), hint=hint)
+        raise self.fault(int(together), "; ".join(names), hint=hint)
 
     async def _read_back(self, link: Rh56Link) -> None:
         """Read the hand's set-points back; those that differ are sent again with a reference."""

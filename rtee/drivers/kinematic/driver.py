@@ -18,7 +18,6 @@ from rtee.errors import (
     BusBroken,
     CommandRejected,
     ConfigError,
-    DeviceFault,
     NotConnected,
     suggestion,
 )
@@ -253,7 +252,7 @@ class KinematicDriver(Driver):
         if self._closed:
             raise NotConnected(self.spec.name, "is not connected")
         if self._fault:
-            raise DeviceFault(self.spec.name, 1, self._fault, hint="`rtee recover` clears it")
+            raise self.fault(1, self._fault, hint="`rtee recover` clears it")
 
     # --- the contract ------------------------------------------------------------------------
 

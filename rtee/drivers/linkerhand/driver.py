@@ -28,8 +28,6 @@ from rtee.drivers.scale import LinearScale
 from rtee.errors import (
     CommandRejected,
     ConfigError,
-    DeviceFault,
-    HandshakeError,
     RteeError,
 )
 from rtee.sample import ActuatorState, FloatArray
@@ -203,7 +201,7 @@ class LinkerHandDriver(Driver):
             self._keep(await link.read(codec.Table.POSITION))
         if version is not None and options.check_model and version.motors != self._model.count:
             found = f"another device (one with {version.motors} motors)"
-            raise HandshakeError(self.spec.name, name, found, hint=check)
+            raise self.stranger(name, found, hint=check)
         best = 1.0 / link.cycle_time()
         link.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(
@@ -302,7 +300,7 @@ class LinkerHandDriver(Driver):
         hint = "`rtee recover`; if that does not help, cut the hand's supply"
         if codec.Fault.OVER_TEMPERATURE in faulty.values():
             hint = "let it cool down, then `rtee recover`"
-        raise DeviceFault(self.spec.name, max(faulty.values()), "; ".join(names), hint=hint)
+        raise self.fault(max(faulty.values()), "; ".join(names), hint=hint)
 
     async def move(self, reference: Reference) -> None:
         """Write the set-points, and the limits if they have changed."""

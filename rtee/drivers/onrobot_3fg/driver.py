@@ -17,7 +17,7 @@ from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.scale import FingerScale
-from rtee.errors import ConfigError, HandshakeError
+from rtee.errors import ConfigError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -113,8 +113,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         length, _, hole, offset = await bus.read(unit, codec.GEOMETRY, 4, deadline=CONNECTING)
         # Other tools of the vendor have other contents in these registers.
         if hole not in (1, 2, 3) or not least < most:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 "an OnRobot 3FG",
                 f"a tool with finger position {hole} and diameters {least} to {most}",
                 hint="is another tool mounted?",

@@ -15,7 +15,6 @@ from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.onrobot_rg import codec
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.step_follower import Order, StepFollower
-from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -91,8 +90,7 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         # option.
         if model is not None and model != self._model.name:
             ours = model.lower() in codec.MODELS
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"an OnRobot {self._model.name}",
                 f"an OnRobot {model}",
                 hint=f"set 'model: {model.lower()}'" if ours else "is another tool mounted?",

@@ -21,7 +21,7 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.orca_touch import codec
-from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
+from rtee.errors import BusTimeout, ConfigError, NotConnected
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
@@ -114,9 +114,7 @@ class OrcaTouchDriver(Driver):
             )
         if not fingers or any(not counts[finger] for finger in fingers):
             problem = "no fingertip is connected" if not fingers else "a fingertip without taxels"
-            raise HandshakeError(
-                self.spec.name, "a touch board with fingertips", problem, hint="check their cables"
-            )
+            raise self.stranger("a touch board with fingertips", problem, hint="check their cables")
         self._counts = tuple(counts[finger] for finger in fingers)
         single = not self._content & codec.Content.TAXELS
         taxels = (1,) * len(fingers) if single else self._counts

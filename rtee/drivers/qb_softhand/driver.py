@@ -23,7 +23,7 @@ from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_opti
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command, Limits, current_limit, limits
 from rtee.drivers.qb_softhand.link import QbLink
-from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, RteeError
+from rtee.errors import ConfigError, DeviceFault, NotConnected, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -212,8 +212,7 @@ class QbSoftHandDriver(Driver):
             # By broadcast, so that the message can name a hand with another number.
             found = await link.anybody()
             if found is not None:
-                raise HandshakeError(
-                    self.spec.name,
+                raise self.stranger(
                     f"hand number {options.device}",
                     f"number {found}",
                     hint=f"set 'device: {found}'",
@@ -239,8 +238,7 @@ class QbSoftHandDriver(Driver):
     def _adopt(self, reported: tuple[Limits, ...]) -> None:
         options = self.options
         if reported and len(reported) != options.motors:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"a hand with {options.motors} motor(s)",
                 f"one with {len(reported)}",
                 hint=f"set 'motors: {len(reported)}'",
@@ -289,7 +287,7 @@ class QbSoftHandDriver(Driver):
             await asyncio.sleep(0.01)
 
     def _inactive(self, hint: str) -> DeviceFault:
-        return DeviceFault(self.spec.name, INACTIVE, "motors inactive", hint=hint)
+        return self.fault(INACTIVE, "motors inactive", hint=hint)
 
     async def _measured(self) -> tuple[float, ...]:
         least = 1 if self.options.motors == 1 else 3

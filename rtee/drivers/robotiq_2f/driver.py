@@ -26,7 +26,7 @@ from rtee.drivers.robotiq_common import (
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.scale import FingerScale
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import BusError, CalibrationError, HandshakeError
+from rtee.errors import BusError, CalibrationError
 from rtee.hand.validation import Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
@@ -138,8 +138,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             return  # it has no further registers
         second, third = block[3] & 0xFF, block[5] >> 8
         if second and third:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"a {self.MODEL}",
                 "one with more motors",
                 hint="for a 3-Finger gripper set 'driver: robotiq_3f'; if it has two fingers, "

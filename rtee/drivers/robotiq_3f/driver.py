@@ -20,7 +20,7 @@ from rtee.drivers.robotiq_common import (
     RobotiqOptions,
 )
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.errors import ConfigError, DeviceFault, HandshakeError
+from rtee.errors import ConfigError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -109,8 +109,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
         # The scissor rests in the middle and open fingers at some counts, so zeros mean that there
         # are no such motors. No manual says what an inactive gripper reports: hence the option.
         if self.options.check_fingers and not any(axis.position for axis in self._status.axes[1:]):
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"a {self.MODEL}",
                 "one with fewer motors",
                 hint="for a 2-finger gripper set 'driver: robotiq_2f'; if it has three fingers, "
@@ -152,8 +151,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
         if self._scissor or self._status.mode is self._mode:
             return
         if not allowed:
-            raise DeviceFault(
-                self.spec.name,
+            raise self.fault(
                 0x06,
                 f"in mode '{self._status.mode.name.lower()}', not '{self.options.mode}'",
                 hint="`rtee recover` changes the mode, which moves the scissor",

@@ -30,7 +30,7 @@ from rtee.drivers.schunk_svh.channels import (
 from rtee.drivers.schunk_svh.codec import FeedbackAll
 from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
-from rtee.errors import DeviceFault, HandshakeError, RteeError
+from rtee.errors import DeviceFault, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -168,9 +168,7 @@ class SchunkSvhDriver(Driver):
         ):
             firmware = await link.firmware()
         if firmware.name != "SVH":
-            raise HandshakeError(
-                self.spec.name, "an SVH", f"'{firmware.name}'", hint="check the port"
-            )
+            raise self.stranger("an SVH", f"'{firmware.name}'", hint="check the port")
         self._adopt(firmware)
         own = options.settings == "device" or (options.settings == "auto" and firmware.major >= 2)
         await self._limits.read(link, self.spec.name, self._used(), options.channels, device=own)
@@ -228,7 +226,7 @@ class SchunkSvhDriver(Driver):
             return
         if not homed:
             if self.options.home == "on_demand" and not self._home_asked:
-                raise DeviceFault(self.spec.name, homing.NOT_HOMED, "not homed", hint=homing.HOMING)
+                raise self.fault(homing.NOT_HOMED, "not homed", hint=homing.HOMING)
             await self.home()
         self._home_asked = False
         await self._enable()

@@ -33,7 +33,7 @@ from rtee.drivers.xbot2.codec import (
     State,
     XBot2FrameError,
 )
-from rtee.errors import BusTimeout, ConfigError, HandshakeError, RteeError, suggestion
+from rtee.errors import BusTimeout, ConfigError, RteeError, suggestion
 from rtee.hand.validation import Misfit, Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
@@ -185,8 +185,7 @@ class XBot2Driver(Driver):
             known = codec.joint_names(raw)
         missing = [name for name in self._names if name not in known]
         if missing:
-            raise HandshakeError(
-                self.spec.name,
+            raise self.stranger(
                 f"joints {', '.join(self._names)}",
                 f"no {', '.join(missing)}",
                 hint=suggestion(missing[0], known),

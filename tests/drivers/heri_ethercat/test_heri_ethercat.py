@@ -20,7 +20,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import Command, Fault, HeriFrameError, Order, Reply
 from rtee.drivers.heri_ethercat.driver import HeriEthercatDriver
-from rtee.drivers.heri_ethercat.emulator import HeriEmulator
+from rtee.drivers.heri_ethercat.emulator import HeriEthercatEmulator
 from rtee.errors import BusBroken, BusTimeout, ConfigError, DeviceFault, HandshakeError
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 from tests.drivers.objects import obstruct
@@ -110,9 +110,9 @@ def device(*names: str, **options: Any) -> DeviceSpec:
 connected = connecting(HeriEthercatDriver)
 
 
-def hand(pool: BusPool) -> HeriEmulator:
+def hand(pool: BusPool) -> HeriEthercatEmulator:
     found = pool.played("heri_ii/hand")
-    assert isinstance(found, HeriEmulator)
+    assert isinstance(found, HeriEthercatEmulator)
     return found
 
 
@@ -331,11 +331,14 @@ def test_a_network_interface_that_is_not_there_is_told() -> None:
 @pytest.mark.anyio
 async def test_emulated_networks_belong_to_one_hand_each() -> None:
     async with BusPool() as pool:
-        left = await pool.ethercat("eth1", owner="left/boards", emulator=HeriEmulator)
-        right = await pool.ethercat("eth1", owner="right/boards", emulator=HeriEmulator)
+        left = await pool.ethercat("eth1", owner="left/boards", emulator=HeriEthercatEmulator)
+        right = await pool.ethercat("eth1", owner="right/boards", emulator=HeriEthercatEmulator)
         assert right is not left
         await right.run(lambda ring: ring.request(SlaveState.OPERATIONAL, 1.0), 2.0)
-        played = [cast("HeriEmulator", pool.played(f"{hand}/boards")) for hand in ("left", "right")]
+        played = [
+            cast("HeriEthercatEmulator", pool.played(f"{hand}/boards"))
+            for hand in ("left", "right")
+        ]
         assert [one.state for one in played] == [SlaveState.PRE_OPERATIONAL, SlaveState.OPERATIONAL]
 
 
