@@ -1,4 +1,4 @@
-"""Options of a line of Feetech servos in hand.yaml."""
+"""Options of a line of Feetech servos in hand.yaml, and joints that two servos drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The SVH's nine channels: ranges, units, and the parameter sets of its controllers."""
+"""The SVH's nine channels: ranges, units, parameter sets of its controllers, and its options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Homing of the SVH's channels, and the file with the stops found."""
+"""Power and homing of the SVH's channels, their faults, and the file with the stops found."""
 
 from __future__ import annotations
 
