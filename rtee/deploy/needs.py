@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from rtee.drivers.registry import DRIVERS, find_driver
+from rtee.drivers.lookup import DRIVERS
+from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import RemoteSettings
 from rtee.hand.validation import defaults

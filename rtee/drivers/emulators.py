@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from rtee.buses.emulator import Emulator, EmulatorFactory
-from rtee.drivers.lookup import find_class, known_names
+from rtee.drivers.lookup import DRIVERS, find_class, known_names
 from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, made_by
-from rtee.drivers.registry import DRIVERS
 from rtee.types import DeviceSpec
 
 _OF_NONE = ("kinematic", "replay", "mujoco")  # drivers of no device on a wire
