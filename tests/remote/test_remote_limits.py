@@ -121,7 +121,8 @@ async def test_who_puts_too_much_is_not_heard_for_a_while_and_others_are(
 
         async with other.lease():
             await until(shut_out)
-            assert (await other.do("Trig", "index", intensity=0.1)).reached
+            result = await other.do("Trig", "index", intensity=0.1)
+            assert result.reached, result
             assert await flood.status(), "requests have their own limits"
             assert list(await flood.stop()) == ["sim"]
         assert (await flood.do("Trig", "index", intensity=0.2)).reached
