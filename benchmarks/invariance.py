@@ -25,6 +25,7 @@ from common import HELP, Table, command_line
 
 from rtee.actions.types import Primitive
 from rtee.extract.extraction import extract
+from rtee.hand.config import HandConfig
 from rtee.hand.config_schema import ActuatorLimits
 from rtee.hand.limits import Overrides
 from rtee.hand.load import build_hand, load_configured, load_model
@@ -77,12 +78,16 @@ class Model:
                 limits[name] = ActuatorLimits(lower=spec.lower * factor, upper=spec.upper * factor)
         ignored = [j.name for j in given.joints if j.role is JointRole.IGNORED]
         overrides = Overrides(
+            HandConfig(
+                name="variation",
+                urdf="hand.urdf",
+                rest=rest,
+                limits=limits,
+                ignore=[self.names.get(name, name) for name in ignored],
+                clearance=given.clearance * self.scale,
+            ),
             name="variation",
             package_dirs=given.package_dirs,
-            rest=rest,
-            limits=limits,
-            ignore=tuple(self.names.get(name, name) for name in ignored),
-            clearance=given.clearance * self.scale,
         )
         return build_hand(
             read_urdf(folder / "hand.urdf"), read_srdf(folder / "hand.srdf"), overrides

@@ -71,7 +71,7 @@ SHOWN = 10
 RUN = """
 import json, os, resource
 from rtee.cli import main
-from rtee.loop.histogram import TickStatistics
+from rtee.loop.clock import TickStatistics
 
 add, found, last = TickStatistics.add, [], [0, 0]
 

@@ -22,6 +22,7 @@ from common import HELP, Table, command_line
 
 from rtee.actions.types import Primitive
 from rtee.extract.extraction import extract
+from rtee.hand.config import HandConfig
 from rtee.hand.limits import Overrides
 from rtee.hand.load import build_hand, load_hand
 from rtee.hand.model import Hand
@@ -85,7 +86,9 @@ def loaded(name: str) -> Hand:
         path = large_hand.write(Path(folder)) if name == "large_hand" else Path(name)
         srdf = path.with_suffix(".srdf")
         return build_hand(
-            read_urdf(path), read_srdf(srdf) if srdf.exists() else None, Overrides(name=path.stem)
+            read_urdf(path),
+            read_srdf(srdf) if srdf.exists() else None,
+            Overrides(HandConfig(name=path.stem, urdf=path.name), name=path.stem),
         )
 
 

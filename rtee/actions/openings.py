@@ -25,8 +25,7 @@ from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
-from rtee.hand.yamlfile import parse_yaml, read_text
-from rtee.hand.yamlwrite import emit
+from rtee.hand.yamlfile import emit, parse_yaml, read_text
 from rtee.sample import FloatArray
 from rtee.types import readonly
 

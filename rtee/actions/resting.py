@@ -11,7 +11,7 @@ from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
 from rtee.hand.resting import APART, NEAR, OWN
-from rtee.hand.yamlwrite import rest_line
+from rtee.hand.yamlfile import rest_line
 from rtee.sample import FloatArray
 
 _HERE: Final = 0.1

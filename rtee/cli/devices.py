@@ -608,7 +608,7 @@ def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) ->
     The words are the action and its elements. Raises `ConfigError` if the file cannot be changed;
     its message has the line to type.
     """
-    from rtee.actions.comments import rewritten
+    from rtee.actions.action_files import rewritten
 
     path = home / FILE_NAME
     text = read_text(path, FILE_NAME)

@@ -278,8 +278,7 @@ def lerobot(
             All that is known but taxels, unless given.
         camera ([NAME=]TOPIC): Only this camera; may be given again.
     """
-    from rtee.log.dataset.convert import Choice, write_dataset
-    from rtee.log.dataset.episodes import EpisodeBoundary
+    from rtee.log.dataset.convert import Choice, EpisodeBoundary, write_dataset
     from rtee.messages.features import quantities
 
     if episodes not in list(EpisodeBoundary):

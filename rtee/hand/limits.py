@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from rtee.errors import ModelError, UserError
+from rtee.hand.config import DEFAULTS, HandConfig
 from rtee.hand.config_schema import (
-    ActuatorDynamics,
     ActuatorLimits,
-    FlangeSection,
     PositionRange,
-    TouchSection,
 )
-from rtee.hand.model import CLEARANCE, Joint, JointRole
+from rtee.hand.model import Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
 from rtee.hand.urdf import Urdf, UrdfJoint
@@ -50,42 +48,24 @@ class Overrides:
     """The part of a configuration that adds to the model.
 
     Attributes:
+        config: What hand.yaml says, or the defaults for a hand without one.
         name: The hand's name; if ``None``, the robot's name in the URDF.
-        title: Its name for people.
         package_dirs: Folders in which to look up mesh packages.
-        rest: Rest positions by actuator [rad | m].
-        limits: Limits by actuator.
-        default_limits: Limits of actuators that are not in ``limits``.
-        dynamics: Dynamics by actuator.
-        default_dynamics: Dynamics of all actuators, for values not in ``dynamics``.
-        tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
-        touch: Placement of touch sensors, by name.
-        flange: Where the hand sits on an arm.
-        clearance: Distance that clear poses keep from other links [m].
-        payload: Largest mass that the hand may hold [kg].
-        openings: Pairs of intensity and opening [m] measured on the real hand, by action.
-        ignore: Actuators that stay at rest like fixed joints.
         passive: Joints without a motor, in addition to those of the SRDF.
         error: Makes the error for a value of the configuration, from its place and a message.
     """
 
+    config: HandConfig
     name: str | None = None
-    title: str = ""
     package_dirs: tuple[Path, ...] = ()
-    rest: Mapping[str, float] = field(default_factory=dict)
-    limits: Mapping[str, ActuatorLimits] = field(default_factory=dict)
-    default_limits: ActuatorLimits = field(default_factory=ActuatorLimits)
-    dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
-    default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
-    tip_friction: Mapping[str, float] = field(default_factory=dict)
-    touch: Mapping[str, TouchSection] = field(default_factory=dict)
-    flange: FlangeSection | None = None
-    clearance: float = CLEARANCE
-    payload: float = math.inf
-    openings: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
-    ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()
     error: Callable[[tuple[str | int, ...], str], UserError] | None = None
+
+    def refusal(self, place: tuple[str | int, ...], what: str, urdf: Urdf) -> UserError:
+        """Return the error for a configured value, with its line if it is in a file."""
+        if self.error is not None:
+            return self.error(place, what)
+        return ModelError(f"{'.'.join(map(str, place))}: {what}", path=urdf.path)
 
 
 def rest_state(srdf: Srdf | None) -> tuple[str, dict[str, float]]:
@@ -164,10 +144,11 @@ class _LimitReader:
         self.joint = joint
         self.urdf = urdf
         self.overrides = overrides
-        self.own = overrides.limits.get(joint.name, ActuatorLimits())
+        self.usual = overrides.config.limits.get(DEFAULTS, ActuatorLimits())
+        self.own = overrides.config.limits.get(joint.name, ActuatorLimits())
 
     def configured(self, key: str) -> Any:
-        own, common = getattr(self.own, key), getattr(self.overrides.default_limits, key)
+        own, common = getattr(self.own, key), getattr(self.usual, key)
         return common if own is None else own
 
     def soft(self) -> tuple[float, float] | None:
@@ -223,7 +204,7 @@ class _LimitReader:
         The SRDF's may lie between the soft and the hard limits.
         """
         name = self.joint.name
-        configured = self.overrides.rest.get(name)
+        configured = self.overrides.config.rest.get(name)
         value = state.get(name) if configured is None else configured
         if value is None or lower <= value <= upper:
             return value
@@ -253,7 +234,7 @@ def standing_position(
     Raises:
         UserError: Its configured rest position is outside its limits.
     """
-    if joint.name in overrides.ignore or joint.name in overrides.rest:
+    if joint.name in overrides.config.ignore or joint.name in overrides.config.rest:
         rest = _LimitReader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
         if rest is not None:
             return rest
@@ -300,7 +281,7 @@ def rest_note(
 ) -> list[str]:
     """Return a note if the rest posture comes from the SRDF, at least in part."""
     taken = [actuator for actuator in actuators if actuator in state]
-    own = [actuator for actuator in taken if actuator in overrides.rest]
+    own = [actuator for actuator in taken if actuator in overrides.config.rest]
     if not name or (own and len(own) == len(taken)):
         return []
     but = f", but for {', '.join(own)}, which the configuration sets" if own else ""

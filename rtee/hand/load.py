@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,10 +16,9 @@ from msgspec import structs
 from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf, joints_of_hand
-from rtee.hand.config import DEFAULTS
+from rtee.hand.config import DEFAULTS, HandConfig, read_document
 from rtee.hand.config_schema import (
     ActuatorDynamics,
-    ActuatorLimits,
     Following,
     Outside,
     TouchSection,
@@ -47,7 +46,6 @@ from rtee.hand.whole_robot import arm_joints
 from rtee.types import ActuatorSpec, JointKind, readonly
 
 if TYPE_CHECKING:
-    from rtee.hand.config import HandConfig
     from rtee.hand.yamlfile import YamlDocument
 
 _MODELS = {".urdf": "--urdf", ".xacro": "--urdf", ".xml": "--mjcf"}
@@ -90,10 +88,9 @@ def load_model(
         # A recording knows its actuators: whatever else moves was ignored when it was made.
         ignore = [*ignore, *(name for name in free if name not in settled)]
     overrides = Overrides(
+        HandConfig(name="hand", urdf="", rest=dict(rest or {}), ignore=list(ignore)),
         name=name,
         package_dirs=tuple(Path(p) for p in package_dirs),
-        rest=dict(rest or {}),
-        ignore=tuple(ignore),
         passive=frozenset(passive),
     )
     return build_hand(model, semantics, overrides)
@@ -128,9 +125,6 @@ def load_configured(
     name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
 ) -> tuple[Hand, HandConfig]:
     """Load a configured hand together with its configuration; see `load_hand`."""
-    # Imported here: a hand that a recording or `load_model` describes needs no hand.yaml.
-    from rtee.hand.config import read_document
-
     folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
     config, document = read_document(file)
     # Found by its folder's name, so recordings and network keys must use the same one.
@@ -141,21 +135,9 @@ def load_configured(
     urdf = _beside(folder, config.urdf, "urdf", document)
     srdf = None if config.srdf is None else _beside(folder, config.srdf, "srdf", document)
     overrides = Overrides(
+        config,
         name=config.name,
-        title=config.title,
         package_dirs=tuple(folder / package for package in config.package_dirs),
-        rest=config.rest,
-        limits={name: each for name, each in config.limits.items() if name != DEFAULTS},
-        default_limits=config.limits.get(DEFAULTS, ActuatorLimits()),
-        dynamics={name: each for name, each in config.dynamics.items() if name != DEFAULTS},
-        default_dynamics=config.dynamics.get(DEFAULTS, ActuatorDynamics()),
-        tip_friction=config.tip_friction,
-        touch=config.touch,
-        flange=config.flange,
-        clearance=config.clearance,
-        payload=math.inf if config.payload is None else config.payload,
-        openings={name: tuple(pairs) for name, pairs in config.openings.items()},
-        ignore=tuple(config.ignore),
         error=document.error,
     )
     made = build_hand(*read_both(urdf, srdf, _subtree(config, document)), overrides)
@@ -253,6 +235,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ModelError: The files do not describe a hand.
         ConfigError: A name or a configured value is not allowed.
     """
+    config = overrides.config
     # First, since what follows looks up the names in the SRDF unchecked.
     notes = [*urdf.unread, *(check_srdf(srdf, urdf) if srdf else [])]
     unknown = next((n for n in overrides.passive if n not in urdf.joints), None)
@@ -267,7 +250,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     roles = {joint.name: _role(joint, passive) for joint in urdf.joints.values() if joint.moving}
     _check_ignored(roles, overrides, urdf)
     # After the check: only actuators can be ignored.
-    roles |= dict.fromkeys(overrides.ignore, JointRole.IGNORED)
+    roles |= dict.fromkeys(overrides.config.ignore, JointRole.IGNORED)
     apart, why = _outside(urdf, srdf, roles)
     roles |= dict.fromkeys(apart, JointRole.IGNORED)
     notes += why
@@ -321,21 +304,14 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ),
         notes=tuple(notes + found),
         package_dirs=overrides.package_dirs,
-        description=overrides.title,
-        clearance=overrides.clearance,
-        payload=overrides.payload,
-        openings=overrides.openings,
-        dynamics=_make_dynamics(
-            overrides.dynamics,
-            overrides.default_dynamics,
-            driven,
-            urdf,
-            transmission,
-            lambda place, what: _refused(("dynamics", *place), what, overrides, urdf),
-        ),
+        description=config.title,
+        clearance=config.clearance,
+        payload=math.inf if config.payload is None else config.payload,
+        openings={name: tuple(pairs) for name, pairs in config.openings.items()},
+        dynamics=_make_dynamics(overrides, driven, urdf, transmission),
         tip_friction=_tip_friction(fingers, overrides, urdf),
         touch=_touch(overrides, urdf),
-        flange=overrides.flange,
+        flange=config.flange,
     )
 
 
@@ -379,20 +355,20 @@ def _movers(
 
 def _touch(overrides: Overrides, urdf: Urdf) -> Mapping[str, TouchSection]:
     """Return where the touch sensors are, once their links are known to exist."""
-    for name, section in overrides.touch.items():
+    for name, section in overrides.config.touch.items():
         if section.link is not None and section.link not in urdf.links:
             what = f"unknown link '{section.link}'; {suggestion(section.link, urdf.links)}"
-            raise _refused(("touch", name, "link"), what, overrides, urdf)
-    return overrides.touch
+            raise overrides.refusal(("touch", name, "link"), what, urdf)
+    return overrides.config.touch
 
 
 def _tip_friction(fingers: Sequence[Finger], overrides: Overrides, urdf: Urdf) -> dict[str, float]:
     """Return the friction of the fingertips: as configured, else as in the URDF, if anywhere."""
-    given, names = overrides.tip_friction, [finger.name for finger in fingers]
+    given, names = overrides.config.tip_friction, [finger.name for finger in fingers]
     for name in given:
         if name not in (*names, "defaults"):
             what = f"unknown finger; {suggestion(name, names)}"
-            raise _refused(("tip_friction", name), what, overrides, urdf)
+            raise overrides.refusal(("tip_friction", name), what, urdf)
     found = {
         finger.name: given.get(finger.name, given.get("defaults", urdf.links[finger.tip].friction))
         for finger in fingers
@@ -401,19 +377,10 @@ def _tip_friction(fingers: Sequence[Finger], overrides: Overrides, urdf: Urdf) -
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _refused(
-    place: tuple[str | int, ...], what: str, overrides: Overrides, urdf: Urdf
-) -> UserError:
-    """Return the error for a configured value, with its line if it is in a file."""
-    if overrides.error is not None:
-        return overrides.error(place, what)
-    return ModelError(f"{'.'.join(map(str, place))}: {what}", path=urdf.path)
-
-
 def _check_ignored(roles: Mapping[str, JointRole], overrides: Overrides, urdf: Urdf) -> None:
     """Refuse to ignore anything but an actuator."""
     actuators = [name for name, role in roles.items() if role is JointRole.ACTUATOR]
-    for i, name in enumerate(overrides.ignore):
+    for i, name in enumerate(overrides.config.ignore):
         if name in actuators:
             continue
         if overrides.error is None:
@@ -427,9 +394,10 @@ def _check_actuators(
     actuators: list[str], apart: Sequence[str], overrides: Overrides, urdf: Urdf
 ) -> None:
     """Refuse a configuration of actuators that the hand does not have."""
-    for section, names in (("rest", overrides.rest), ("limits", overrides.limits)):
+    limited = [name for name in overrides.config.limits if name != DEFAULTS]
+    for section, names in (("rest", overrides.config.rest), ("limits", limited)):
         for name in names:
-            ignored = name in overrides.ignore or name in apart
+            ignored = name in overrides.config.ignore or name in apart
             if name in actuators or (ignored and section == "rest"):
                 continue
             # Without a hand.yaml there is no line to name.
@@ -461,29 +429,22 @@ def _joint(joint: UrdfJoint, role: JointRole) -> Joint:
 
 
 def _make_dynamics(
-    given: Mapping[str, ActuatorDynamics],
-    defaults: ActuatorDynamics,
-    actuators: Sequence[str],
-    urdf: Urdf,
-    transmission: Transmission,
-    refuse: Callable[[tuple[str | int, ...], str], UserError],
+    overrides: Overrides, actuators: Sequence[str], urdf: Urdf, transmission: Transmission
 ) -> dict[str, ActuatorDynamics]:
     """Return the dynamics of every actuator, with the names of the joints on springs.
-
-    Args:
-        given: The configured dynamics of some actuators.
-        defaults: The dynamics of all others, and for missing values of these.
-        actuators: The hand's actuators, in order.
-        urdf: Its URDF.
-        transmission: Its transmission.
-        refuse: Makes the error for a value of the configuration, from its place and a message.
 
     Raises:
         UserError: The configuration names an actuator or a joint that does not exist.
     """
+
+    def refuse(place: tuple[str | int, ...], what: str) -> UserError:
+        return overrides.refusal(("dynamics", *place), what, urdf)
+
+    given = overrides.config.dynamics
     for name in given:
-        if name not in actuators:
+        if name not in (*actuators, DEFAULTS):
             raise refuse((name,), f"unknown actuator; {suggestion(name, actuators)}")
+    defaults = given.get(DEFAULTS, ActuatorDynamics())
     moving = [name for name, joint in urdf.joints.items() if joint.moving]
     found: dict[str, ActuatorDynamics] = {}
     for index, name in enumerate(actuators):

@@ -20,7 +20,7 @@ from rtee.hand.files import new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_configured
 from rtee.hand.names import check_name
 from rtee.hand.schema import SCHEMA_FILE, schema_text
-from rtee.hand.yamlwrite import emit_scalar
+from rtee.hand.yamlfile import emit_scalar
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "_config"
 """Folder of the hands in an installed rtee. A checkout has none; its ``config/`` may be changed."""

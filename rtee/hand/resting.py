@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from rtee.hand.model import Hand
-from rtee.hand.yamlwrite import rest_line
+from rtee.hand.yamlfile import rest_line
 from rtee.sample import FloatArray
 
 if TYPE_CHECKING:

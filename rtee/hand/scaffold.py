@@ -10,7 +10,6 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from rtee.errors import ConfigError, ModelError
-from rtee.hand.allowed_collisions import AllowedCollision, allowed_collisions
 from rtee.hand.candidates import (
     OneMotor,
     carriers,
@@ -23,6 +22,7 @@ from rtee.hand.catalog import FILE_NAME
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.embedded_meshes import as_utf8, with_local_meshes
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
+from rtee.hand.geometry import AllowedCollision, allowed_collisions
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Finger, Hand, JointRole
 from rtee.hand.names import check_name
@@ -34,7 +34,7 @@ from rtee.hand.subtree import Subtree
 from rtee.hand.urdfread import Edit, read_urdf
 from rtee.hand.whole_robot import check_one_hand
 from rtee.hand.xmlfile import read_xml
-from rtee.hand.yamlwrite import emit_scalar, ignore_line, rest_line
+from rtee.hand.yamlfile import emit_scalar, ignore_line, rest_line
 
 Ask = Callable[[str, bool], bool]
 """Asks the user a yes-or-no question; the second argument is the likelier answer."""

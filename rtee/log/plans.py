@@ -1,22 +1,49 @@
-"""Convert plans of goals to messages and back."""
+"""Convert plans of goals, and the grips under way, to messages and back."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rtee.drivers.capabilities import GripForce
 from rtee.errors import MessageError
 from rtee.loop.grip import Grip
 from rtee.loop.plan import Leg, Plan
-from rtee.messages.codec import header
+from rtee.messages.codec import Codec, header
 from rtee.messages.schema import message_type
 from rtee.types import Goal
+from rtee.values import Value
 
 _PLAN = message_type("rtee_msgs/msg/Plan")
 
 _SIDES = -1
 """Separator, in a list of indices of fingers, between the first side and the others."""
+
+
+@dataclass(frozen=True, slots=True)
+class GripEstimate(Value):
+    """Opening and force of the fingertips at a time.
+
+    Attributes:
+        time: CLOCK_MONOTONIC [s].
+        action: Action of the goal.
+        opening: Opening [m]; ``NaN``: not known.
+        force: Force between the fingertips [N]; ``NaN``: not known.
+        force_error: Its error [N].
+        force_source: Its source, as in `rtee.types.Result`.
+    """
+
+    time: float
+    action: str
+    opening: float
+    force: float
+    force_error: float
+    force_source: str
+
+
+GRIP = Codec("rtee_msgs/msg/Grip", GripEstimate)
+"""Openings and forces in CDR."""
 
 
 def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int) -> bytes:

@@ -16,13 +16,12 @@ from rtee.hand.files import reason
 from rtee.log import column_reader
 from rtee.log.brief import Brief, brief
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
-from rtee.log.plans import plan_of
+from rtee.log.plans import GRIP, plan_of
 from rtee.log.record_scanner import LATEST, DamagedRecordError, messages_of
 from rtee.log.recording import (
     ActuatorSeries,
     Channel,
     Entry,
-    GripEstimate,
     JointSeries,
     Recording,
     TouchSeries,
@@ -329,7 +328,7 @@ class _Collector:
             plans=entries(topics.PLANS, plan) if names else (),
             commands=entries(topics.COMMANDS, convert.COMMAND.of),
             stream_samples=entries(topics.STREAM_SAMPLES, convert.STREAM_SAMPLE.of),
-            grip=entries(topics.GRIP, _grip),
+            grip=entries(topics.GRIP, GRIP.of),
             feedback=entries(topics.FEEDBACK, convert.FEEDBACK.of),
             results=entries(topics.RESULTS, convert.RESULT.of),
             events=entries(topics.EVENTS, convert.EVENT.of),
@@ -476,10 +475,6 @@ def _goal(fields: Fields) -> Goal:
 
 def _fields(fields: Fields) -> Fields:
     return fields
-
-
-def _grip(fields: Fields) -> GripEstimate:
-    return GripEstimate(**{name: fields[name] for name in GripEstimate.__slots__})
 
 
 def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.log.brief import rate_of, spans_of
+from rtee.log.plans import GripEstimate
 from rtee.loop.plan import Plan
 from rtee.messages.codec import SECOND
 from rtee.objects.description import ObjectDescription
@@ -202,27 +203,6 @@ class Span(Value):
     outcome: str
     goal_id: str
     inner: tuple[Span, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class GripEstimate(Value):
-    """Opening and force of the fingertips at a time.
-
-    Attributes:
-        time: CLOCK_MONOTONIC [s].
-        action: Action of the goal.
-        opening: Opening [m]; ``NaN``: not known.
-        force: Force between the fingertips [N]; ``NaN``: not known.
-        force_error: Its error [N].
-        force_source: Its source, as in `rtee.types.Result`.
-    """
-
-    time: float
-    action: str
-    opening: float
-    force: float
-    force_error: float
-    force_source: str
 
 
 @dataclass(frozen=True)

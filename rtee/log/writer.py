@@ -23,7 +23,7 @@ from rtee.hand.transmission import Transmission
 from rtee.log.chunks import MESSAGE, ChunkBuilder, InColumns, PackedChunk, message_head
 from rtee.log.digest import line_of
 from rtee.log.layout import CHANNELS, Contents, library_name
-from rtee.log.plans import encode_plan
+from rtee.log.plans import GRIP, GripEstimate, encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
 from rtee.loop.grip import grip_at
@@ -211,7 +211,6 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
 """Topic and codec of each recorded item other than ticks and plans."""
 
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
-_GRIP = message_type("rtee_msgs/msg/Grip")
 _GRIP_PERIOD = 0.02
 """Time between recorded openings and forces [s]: a grip builds up in some tenths of a second."""
 
@@ -373,17 +372,8 @@ class LogWriter:
     def _add_grip(self, plan: Plan, record: TickRecord, wall: int) -> None:
         """Record the opening and the force of the fingertips."""
         self._grip_due = record.stamp + _GRIP_PERIOD
-        opening, force, error, source = grip_at(plan.grip, record)
-        fields = {
-            "header": header(wall),
-            "time": record.stamp,
-            "action": plan.action,
-            "opening": opening,
-            "force": force,
-            "force_error": error,
-            "force_source": source,
-        }
-        self._add(topics.GRIP, wall, _GRIP.encode(fields))
+        estimate = GripEstimate(record.stamp, plan.action, *grip_at(plan.grip, record))
+        self._add(topics.GRIP, wall, GRIP.encode(estimate, wall=wall))
 
     def state(self, snapshot: Snapshot, tick: int, stamp: float) -> None:
         """Attach the state of the controller after a tick of a time [s] to the file."""

@@ -7,7 +7,7 @@ measurements gives the same references, bit for bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import assert_never
@@ -34,20 +34,127 @@ from rtee.hand.model import Hand
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.executor import Executor
 from rtee.loop.free_motion import LearnedMotion
-from rtee.loop.limiter import Limiter
 from rtee.loop.measured import GRIP_FORCE, Measured
-from rtee.loop.motion import MotionLimits
+from rtee.loop.motion import Limiter, MotionLimits
 from rtee.loop.plan import Plan
-from rtee.loop.profiles import make_profile
-from rtee.loop.reference_start import ReferenceStart
+from rtee.loop.profiles import Profile, make_profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
-from rtee.loop.streams.hold import StreamHold
-from rtee.loop.streams.player import StreamPlayer
-from rtee.loop.thermal import Thermal, ThermalLevel
-from rtee.loop.thermal_model import CurrentHeat
+from rtee.loop.streams.player import StreamHold, StreamPlayer
+from rtee.loop.thermal import CurrentHeat, Thermal, ThermalLevel
 from rtee.sample import FloatArray
 from rtee.types import Around, Event, Feedback, Result
+
+
+class ReferenceStart:
+    """Starts the references of a hand's actuators; all that sets one to a measurement asks here.
+
+    Args:
+        profile: Moves the reference.
+        limiter: Holds the positions sent last.
+        contact: Detects contacts.
+        plausible: Judges measured positions.
+        active: Whether each actuator's device may be moved.
+        effort: Effort limits sent last [N·m | N].
+        pressing: Effort at which an actuator presses, as a fraction of its limit.
+
+    Attributes:
+        unplaced: Actuators that became active, but were not validly measured since; they have no
+            reference yet.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        limiter: Limiter,
+        contact: ContactMonitor,
+        plausible: Plausibility,
+        active: Sequence[bool],
+        effort: Sequence[float],
+        pressing: float,
+    ) -> None:
+        self._profile, self._limiter = profile, limiter
+        self._contact, self._plausible = contact, plausible
+        self._active, self._effort, self._pressing = active, effort, pressing
+        self.unplaced: set[int] = set()
+        self._frozen: dict[int, bool] = {}
+        self._now = -math.inf
+        nothing = [math.nan] * len(active)
+        self._measured = Measured(nothing, nothing, nothing, [False] * len(active), ())
+
+    def at(self, i: int, stamp: float, touching: bool = False) -> float | None:
+        """Return the measured position of an actuator if its reference may start from it [rad | m].
+
+        Args:
+            i: The actuator.
+            stamp: Now [s].
+            touching: Whether it is known to press against an object; else this is judged here.
+        """
+        touching = touching or self._touches(i)
+        return self._plausible.start(i, stamp, self._limiter.position[i], touching=touching)
+
+    def _touches(self, i: int) -> bool:
+        """Return whether more than its position shows that an actuator presses on something."""
+        return self._contact.shows(i, self._measured, self._pressing * self._effort[i])
+
+    def set(self, positions: Mapping[int, float]) -> None:
+        """Start references, at rest, from positions by actuator [rad | m]."""
+        self._profile.seed(positions)
+        for i, position in positions.items():
+            self._limiter.seed(i, position)
+            self._plausible.started(i, position)
+
+    def brake(self, indices: Collection[int]) -> None:
+        """Brake some actuators, unless the next tick finds that they can start where they are.
+
+        Called before what is known of their contacts is forgotten.
+        """
+        self._frozen.update((i, self._touches(i)) for i in indices)
+        self._profile.go({}, brake=[i for i in indices if self._active[i]])
+
+    def activate(self, i: int) -> None:
+        """Let an actuator that became active wait for its first valid measurement."""
+        self.unplaced.add(i)
+        self._plausible.forget((i,))
+
+    def step(self, stamp: float, measured: Measured) -> list[int]:
+        """Judge the measurements of a tick, and start the references that wait for them.
+
+        Inactive actuators are followed.
+
+        Args:
+            stamp: Now [s].
+            measured: The measured state.
+
+        Returns:
+            The active actuators whose reference was started.
+        """
+        self._measured, self._now, sent = measured, stamp, self._limiter.position
+        self._plausible.step(stamp, measured.position, measured.fresh, self._active, sent)
+        if not (self._frozen or self.unplaced) and all(self._active):
+            return []
+        start: dict[int, float] = {}
+        frozen, self._frozen = self._frozen, {}
+        for i, active in enumerate(self._active):
+            if active and i not in frozen and i not in self.unplaced:
+                continue
+            position = self.at(i, stamp, frozen.get(i, False))
+            if position is not None and (active or position != sent[i]):
+                start[i] = position
+        if start:
+            self.set(start)
+            self.unplaced.difference_update(start)
+        return [i for i in start if self._active[i]]
+
+    def posture_to_keep(self) -> list[float]:
+        """Return the positions to leave the hand in [rad | m]; blocked fingers keep their grip."""
+        return [
+            position
+            if self._contact.blocked(i) or (measured := self.at(i, self._now)) is None
+            else measured
+            for i, position in enumerate(self._limiter.position)
+        ]
+
 
 _THERMAL_EVERY = 0.1
 """Temperatures are checked this often [s]: motors warm up over seconds."""

@@ -16,8 +16,8 @@ from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import ELSEWHERE, Grip
-from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
+from rtee.loop.motion import Limiter
 from rtee.loop.profiles import Profile
 from rtee.types import Event
 

@@ -14,8 +14,8 @@ from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import Grip
-from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
+from rtee.loop.motion import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.planning import leg_speed, meeting_speed
 from rtee.loop.pressing import ForceEstimate, Pressing, Tare, ceilings

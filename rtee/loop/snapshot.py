@@ -36,6 +36,16 @@ _OURS = (
 )
 """Modules of the classes of a controller's parts."""
 
+_MOVED = {
+    "rtee.loop.limiter": "rtee.loop.motion",
+    "rtee.loop.profiles.phases": "rtee.loop.profiles.s_curve",
+    "rtee.loop.reference_start": "rtee.loop.controller",
+    "rtee.loop.streams.hold": "rtee.loop.streams.player",
+    "rtee.loop.streams.playout": "rtee.loop.streams.player",
+    "rtee.loop.thermal_model": "rtee.loop.thermal",
+}
+"""Modules that recorded states name, and where their classes are now."""
+
 
 class Snapshot(NamedTuple):
     """A captured state: each object by its identity, with its parts; the controller is the first.
@@ -183,6 +193,7 @@ class _Restoring:
 
 def _class(name: str) -> type[Any]:
     module, _, inside = name.partition(":")
+    module = _MOVED.get(module, module)
     found: Any = sys.modules[module] if module.startswith(_OURS) else None
     for each in inside.split("."):
         found = vars(found)[each]

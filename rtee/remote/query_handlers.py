@@ -21,7 +21,7 @@ from rtee.actions.naming import normalise
 from rtee.actions.types import Primitive
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.own_copy import TRIALS, copy_notice
-from rtee.hand.yamlwrite import emit
+from rtee.hand.yamlfile import emit
 from rtee.loop.handloop import HandLoop
 from rtee.loop.planning import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT, table_of

@@ -13,8 +13,7 @@ from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
 from rtee.hand.validation import Amount, Section, checked
-from rtee.hand.yamlfile import read_yaml
-from rtee.hand.yamlwrite import emit
+from rtee.hand.yamlfile import emit, read_yaml
 
 FILE_NAME: Final = "retarget.yaml"
 """Name of the file in a hand's folder."""

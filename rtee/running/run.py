@@ -22,7 +22,7 @@ from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
 from rtee.hand.config_schema import RealtimeSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop, drive
+from rtee.loop.handloop import HandLoop, bring_to_rest, drive
 from rtee.loop.memory import give_memory_back
 from rtee.loop.realtime import (
     Collector,
@@ -35,7 +35,6 @@ from rtee.loop.realtime import (
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.service import ServiceReporter
 from rtee.loop.settings import profile_words, realtime_settings
-from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.shutdown_signals import (
     Signals,
     beside_this_run,

@@ -10,8 +10,7 @@ from rtee.actions.fingerprints import Fingerprints
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.own_copy import TRIALS
-from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
-from rtee.hand.yamlwrite import emit
+from rtee.hand.yamlfile import YamlDocument, emit, parse_yaml, read_yaml
 from rtee.trials.result import CHOOSING, Trial, TrialResult
 from rtee.trials.variation import interval
 

@@ -14,8 +14,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference, Composed, Evidence, Primitive
 from rtee.errors import ActionError, RteeError
 from rtee.hand.model import Hand
-from rtee.hand.yamlfile import read_emitted
-from rtee.hand.yamlwrite import emit
+from rtee.hand.yamlfile import emit, read_emitted
 
 GENERIC = "name: point\nset_points:\n  middle_joint: 0.8\n"
 

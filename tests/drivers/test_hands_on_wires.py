@@ -21,11 +21,10 @@ from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import Behaviour
-from rtee.loop import connection
+from rtee.loop import supervisor
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop, drive
+from rtee.loop.handloop import HandLoop, bring_to_rest, drive
 from rtee.loop.observer import Observer
-from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
@@ -144,7 +143,7 @@ async def test_emulated_hands_that_name_the_same_port_do_not_meet() -> None:
 async def test_a_hundred_cables_pulled_leave_no_task_and_no_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(connection, "BACKOFF", (0.005, 0.01))
+    monkeypatch.setattr(supervisor, "BACKOFF", (0.005, 0.01))
     async with on_wires("robotiq_2f_85") as (gripper,):
         files, tasks, moves = open_files(), len(asyncio.all_tasks()), gripper.emulator.moves
         for _ in range(100):

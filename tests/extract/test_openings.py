@@ -17,7 +17,7 @@ from rtee.errors import ActionError, ConfigError
 from rtee.extract.openings import make_openings, opening_of
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand
-from rtee.hand.yamlwrite import emit
+from rtee.hand.yamlfile import emit
 
 CONFIG = Path(__file__).parents[2] / "config"
 

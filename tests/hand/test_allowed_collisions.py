@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hand.models import GRIPPER, SRDF
-from rtee.hand.allowed_collisions import ADJACENT, ALWAYS, AT_REST, allowed_collisions
+from rtee.hand.geometry import ADJACENT, ALWAYS, AT_REST, allowed_collisions
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 

@@ -24,8 +24,7 @@ from rtee.commands import CommandRecord, StreamSample
 from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log.dataset.cameras import cameras_in
-from rtee.log.dataset.convert import Choice, write_dataset
-from rtee.log.dataset.episodes import EpisodeBoundary
+from rtee.log.dataset.convert import Choice, EpisodeBoundary, write_dataset
 from rtee.messages.features import ObservedQuantity
 from rtee.messages.schema import parse
 from rtee.types import Event, Goal, Intensity, Named

@@ -38,7 +38,7 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Recording, read, reader, to_pandas
 from rtee.log.dataclass_json import to_json
-from rtee.log.export import TABLES, Format, export, tables
+from rtee.log.export import TABLES, Format, Spool, export, tables
 from rtee.log.export import read_for as export_pieces
 from rtee.log.figure import MOST_POINTS, PlotSubject, bands_of, figure, labels_of, thinned
 from rtee.log.figure import read_for as plot_pieces
@@ -48,7 +48,6 @@ from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
 from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
-from rtee.log.spool import Spool
 from rtee.loop.settings import LoopSettings
 from rtee.messages import topics
 from rtee.types import Event, Goal, Named

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtee.loop.histogram import Histogram, TickStatistics
+from rtee.loop.clock import Histogram, TickStatistics
 
 DURATIONS = st.lists(st.integers(0, 10**10), min_size=1, max_size=300)
 

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtee.loop.limiter import Limiter
-from rtee.loop.motion import MotionLimits
+from rtee.loop.motion import Limiter, MotionLimits
 
 LIMITS = MotionLimits((0.0, -1.0), (1.0, 1.0), (2.0, 0.5), (20.0, 5.0), (400.0, 100.0))
 DT = 0.01

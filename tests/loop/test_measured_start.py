@@ -14,8 +14,8 @@ from rtee.commands import BeginStream, EndStream, StreamSample
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.config_schema import Behaviour
 from rtee.hand.model import Hand
+from rtee.loop.handloop import bring_to_rest
 from rtee.loop.settings import LoopSettings
-from rtee.loop.shutdown import bring_to_rest
 from rtee.sample import ActuatorState
 from rtee.types import Goal, Lifecycle, Named, Reference
 

@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
-from rtee.loop.limiter import Limiter
-from rtee.loop.motion import MotionLimits, bounded, stopping_velocity
+from rtee.loop.motion import Limiter, MotionLimits, bounded, stopping_velocity
 from rtee.loop.profiles import Profile, make_profile
-from rtee.loop.profiles.phases import Bounds, TargetMotions, cube_root
-from rtee.loop.profiles.s_curve import SCurve
+from rtee.loop.profiles.s_curve import Bounds, SCurve, TargetMotions, cube_root
 from rtee.loop.profiles.stepwise import Filter
 
 INF = math.inf

@@ -12,9 +12,9 @@ from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
+from rtee.loop.handloop import bring_to_rest
 from rtee.loop.observer import Observer
 from rtee.loop.settings import LoopSettings
-from rtee.loop.shutdown import bring_to_rest
 from rtee.sample import ActuatorState, TickRecord
 from rtee.types import Goal, Lifecycle, Named, Reference
 

@@ -16,8 +16,7 @@ from rtee.log.dataclass_json import from_json, to_json
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
 from rtee.loop.settings import LoopSettings
-from rtee.loop.thermal import PLAUSIBLE, Thermal, ThermalLevel
-from rtee.loop.thermal_model import CurrentHeat
+from rtee.loop.thermal import PLAUSIBLE, CurrentHeat, Thermal, ThermalLevel
 from rtee.types import Event
 
 

@@ -18,8 +18,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import AXES, CONTAINER, TABLE
-from rtee.hand.allowed_collisions import touch_at_rest
-from rtee.hand.geometry import HandGeometry
+from rtee.hand.geometry import HandGeometry, touch_at_rest
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.objects.shape import ObjectShape, hollow_mesh, open_mesh, parse_object

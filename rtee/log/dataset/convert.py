@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,6 @@ import numpy as np
 from rtee.errors import LogError, needing_extra
 from rtee.hand.files import reason
 from rtee.log.dataset.cameras import CameraTopic, cameras_in
-from rtee.log.dataset.episodes import Episode, EpisodeBoundary, episodes_of
 from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
 from rtee.log.file_index import FileIndex, index_file
 from rtee.log.reader import read
@@ -23,6 +23,72 @@ from rtee.log.rotation import paths_of
 from rtee.messages.codec import SECOND
 from rtee.messages.features import USUAL, ObservedQuantity
 from rtee.sample import FloatArray
+
+BEGIN: Final = "episode:"
+"""What a mark begins with that begins an episode; the task follows."""
+
+END, DISCARD = "end", "discard"
+"""What follows it in a mark that ends the episode, or throws it away."""
+
+
+class EpisodeBoundary(StrEnum):
+    """How episodes are delimited."""
+
+    MARKS = "marks"
+    GOALS = "goals"
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """A demonstration: the task in words, and when it began and ended [ns since 1970]."""
+
+    task: str
+    start: int
+    end: int
+
+
+def episodes_of(recording: Recording, by: EpisodeBoundary) -> list[Episode]:
+    """Return the episodes of a recording, in order.
+
+    By goals, those are episodes that came to what was wanted.
+
+    Raises:
+        LogError: There are none.
+    """
+    found = list(_by_marks(recording) if by is EpisodeBoundary.MARKS else _by_goals(recording))
+    if not found:
+        why = (
+            f"has no episodes: no mark begins with '{BEGIN}' (rtee log mark \"{BEGIN} the task\");"
+            " give --episodes goals to take each goal for one"
+            if by is EpisodeBoundary.MARKS
+            else "has no episodes: no goal in it was reached, or grasped something"
+        )
+        raise LogError(why, path=recording.paths[0])
+    return found
+
+
+def _by_marks(recording: Recording) -> Iterator[Episode]:
+    task, start = "", 0
+    for entry in recording.marks:
+        text = entry.value.text.strip()
+        if not text.lower().startswith(BEGIN):
+            continue
+        word = text[len(BEGIN) :].strip()
+        # The next one's beginning is an end, too.
+        if task and word.lower() != DISCARD:
+            yield Episode(task, start, entry.wall)
+        task, start = ("" if word.lower() in (END, DISCARD) else word), entry.wall
+    if task:
+        yield Episode(task, start, recording.end)
+
+
+def _by_goals(recording: Recording) -> Iterator[Episode]:
+    succeeded = {entry.value.goal_id for entry in recording.results if entry.value.succeeded}
+    for span in recording.spans:
+        if span.goal_id in succeeded:
+            at = [recording.start + round(t * SECOND) for t in (span.start, span.end)]
+            yield Episode(span.name, *at)
+
 
 STATE, ACTION, SENT = "observation.state", "action", "sent_action"
 """Features of a frame. The last one has no prefix that LeRobot takes for an input or an output."""

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rtee.loop.motion import MotionLimits, approach, bounded
-from rtee.loop.profiles.phases import cube_root
+from rtee.loop.profiles.s_curve import cube_root
 
 _MOST = 64
 """Samples kept ahead of time, after which the oldest are dropped: an eighth of a second at 500 Hz,
