@@ -163,6 +163,7 @@ class JointFrames:
     Attributes:
         moving: Parent and child link of every moving joint, in the order of ``hand.joints``.
         fixed: Parent and child link of every fixed joint.
+        still: Poses of the child links of the fixed joints, as `at` returns them.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -171,7 +172,7 @@ class JointFrames:
         still = [joint for joint in joints.values() if not joint.moving]
         self.moving = tuple((joint.parent, joint.child) for joint in driven)
         self.fixed = tuple((joint.parent, joint.child) for joint in still)
-        self._fixed = (
+        self.still = (
             np.array([joint.xyz for joint in still]).reshape(-1, 3),
             _last_first(np.array([quaternion(joint.rpy) for joint in still]).reshape(-1, 4)),
         )
@@ -197,10 +198,6 @@ class JointFrames:
         half = self._half * q
         turned = np.cos(half)[:, None] * self._begin + np.sin(half)[:, None] * self._across
         return self._xyz + q[:, None] * self._along, turned
-
-    def still(self) -> tuple[FloatArray, FloatArray]:
-        """Return the poses of the links of the fixed joints, as `at` does."""
-        return self._fixed
 
 
 def _last_first(wxyz: FloatArray) -> FloatArray:

@@ -8,9 +8,14 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mcap.opcode import Opcode
+
+from rtee.errors import LogError
+
+if TYPE_CHECKING:
+    from rtee.log.file_index import FileIndex
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -109,6 +114,14 @@ def brief(path: Path) -> Brief | None:
     # Whoever reads all of the file says what is damaged.
     except (OSError, ValueError, KeyError, TypeError, struct.error, zlib.error):
         return None
+
+
+def check_hands(files: Sequence[Brief | FileIndex]) -> None:
+    """Raise `LogError` unless files are recordings of one hand."""
+    hand = files[0].hand
+    for other in files[1:]:
+        if other.hand != hand:
+            raise LogError(f"is a recording of '{other.hand}', not of '{hand}'", path=other.path)
 
 
 def metadata_of(path: Path, name: str) -> dict[str, str] | None:

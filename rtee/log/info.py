@@ -8,8 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rtee.errors import LogError
-from rtee.log.brief import SECOND, Brief, brief, rate_of, spans_of
+from rtee.log.brief import SECOND, Brief, brief, check_hands, rate_of, spans_of
 
 _STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
 
@@ -117,11 +116,7 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> Info:
     damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
     """
     files = [(None if deep else brief(path)) or _whole(path) for path in paths]
-    for other in files[1:]:
-        if other.hand != files[0].hand:
-            raise LogError(
-                f"is a recording of '{other.hand}', not of '{files[0].hand}'", path=other.path
-            )
+    check_hands(files)
     start = min((each.start for each in files if each.end), default=0)
     duration = (max(each.end for each in files) - start) / SECOND
 

@@ -183,7 +183,7 @@ class Contents:
         frames = JointFrames(self.hand)
         if frames.fixed:
             encoder = TransformsEncoder(*zip(*frames.fixed, strict=True))
-            builder.add(CHANNELS[TF_STATIC], 0, wall_ns, encoder.encode(wall_ns, *frames.still()))
+            builder.add(CHANNELS[TF_STATIC], 0, wall_ns, encoder.encode(wall_ns, *frames.still))
         chunk = builder.pack()
         assert chunk is not None  # noqa: S101 - narrows the type
         return replace(chunk, digest=())

@@ -65,6 +65,11 @@ class McapFile:
 
     Raises `OSError` if it cannot be made or written; it is then removed. With ``sync``, every chunk
     is flushed to the disk, so that it survives a power cut.
+
+    Attributes:
+        size: Size of the file [bytes].
+        start: Earliest log time [ns since 1970]; 0 without messages.
+        end: Latest log time, likewise.
     """
 
     def __init__(self, path: Path, preamble: Preamble, *, sync: bool = True) -> None:
@@ -75,15 +80,15 @@ class McapFile:
         self._chunks = bytearray()
         self._chunk_count = 0
         self._counts: dict[int, int] = {}
-        self._start = 0
-        self._end = 0
+        self.start = 0
+        self.end = 0
         self._digest: Digest | None = Digest()
         self._indexes: list[McapRecord] = []
         begin = self._begin()
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
         with contextlib.suppress(OSError):  # not every file system has locks
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._size = 0
+        self.size = 0
         try:
             self._append(*begin)
             if sync:
@@ -92,21 +97,6 @@ class McapFile:
             os.close(self._descriptor)
             path.unlink(missing_ok=True)
             raise
-
-    @property
-    def size(self) -> int:
-        """Size of the file [bytes]."""
-        return self._size
-
-    @property
-    def start(self) -> int:
-        """Earliest log time [ns since 1970]; 0 without messages."""
-        return self._start
-
-    @property
-    def end(self) -> int:
-        """Latest log time [ns since 1970]; 0 without messages."""
-        return self._end
 
     @property
     def linked(self) -> bool:
@@ -161,17 +151,17 @@ class McapFile:
         except OSError:
             with contextlib.suppress(OSError):
                 # No reader could get past half a chunk.
-                os.ftruncate(self._descriptor, self._size)
+                os.ftruncate(self._descriptor, self.size)
             with contextlib.suppress(OSError):
                 # Truncating leaves the position behind the end, and the next write would leave a
                 # hole.
-                os.lseek(self._descriptor, self._size, os.SEEK_SET)
+                os.lseek(self._descriptor, self.size, os.SEEK_SET)
             raise
-        self._size += sum(len(part) for part in parts)
+        self.size += sum(len(part) for part in parts)
 
     def write(self, chunk: PackedChunk) -> None:
         """Append a chunk; after an `OSError` the file is unchanged, and the next chunk may fit."""
-        offset = self._size
+        offset = self.size
         self._append(chunk.record, chunk.index)
         after = offset + len(chunk.record)
         self._chunk_count += 1
@@ -188,8 +178,8 @@ class McapFile:
                 uncompressed_size=chunk.uncompressed_size,
             )
         )
-        self._start = min(self._start, chunk.start) if self._start else chunk.start
-        self._end = max(self._end, chunk.end)
+        self.start = min(self.start, chunk.start) if self.start else chunk.start
+        self.end = max(self.end, chunk.end)
         for channel, count in chunk.counts.items():
             self._counts[channel] = self._counts.get(channel, 0) + count
         if self._digest is not None:
@@ -200,10 +190,10 @@ class McapFile:
 
     def attach(self, name: str, data: bytes) -> None:
         """Append an attachment between two chunks; raises `OSError` as `write` does."""
-        attachment = Attachment(self._end, self._end, name, "application/json", data)
+        attachment = Attachment(self.end, self.end, name, "application/json", data)
         indexes = len(self._indexes)
         try:
-            self._append(self._attached(attachment, self._size))
+            self._append(self._attached(attachment, self.size))
         except OSError:
             del self._indexes[indexes:]
             raise
@@ -232,8 +222,8 @@ class McapFile:
             chunk_count=self._chunk_count,
             message_count=sum(self._counts.values()),
             metadata_count=len(self._preamble.metadata),
-            message_start_time=self._start,
-            message_end_time=self._end,
+            message_start_time=self.start,
+            message_end_time=self.end,
             schema_count=len(self._preamble.schemas),
         )
 
@@ -254,19 +244,19 @@ class McapFile:
                 for each in self._indexes
                 if isinstance(each, AttachmentIndex)
             ],
-            "start": self._start,
-            "end": self._end,
+            "start": self.start,
+            "end": self.end,
         }
 
     def _ending(self) -> tuple[bytes, bytes]:
         last = b""
-        if self._digest is not None and self._end:
+        if self._digest is not None and self.end:
             digest = self._digest.content(self._own())
-            attachment = Attachment(self._end, self._end, DIGEST, "application/zlib", digest)
-            last = self._attached(attachment, self._size)
+            attachment = Attachment(self.end, self.end, DIGEST, "application/zlib", digest)
+            last = self._attached(attachment, self.size)
         # 0: no checksum over the data, as each chunk has one.
         data_end = record_bytes(DataEnd(0))
-        summary_start = self._size + len(last) + len(data_end)
+        summary_start = self.size + len(last) + len(data_end)
         attachments = [index for index in self._indexes if isinstance(index, AttachmentIndex)]
         metadata = [index for index in self._indexes if isinstance(index, MetadataIndex)]
         groups: list[tuple[Opcode, bytes | bytearray]] = [

@@ -14,7 +14,7 @@ import numpy as np
 from rtee.errors import GoalRejected, LogError, MessageError
 from rtee.hand.files import reason
 from rtee.log import column_reader
-from rtee.log.brief import Brief, brief
+from rtee.log.brief import Brief, brief, check_hands
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.plans import GRIP, plan_of
 from rtee.log.record_scanner import LATEST, DamagedRecordError, messages_of
@@ -103,7 +103,7 @@ def windows(
     span = _span(briefs)
     first = span[0] + round((start or 0.0) * SECOND)
     last = span[1] if end is None else span[0] + round(end * SECOND)
-    _check_hands(briefs)
+    check_hands(briefs)
     chosen = [each for each in briefs if each.end >= first and each.start <= last]
     for file in chosen or briefs[:1]:
         # One after the other: the index of an hour takes some 30 MB.
@@ -127,13 +127,6 @@ def _span(file_indexes: Sequence[FileIndex | Brief]) -> tuple[int, int]:
     )
 
 
-def _check_hands(file_indexes: Sequence[FileIndex | Brief]) -> None:
-    hand = file_indexes[0].hand
-    for other in file_indexes[1:]:
-        if other.hand != hand:
-            raise LogError(f"is a recording of '{other.hand}', not of '{hand}'", path=other.path)
-
-
 class _Channel(NamedTuple):
     """A channel of a file: the name of its topic and the type of its messages."""
 
@@ -153,7 +146,7 @@ class _Collector:
         self._file_indexes = file_indexes
         self._wanted = wanted
         self._hand = file_indexes[0].hand
-        _check_hands(file_indexes)
+        check_hands(file_indexes)
         self._span = span or _span(file_indexes)
         self._from, self._before = 0, LATEST + 1  # log times of the messages that are taken [ns]
         self._notes = [f"{each.path.name}: {note}" for each in file_indexes for note in each.notes]

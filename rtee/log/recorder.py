@@ -189,7 +189,7 @@ class Recorder(Observer):
         contents = Contents(hand, rate, files, more, meshes)
         contents.prepare()
         self._writer = LogWriter(contents, settings, notify, simulated=simulated)
-        self._writer.dropped = lambda: self._dropped
+        self._writer.dropped = lambda: self.dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
         self._few = int(_PACKED * rate)
@@ -198,7 +198,7 @@ class Recorder(Observer):
         self._stamp: float | None = 0.0 if simulated else None
         # Simulated time runs ahead of the disk, so that closing waits without a limit.
         self._closing = None if simulated else _CLOSING
-        self._dropped = 0
+        self.dropped = 0
         self._failed = 0
         self._failure = ""
         self._thread: threading.Thread | None = None
@@ -262,7 +262,7 @@ class Recorder(Observer):
             self._capture(self.controller, record)
         waiting = self._queue.qsize()
         if waiting >= self._limit:
-            self._dropped += 1  # never waited for: the loop's thread calls this
+            self.dropped += 1  # never waited for: the loop's thread calls this
         elif waiting <= self._few:
             # The writer may take its last ticks now; then its memory must go back to the system.
             self._backlog = None
@@ -294,7 +294,7 @@ class Recorder(Observer):
     def _put(self, item: Item, stamp: float) -> None:
         # Other items are rare and worth more than ticks, so that they may fill twice the limit.
         if self._queue.qsize() >= 2 * self._limit:
-            self._dropped += 1
+            self.dropped += 1
         else:
             self._queue.put((item, stamp))
 
@@ -355,11 +355,6 @@ class Recorder(Observer):
         self._queue.put(lambda: self._writer.fault(cause))
 
     @property
-    def dropped(self) -> int:
-        """Number of records dropped because the writer fell behind."""
-        return self._dropped
-
-    @property
     def flight_folder(self) -> Path | None:
         """Folder of the flight recorder's files; ``None`` without a flight recorder."""
         return None if self._writer.flight is None else self._settings.folder
@@ -372,7 +367,7 @@ class Recorder(Observer):
             path=writer.sink.path,
             size=writer.sink.size,
             ticks=writer.sink.written_ticks,
-            dropped=self._dropped + self._failed,
+            dropped=self.dropped + self._failed,
             lost=writer.sink.lost_ticks,
             problem=writer.sink.problem or self._failure,
             flight_seconds=writer.flight.seconds if writer.flight else 0.0,

@@ -533,18 +533,13 @@ class LogWriter:
 
 
 class FlightRecorder:
-    """Keeps the newest chunks within a limit of time [s] and of memory [bytes]."""
+    """Keeps the newest chunks within limits of time [s] and of memory, their ``size`` [bytes]."""
 
     def __init__(self, seconds: float, size: float) -> None:
         self._seconds = seconds
         self._limit = size
-        self._size = 0
+        self.size = 0
         self._chunks: deque[PackedChunk] = deque()
-
-    @property
-    def size(self) -> int:
-        """Memory of the chunks [bytes]."""
-        return self._size
 
     @property
     def seconds(self) -> float:
@@ -553,18 +548,13 @@ class FlightRecorder:
             return 0.0
         return (self._chunks[-1].end - self._chunks[0].start) / SECOND
 
-    @property
-    def start(self) -> int:
-        """Log time of the first message [ns since 1970]; 0 without messages."""
-        return self._chunks[0].start if self._chunks else 0
-
     def add(self, chunk: PackedChunk) -> None:
         """Add a chunk; drop the oldest ones beyond the limits."""
         self._chunks.append(_in_memory_of_its_own(chunk))
-        self._size += chunk.size
+        self.size += chunk.size
         oldest = chunk.end - int(self._seconds * SECOND)
-        while self._chunks[0].end < oldest or (self._size > self._limit and len(self._chunks) > 1):
-            self._size -= self._chunks.popleft().size
+        while self._chunks[0].end < oldest or (self.size > self._limit and len(self._chunks) > 1):
+            self.size -= self._chunks.popleft().size
 
     def chunks(self) -> Iterable[PackedChunk]:
         """Return the chunks, oldest first."""

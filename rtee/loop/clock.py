@@ -54,10 +54,6 @@ class Histogram:
         if nanoseconds > self.maximum:
             self.maximum = nanoseconds
 
-    def percentile(self, percent: float) -> float:
-        """Return the duration [s] that ``percent`` of all do not exceed; 0 if there are none."""
-        return self.percentiles((percent,))[0]
-
     def percentiles(self, percents: tuple[float, ...]) -> list[float]:
         """Return several percentiles [s] in one pass."""
         if not self.count:
@@ -76,12 +72,6 @@ class Histogram:
         """Return the sum of all durations [s], to the width of a bucket."""
         # A copy, since another thread may be counting.
         return sum(n * _upper(k) for k, n in enumerate(tuple(self._counts)) if n) * 1e-9
-
-    def clear(self) -> None:
-        """Forget all durations."""
-        self._counts = [0] * len(self._counts)
-        self.count = 0
-        self.maximum = 0
 
 
 def _bucket(nanoseconds: int) -> int:
@@ -192,10 +182,7 @@ class AnyClock(Protocol):
     """The interface of a clock that the loop needs."""
 
     rate: float
-
-    @property
-    def period(self) -> float:
-        """Time between ticks [s]."""
+    period_ns: int
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
         """Call a function at every tick, until cancelled, it raises, or the clock ends."""
@@ -247,11 +234,6 @@ class Clock:
         self.rate = float(rate)
         self.period_ns = _period_ns(rate)
         self.uses_timerfd = use_timerfd and timerfd.available() and not on_simulated_time()
-
-    @property
-    def period(self) -> float:
-        """Time between ticks [s]."""
-        return self.period_ns * 1e-9
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
         """Call a function at every tick, until cancelled or it raises."""
@@ -324,11 +306,6 @@ class ManualClock:
         self.turns = turns
         self._start_ns = round(start * _NANOSECONDS)
         self._number = -1
-
-    @property
-    def period(self) -> float:
-        """Time between ticks [s]."""
-        return self.period_ns * 1e-9
 
     def now(self) -> float:
         """Return the clock's time [s]; replaces `rtee.monotonic.now`."""

@@ -180,10 +180,6 @@ class Devices:
         hint = "".join(doing) or "; see `rtee status`, then recover"
         raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")
 
-    def refuse_effort(self) -> dict[int, str]:
-        """Return the actuators whose device takes no effort limits, each with the reason."""
-        return dict(self.forces().refused)
-
     def forces(self) -> DeviceForces:
         """Return which efforts and forces the devices can limit."""
         return device_forces(self._hand, self._all)

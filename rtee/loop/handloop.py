@@ -534,7 +534,6 @@ async def drive(
         idle: Called after each tick with the due time of the next one, CLOCK_MONOTONIC [ns].
     """
     statistics = TickStatistics(clock.rate)
-    period_ns = round(clock.period * 1e9)
     for loop in loops:
         loop.clock_statistics = statistics
     used = time.thread_time_ns()
@@ -551,7 +550,7 @@ async def drive(
         for loop in loops:
             loop.notify_observers()
         if idle is not None:
-            idle(tick.due_ns + period_ns)
+            idle(tick.due_ns + clock.period_ns)
 
     await clock.drive(at_tick)
 

@@ -100,7 +100,7 @@ class Topics(Part):
             self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", _TRANSFORMS)
             fixed = TransformsEncoder(*_ends(self._transforms.fixed))
             node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).publish(
-                fixed.encode(served.latest.wall_ns, *self._transforms.still())
+                fixed.encode(served.latest.wall_ns, *self._transforms.still)
             )
         number = "std_msgs/msg/Float64"
         self._opening = self._force = None

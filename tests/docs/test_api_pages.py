@@ -29,7 +29,7 @@ PROVISIONAL = {
     "rtee.hand.urdf.Urdf",
     "rtee.hand.urdfread.Edit",
     "rtee.log.recording.Channel",
-    "rtee.log.recording.GripEstimate",
+    "rtee.log.plans.GripEstimate",
     "rtee.log.recording.TouchSeries",
     "rtee.loop.plan.Plan",
     "rtee.objects.description.ObjectPart",

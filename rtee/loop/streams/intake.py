@@ -208,7 +208,7 @@ class StreamIntake:
                 f"{within:g} s; give one of at least {_LEAST_PERIODS / rate:.3g} s"
             )
         wanted = dict(effort or {})
-        effort_limits(wanted, self._hand, self._devices.refuse_effort())
+        effort_limits(wanted, self._hand, self._devices.forces().refused)
         now = self._now()
         self._rate, self._tokens, self._filled = rate, _BURST, now
         self._time = TimeBase(rate, now)
