@@ -8,14 +8,11 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mcap.opcode import Opcode
 
 from rtee.errors import LogError
-
-if TYPE_CHECKING:
-    from rtee.log.file_index import FileIndex
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -116,12 +113,12 @@ def brief(path: Path) -> Brief | None:
         return None
 
 
-def check_hands(files: Sequence[Brief | FileIndex]) -> None:
-    """Raise `LogError` unless files are recordings of one hand."""
-    hand = files[0].hand
-    for other in files[1:]:
-        if other.hand != hand:
-            raise LogError(f"is a recording of '{other.hand}', not of '{hand}'", path=other.path)
+def check_hands(hands: Mapping[Path, str]) -> None:
+    """Raise `LogError` unless files, each with its hand, are recordings of one hand."""
+    (_, first), *others = hands.items()
+    for path, other in others:
+        if other != first:
+            raise LogError(f"is a recording of '{other}', not of '{first}'", path=path)
 
 
 def metadata_of(path: Path, name: str) -> dict[str, str] | None:

@@ -116,7 +116,7 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> Info:
     damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
     """
     files = [(None if deep else brief(path)) or _whole(path) for path in paths]
-    check_hands(files)
+    check_hands({each.path: each.hand for each in files})
     start = min((each.start for each in files if each.end), default=0)
     duration = (max(each.end for each in files) - start) / SECOND
 

@@ -103,7 +103,7 @@ def windows(
     span = _span(briefs)
     first = span[0] + round((start or 0.0) * SECOND)
     last = span[1] if end is None else span[0] + round(end * SECOND)
-    check_hands(briefs)
+    check_hands({each.path: each.hand for each in briefs})
     chosen = [each for each in briefs if each.end >= first and each.start <= last]
     for file in chosen or briefs[:1]:
         # One after the other: the index of an hour takes some 30 MB.
@@ -146,7 +146,7 @@ class _Collector:
         self._file_indexes = file_indexes
         self._wanted = wanted
         self._hand = file_indexes[0].hand
-        check_hands(file_indexes)
+        check_hands({each.path: each.hand for each in file_indexes})
         self._span = span or _span(file_indexes)
         self._from, self._before = 0, LATEST + 1  # log times of the messages that are taken [ns]
         self._notes = [f"{each.path.name}: {note}" for each in file_indexes for note in each.notes]

@@ -14,6 +14,7 @@ import numpy as np
 
 from rtee.errors import LogError, needing_extra
 from rtee.hand.files import reason
+from rtee.log.brief import check_hands
 from rtee.log.dataset.cameras import CameraTopic, cameras_in
 from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
 from rtee.log.file_index import FileIndex, index_file
@@ -170,10 +171,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
     hands = [parts for parts in files if any(_has_hand(indexes[path]) for path in parts)]
     if not hands:
         raise LogError("holds no recording of a hand", path=paths[0])
-    names = {indexes[parts[0]].hand: parts[0] for parts in hands}
-    if len(names) > 1:
-        (one, _), (other, where) = list(names.items())[:2]
-        raise LogError(f"is a recording of '{other}', not of '{one}'", path=where)
+    check_hands({parts[0]: indexes[parts[0]].hand for parts in hands})
     shots = sorted(
         (shot for parts in hands for shot in _shots(read(parts), choice)),
         key=lambda shot: shot.episode.start,
