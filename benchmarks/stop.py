@@ -57,7 +57,7 @@ from rtee.gui.access import Access
 from rtee.gui.access import PageRole as Visitor
 from rtee.gui.app import App
 from rtee.gui.visitors import Visitors
-from rtee.hand.config_schema import SecuritySettings
+from rtee.hand.config_schema import RemoteSettings
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
@@ -122,17 +122,6 @@ class Stops(Observer):
             print(json.dumps([event.stamp, self._driver.last]), flush=True)
 
 
-class Remote:
-    """The network settings of the hand."""
-
-    connect: tuple[str, ...] = ()
-    state_rate = 100.0
-    security = SecuritySettings()
-
-    def __init__(self, endpoint: str) -> None:
-        self.listen = (endpoint,)
-
-
 async def serve(endpoint: str, rate: float) -> None:
     """Run the hand until standard input ends."""
     sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
@@ -150,7 +139,7 @@ async def serve(endpoint: str, rate: float) -> None:
             devices = [(DeviceSettings(specs[0]), noting), (DeviceSettings(specs[1]), hanging)]
             loop = HandLoop(hand, make_library(hand), LoopSettings(rate=rate), devices)
             loop.add_observer(Stops(noting))
-            opened = Server.open(loop, Remote(endpoint))
+            opened = Server.open(loop, RemoteSettings(listen=(endpoint,)))
             async with loop, opened, anyio.create_task_group() as group:
                 await loop.ready()
                 group.start_soon(drive, [loop], Clock(rate))

@@ -509,25 +509,14 @@ def _waiting(text: str) -> None:
 
 def to_json(values: Any, indent: int | None = None) -> str:
     """Return data as JSON; arrays become lists, and numbers that are not finite ``null``."""
-    return json.dumps(_plain(values), indent=indent)
+    from rtee.values import plain  # which needs numpy
+
+    return json.dumps(plain(values), indent=indent)
 
 
 def result_json(result: Result) -> str:
     """Return the result of a goal as a JSON object."""
     return to_json(asdict(result) | {"outcome": result.outcome, "succeeded": result.succeeded})
-
-
-def _plain(values: Any) -> Any:
-    if hasattr(values, "tolist"):  # an array or a number of NumPy
-        values = values.tolist()
-    if isinstance(values, float):
-        # JSON has no NaN, but Python's module would write it.
-        return values if math.isfinite(values) else None
-    if isinstance(values, dict):
-        return {str(key): _plain(value) for key, value in values.items()}
-    if isinstance(values, (list, tuple)):
-        return [_plain(value) for value in values]
-    return values
 
 
 async def effort_limits(remote: RemoteHand, efforts: Efforts) -> dict[str, float]:

@@ -200,7 +200,7 @@ class HandSession:
             tasks.start_soon(self._follow_events, events)
 
     async def _request_trials(self) -> None:
-        # Refused by a hand of an earlier version; a damaged file must not end the session either.
+        # Neither a refusal nor a damaged file must end the session.
         with contextlib.suppress(RequestRejected, ConfigError):
             text = await self._remote.trials()
             self._actions.show_trials(await anyio.to_thread.run_sync(tried_in, text))

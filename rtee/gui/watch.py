@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +10,7 @@ from typing import Final
 import anyio
 import numpy as np
 
-from rtee.errors import RequestRejected, RteeError
+from rtee.errors import RteeError
 from rtee.gui.history import LONGEST, StateHistory, TouchHistory
 from rtee.hand.model import Hand
 from rtee.messages.state import State
@@ -127,17 +126,15 @@ class Watch:
 
     async def _object(self, remote: RemoteHand) -> None:
         """Request the simulated object once its pose is among the channels of the states."""
-        with contextlib.suppress(RequestRejected):  # by a hand of an earlier version
-            while self.described is None:
-                await anyio.sleep(_STATUS_PERIOD)
-                channels: Sequence[str] = list(getattr(self.truth.state, "channels", ()))
-                if any(name.endswith(f"/{OBJECT_POSE}") for name in channels):
-                    self.described = await remote.object_description()
+        while self.described is None:
+            await anyio.sleep(_STATUS_PERIOD)
+            channels: Sequence[str] = list(getattr(self.truth.state, "channels", ()))
+            if any(name.endswith(f"/{OBJECT_POSE}") for name in channels):
+                self.described = await remote.object_description()
 
     async def _touch(self, remote: RemoteHand) -> None:
-        with contextlib.suppress(RequestRejected):  # by a hand of an earlier version
-            async for state in remote.touch_states():
-                self.touched.add(state)
+        async for state in remote.touch_states():
+            self.touched.add(state)
 
     async def _states(self, remote: RemoteHand) -> None:
         # As many states as the plots show are kept, even if drawing is delayed for that long.

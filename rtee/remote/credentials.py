@@ -203,8 +203,9 @@ def _people(
             for entry in document["people"]
         )
         spare = {str(k): Role[str(v).upper()] for k, v in document["spare"].items()}
-        listed = document.get("hands", {})  # absent in lists of earlier versions
-        hands = {str(name): check_name(str(hand), "hand") for name, hand in listed.items()}
+        hands = {
+            str(name): check_name(str(hand), "hand") for name, hand in document["hands"].items()
+        }
         return people, float(document["until"]), spare, hands
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"is not a list of people: {error!r}", path=path) from None

@@ -212,8 +212,7 @@ class RunningGoals:
                 self._end(goal_id, error)
                 self._cancel(goal_id)
             return
-        # A hand of an earlier version does not know the request, but publishes the result.
-        except RteeError:
+        except RteeError:  # refused, as too many requests are: the goal may run
             status = True
         if status is None:
             text = f"the hand '{self._link.hand}' does not know the goal any more"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any
 
 from rtee.errors import ConfigError
-from rtee.hand.config_schema import SecuritySettings
+from rtee.hand.config_schema import RemoteSettings
 from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.access import access_control, gate_access_control
 from rtee.remote.credentials import Credentials, person, router_link, secure_folder
@@ -26,23 +26,7 @@ Changed = Callable[[Collection[str], Collection[str]], object]
 longer are."""
 
 
-class ProtectedEndpoints(Protocol):
-    """The network settings of a hand that protection needs."""
-
-    @property
-    def listen(self) -> Sequence[str]:
-        """Zenoh endpoints to listen on."""
-
-    @property
-    def connect(self) -> Sequence[str]:
-        """Zenoh endpoints to connect to."""
-
-    @property
-    def security(self) -> SecuritySettings:
-        """Security settings of the network."""
-
-
-def credentials_of(hand: str, endpoints: ProtectedEndpoints) -> Credentials | None:
+def credentials_of(hand: str, endpoints: RemoteSettings) -> Credentials | None:
     """Return the certificates of a hand, not yet read; ``None`` if its endpoints need none."""
     everywhere = [*endpoints.listen, *endpoints.connect]
     if not any(endpoint.startswith(TLS) for endpoint in everywhere):
@@ -50,7 +34,7 @@ def credentials_of(hand: str, endpoints: ProtectedEndpoints) -> Credentials | No
     return Credentials(endpoints.security.folder or secure_folder(hand))
 
 
-def exposed(endpoints: ProtectedEndpoints) -> list[str]:
+def exposed(endpoints: RemoteSettings) -> list[str]:
     """Return the endpoints through which anybody can move the hand.
 
     Raises `ConfigError` if there are any and hand.yaml does not allow it.
@@ -79,7 +63,7 @@ class Protection:
     are no certificates.
     """
 
-    def __init__(self, hand: str, endpoints: ProtectedEndpoints) -> None:
+    def __init__(self, hand: str, endpoints: RemoteSettings) -> None:
         unsafe = exposed(endpoints)
         if unsafe:
             log.warning(

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable, Collection
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import anyio
 import anyio.to_thread
@@ -23,6 +23,7 @@ import zenoh
 
 from rtee import monotonic
 from rtee.errors import RequestRejected, TooManyRequests
+from rtee.hand.config_schema import RemoteSettings
 from rtee.loop.handloop import HandLoop
 from rtee.loop.report import Tally
 from rtee.messages import network_key
@@ -60,7 +61,7 @@ from rtee.remote.incoming_request import (
     reply,
 )
 from rtee.remote.lease import Lease
-from rtee.remote.protection import ProtectedEndpoints, Protection
+from rtee.remote.protection import Protection
 from rtee.remote.publishing import Outlets, Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, RecorderControl
 from rtee.remote.rates import EXCESS, Rates
@@ -207,14 +208,6 @@ _LARGEST_REFUSED = 4096
 """Longest question of a refused query that waits [bytes]: frequent ones have some hundred."""
 
 
-class ServerSettings(ProtectedEndpoints, Protocol):
-    """Network settings of a hand."""
-
-    @property
-    def state_rate(self) -> float:
-        """Rate of the topics for all clients [Hz]."""
-
-
 class Server:
     """Receives the requests of clients; made by `open`.
 
@@ -255,7 +248,7 @@ class Server:
     async def open(
         cls,
         loop: HandLoop,
-        settings: ServerSettings,
+        settings: RemoteSettings,
         recording: RecorderControl | None = None,
         profile: str = "",
     ) -> AsyncIterator[Self]:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import anyio
 import numpy as np
 
-from rtee.errors import ModelError, RequestRejected
+from rtee.errors import ModelError
 from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.frames import JointFrames
 from rtee.hand.meshes import resolve_mesh
@@ -226,20 +226,17 @@ class TouchTopics:
     async def run(self) -> None:
         """Publish until the hand ends."""
         known: dict[str, TouchState] = {}
-        try:
-            async for state in self._served.hand.touch_states():
-                before = known.get(state.device)
-                known[state.device] = state
-                now = self._served.latest
-                # Compare by identity: the states of one device share their tuple of sensors.
-                if before is None or before.sensors is not state.sensors:
-                    fields = sensors_fields(known.values(), now.wall_ns)
-                    self._sensors.publish(TOUCH_SENSORS.encode(fields))
-                if self._touch.heard:
-                    wall = measured_at(now, state)
-                    self._touch.publish(self._encoder.encode(state, wall))
-        except RequestRejected:
-            return  # a hand of an earlier version has no such request
+        async for state in self._served.hand.touch_states():
+            before = known.get(state.device)
+            known[state.device] = state
+            now = self._served.latest
+            # Compare by identity: the states of one device share their tuple of sensors.
+            if before is None or before.sensors is not state.sensors:
+                fields = sensors_fields(known.values(), now.wall_ns)
+                self._sensors.publish(TOUCH_SENSORS.encode(fields))
+            if self._touch.heard:
+                wall = measured_at(now, state)
+                self._touch.publish(self._encoder.encode(state, wall))
 
 
 class ControllerStates:

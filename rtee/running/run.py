@@ -19,7 +19,7 @@ from msgspec import structs
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
-from rtee.hand.config_schema import RealtimeSettings
+from rtee.hand.config_schema import RealtimeSettings, RemoteSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop, bring_to_rest, drive
@@ -42,7 +42,7 @@ from rtee.loop.shutdown_signals import (
     receive_signals,
     wait_for_end,
 )
-from rtee.remote.server import Server, ServerSettings
+from rtee.remote.server import Server
 from rtee.remote.session import address_of
 from rtee.running import free_motion
 from rtee.running.event_lines import EventLines, Fields, event_lines
@@ -58,7 +58,7 @@ CONNECT_WITHIN = 3.0
 most devices connect faster."""
 
 
-Serve = Callable[[HandLoop, ServerSettings, Recorder, str], AbstractAsyncContextManager[Server]]
+Serve = Callable[[HandLoop, RemoteSettings, Recorder, str], AbstractAsyncContextManager[Server]]
 """Makes a hand available on the network for as long as the context lasts: see `Server.open`."""
 
 
