@@ -14,6 +14,7 @@ from rtee.loop.realtime import share_the_interpreter
 from rtee.testing import DeviceCase, DriverContract, actuator
 
 TESTS = Path(__file__).resolve().parents[1] / "tests" / "drivers"
+sys.path.insert(0, str(TESTS.parent))  # what tests share is imported by its name alone
 
 
 def as_the_loop() -> None:

@@ -169,7 +169,7 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
     """Go through the first contact with each device; return the exit status."""
     from rtee.buses.pool import BusPool
     from rtee.drivers.connection import owner_of
-    from rtee.drivers.diagnosis.contact_report import Question, Verdict
+    from rtee.drivers.diagnosis.contact_report import Conclusion, Question
     from rtee.drivers.diagnosis.first_contact import FirstContact
     from rtee.drivers.registry import find_driver
     from rtee.log.first_contact import write
@@ -204,7 +204,7 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
                     print(f"  it ended early, {report.ended}")
                 print(f"{spec.name}: {page} and {recording.name}: please send both to the project")
                 refuted |= bool(report.ended) or any(
-                    one.verdict is Verdict.REFUTED for one in report.findings
+                    one.verdict is Conclusion.REFUTED for one in report.findings
                 )
         return refuted
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rtee import monotonic
-from rtee.drivers.diagnosis.contact_report import Finding, Report, Verdict
+from rtee.drivers.diagnosis.contact_report import Conclusion, ContactReport, Finding
 from rtee.errors import ConfigError
 from rtee.hand.files import write_together
 
@@ -21,7 +21,7 @@ _SCHEMA = json.dumps({"type": "object"}).encode()
 """Of every channel: objects of JSON, whose keys name what they hold."""
 
 
-def write(report: Report, actuators: Iterable[str], folder: Path) -> tuple[Path, Path]:
+def write(report: ContactReport, actuators: Iterable[str], folder: Path) -> tuple[Path, Path]:
     """Write the recording and the page; return their paths.
 
     Args:
@@ -42,7 +42,7 @@ def write(report: Report, actuators: Iterable[str], folder: Path) -> tuple[Path,
     return recording, page
 
 
-def _recorded(report: Report, actuators: list[str]) -> bytes:
+def _recorded(report: ContactReport, actuators: list[str]) -> bytes:
     from mcap.writer import Writer
 
     # Stamps of the computer's clock, from those that only grow.
@@ -105,7 +105,7 @@ def _finding(one: Finding) -> dict[str, str]:
     }
 
 
-def text_of(report: Report) -> str:
+def text_of(report: ContactReport) -> str:
     """Return the page, in Markdown."""
     identity = ", ".join(f"{name} {value}" for name, value in report.identity.items())
     lines = [
@@ -125,7 +125,7 @@ def text_of(report: Report) -> str:
     ]
     lines += [
         f"| {assumption.text} | {assumption.topic} | {assumption.source or 'none'} | "
-        f"{f'**{verdict}**' if verdict is Verdict.REFUTED else verdict} |"
+        f"{f'**{verdict}**' if verdict is Conclusion.REFUTED else verdict} |"
         for assumption, verdict in report.judged()
     ]
     lines += [

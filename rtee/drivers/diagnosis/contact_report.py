@@ -9,7 +9,7 @@ from rtee.drivers.assumptions import ASSUMPTIONS, Assumption, Topic
 from rtee.sample import ActuatorState
 
 
-class Verdict(StrEnum):
+class Conclusion(StrEnum):
     """What a step says of an assumption."""
 
     CONFIRMED = "confirmed"
@@ -48,7 +48,7 @@ class Finding:
     """
 
     topic: Topic
-    verdict: Verdict
+    verdict: Conclusion
     text: str
     actuator: str = ""
 
@@ -71,7 +71,7 @@ class Sample:
 
 
 @dataclass
-class Report:
+class ContactReport:
     """The record of a first contact.
 
     Attributes:
@@ -92,17 +92,17 @@ class Report:
     samples: list[Sample] = field(default_factory=list)
     ended: str = ""
 
-    def judged(self) -> list[tuple[Assumption, Verdict]]:
+    def judged(self) -> list[tuple[Assumption, Conclusion]]:
         """Return the assumptions of the device's page with what was found about their topic."""
         return [
             (assumption, self.verdict(assumption.topic))
             for assumption in ASSUMPTIONS.get(self.driver, ())
         ]
 
-    def verdict(self, topic: Topic) -> Verdict:
+    def verdict(self, topic: Topic) -> Conclusion:
         """Return what all findings say of a topic: one refutes it, else one confirms it."""
         said = {one.verdict for one in self.findings if one.topic is topic}
-        for verdict in (Verdict.REFUTED, Verdict.CONFIRMED):
+        for verdict in (Conclusion.REFUTED, Conclusion.CONFIRMED):
             if verdict in said:
                 return verdict
-        return Verdict.OPEN
+        return Conclusion.OPEN

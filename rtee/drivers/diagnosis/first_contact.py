@@ -17,7 +17,13 @@ from rtee import monotonic
 from rtee.buses.retry import patiently
 from rtee.drivers.assumptions import Topic
 from rtee.drivers.base import Driver
-from rtee.drivers.diagnosis.contact_report import Finding, Question, Report, Sample, Verdict
+from rtee.drivers.diagnosis.contact_report import (
+    Conclusion,
+    ContactReport,
+    Finding,
+    Question,
+    Sample,
+)
 from rtee.errors import BusError, DeviceFault, NotConnected, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, JointKind, Reference
@@ -80,9 +86,9 @@ class FirstContact:
         self._unplug = unplug
         self._step = ""
         self._connected = False
-        self.report = Report(driver.spec.name, driver.spec.driver)
+        self.report = ContactReport(driver.spec.name, driver.spec.driver)
 
-    async def run(self) -> Report:
+    async def run(self) -> ContactReport:
         """Go through all steps; the report is complete as far as it came."""
         steps: Sequence[tuple[str, Callable[[], Awaitable[None]]]] = (
             ("identify", self._identify),
@@ -142,7 +148,9 @@ class FirstContact:
             text = f"'{answer}' is no number; a number in {unit}, or Enter to leave it out"
 
     def _find(self, topic: Topic, confirmed: bool | None, text: str, actuator: str = "") -> None:
-        verdict = {True: Verdict.CONFIRMED, False: Verdict.REFUTED, None: Verdict.OPEN}[confirmed]
+        verdict = {True: Conclusion.CONFIRMED, False: Conclusion.REFUTED, None: Conclusion.OPEN}[
+            confirmed
+        ]
         self.report.findings.append(Finding(topic, verdict, text, actuator))
 
     # --- measuring and moving ------------------------------------------------------------------

@@ -11,7 +11,7 @@ from msgspec import field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import codec, table
-from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
+from rtee.drivers.dynamixel.servo import QUARTER_TURN, EmulatedDynamixel, ServoProperties
 from rtee.drivers.options import Rate
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import LATENCY
@@ -53,7 +53,7 @@ class LineProperties(Section, frozen=True):
     baudrate: Rate = 57_600
 
 
-class DynamixelEmulator(ServoLine[Servo]):
+class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
     """X-series servos on one line.
 
     Attributes:
@@ -71,7 +71,7 @@ class DynamixelEmulator(ServoLine[Servo]):
 
     def __init__(self, properties: LineProperties | None = None) -> None:
         made = self.properties = properties or LineProperties()
-        servos = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
+        servos = [EmulatedDynamixel(i, made.special.get(i, made.servo)) for i in made.ids]
         super().__init__(servos, codec.InstructionParser())
         self.baudrate = made.baudrate
         self.counts: dict[int, int] = {}
@@ -105,7 +105,7 @@ class DynamixelEmulator(ServoLine[Servo]):
                     )
         return answers
 
-    def _listening(self, numbers: Iterable[int], now: float) -> list[Servo]:
+    def _listening(self, numbers: Iterable[int], now: float) -> list[EmulatedDynamixel]:
         """Return the servos of these ids that can answer, in this order."""
         return [servo for servo in self.listening(numbers, now) if not servo.unplugged]
 
@@ -160,11 +160,13 @@ class DynamixelEmulator(ServoLine[Servo]):
                 servo.write(address, params[at + 5 : at + 5 + length])
             at += 5 + length
 
-    def _status(self, servo: Servo, error: int, params: bytes = b"") -> codec.StatusPacket:
+    def _status(
+        self, servo: EmulatedDynamixel, error: int, params: bytes = b""
+    ) -> codec.StatusPacket:
         return codec.StatusPacket(servo.number, error | (codec.ALERT if servo.alert else 0), params)
 
     def _single(
-        self, servo: Servo, packet: codec.InstructionPacket, now: float
+        self, servo: EmulatedDynamixel, packet: codec.InstructionPacket, now: float
     ) -> codec.StatusPacket | None:
         params = packet.params
         level = servo.get(table.STATUS_RETURN_LEVEL)

@@ -13,7 +13,7 @@ from rtee.drivers.servo_emulator import EmulatedServo
 from rtee.hand.validation import Section
 
 
-class Memory:
+class DynamixelMemory:
     """The bytes of one servo, all registers at their defaults."""
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class ServoProperties(Section, frozen=True):
     closing: float = QUARTER_TURN
 
 
-class Servo(EmulatedServo):
+class EmulatedDynamixel(EmulatedServo):
     """A servo's control table and its motor; the axis counts pulses over all turns.
 
     Attributes:
@@ -143,7 +143,7 @@ class Servo(EmulatedServo):
         self.unplugged = False
         self.model = properties.model
         self.travel = properties.start, properties.start + properties.closing
-        self._memory = Memory()
+        self._memory = DynamixelMemory()
         self.get, self.set = self._memory.get, self._memory.set
         self.keep = self.set
         self._heard = -math.inf

@@ -19,7 +19,7 @@ from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestParser, Status
 from rtee.drivers.feetech.options import Differential, DifferentialOptions
-from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
+from rtee.drivers.feetech.servo import MIDDLE, EmulatedFeetech, ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
 from rtee.drivers.options import Byte, Duration, Rate
 from rtee.drivers.servo_emulator import ServoLine
@@ -59,7 +59,7 @@ class LineProperties(Section, frozen=True):
     baudrate: Rate = table.BAUD_RATES[0]
 
 
-class FeetechEmulator(ServoLine[Servo]):
+class FeetechEmulator(ServoLine[EmulatedFeetech]):
     """Feetech servos on one line.
 
     Attributes:
@@ -78,7 +78,7 @@ class FeetechEmulator(ServoLine[Servo]):
     def __init__(self, properties: LineProperties | None = None) -> None:
         made = self.properties = properties or LineProperties()
         family = self.family = FAMILIES[made.family]
-        servos = [Servo(family, i, made.special.get(i, made.servo)) for i in made.ids]
+        servos = [EmulatedFeetech(family, i, made.special.get(i, made.servo)) for i in made.ids]
         super().__init__(servos, RequestParser())
         self.baudrate = made.baudrate
 
@@ -153,7 +153,7 @@ class FeetechEmulator(ServoLine[Servo]):
         collide = len(replies) > 1 and not self.family.sync_read
         return self._delayed([_collided(replies)] if collide else replies, found)
 
-    def _single(self, servo: Servo, request: Frame, now: float) -> bytes | None:
+    def _single(self, servo: EmulatedFeetech, request: Frame, now: float) -> bytes | None:
         """Let a servo carry out a request; return its answer's data, ``None`` without an answer."""
         params = request.params
         match request.code:
@@ -180,7 +180,7 @@ class FeetechEmulator(ServoLine[Servo]):
                 return None
         return b""
 
-    def _delayed(self, answers: list[bytes], servos: Iterable[Servo]) -> list[bytes]:
+    def _delayed(self, answers: list[bytes], servos: Iterable[EmulatedFeetech]) -> list[bytes]:
         """Set the turnaround of these answers: return delays of the servos, adapter's latency."""
         hls = self.family.name == "hls"
         delays = [0 if hls else servo.get(table.RETURN_DELAY) for servo in servos]

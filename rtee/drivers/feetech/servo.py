@@ -59,7 +59,7 @@ _DEFAULTS = {"scs": _SCS, "sts": _STS, "sms": _STS, "hls": _HLS}
 """Values from the factory, as far as sources agree."""
 
 
-class Memory:
+class FeetechMemory:
     """The registers of one servo.
 
     Locked, it accepts settings but does not store them; unlocked, they survive a power cycle.
@@ -96,7 +96,7 @@ class Memory:
         """Restore the values from the factory, except for the identity."""
         kept = (table.MODEL, table.ID, table.BAUD_RATE)
         values = [(register, self.get(register)) for register in kept]
-        fresh = Memory(self._family)
+        fresh = FeetechMemory(self._family)
         self._bytes[:RAM] = fresh._bytes[:RAM]
         for register, value in values:
             self.set(register, value)
@@ -173,7 +173,7 @@ class ServoProperties(Section, frozen=True):
     haste: Positive = 1.0
 
 
-class Servo(EmulatedServo):
+class EmulatedFeetech(EmulatedServo):
     """A servo's registers and its motor.
 
     Args:
@@ -191,7 +191,7 @@ class Servo(EmulatedServo):
     def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
         self.properties = properties
         self._family = family
-        self.memory = Memory(family)
+        self.memory = FeetechMemory(family)
         self.get, self.set, self.keep = self.memory.get, self.memory.set, self.memory.keep
         known = next(model for model, one in MODELS.items() if one.family == family.name)
         self.model = properties.model or known

@@ -16,7 +16,7 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulat
 from rtee.buses.wear import TYPICAL, Wear
 from rtee.drivers.axis import Axis
 from rtee.drivers.inspire_rh56 import codec
-from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
+from rtee.drivers.inspire_rh56.memory import FAULTS, Rh56Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
@@ -46,7 +46,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         made = properties or Rh56Properties()
         super().__init__(made.unit, made.framing, baudrate=made.baudrate)
         self.turnaround = max(self.turnaround, made.turnaround)
-        self.memory = Memory(made)
+        self.memory = Rh56Memory(made)
         self._frames = codec.RequestParser() if made.protocol == "frames" else None
         self._saved: tuple[float, bytes] | None = None  # when it tells that it has saved, and how
         self._before = b"\0\0"

@@ -20,7 +20,7 @@ class WriteRefused(BusError):
         super().__init__(bus, f"the hand refused a write to register {address} ({answer:#04x})")
 
 
-class _Link(RelaxedDeadline):
+class _HandLink(RelaxedDeadline):
     """Talks to one hand; several may share a line.
 
     Args:
@@ -40,7 +40,7 @@ class _Link(RelaxedDeadline):
         self._parser = ReplyParser()
 
 
-class FrameLink(_Link):
+class FrameLink(_HandLink):
     """The hand's own frames on a serial line."""
 
     _bus: SerialBus
@@ -91,7 +91,7 @@ class FrameLink(_Link):
         return self.read_time(size, turnaround)
 
 
-class ModbusLink(_Link):
+class ModbusLink(_HandLink):
     """Modbus RTU or TCP; two bytes make a register, the low one the first of a table."""
 
     _bus: ModbusBus

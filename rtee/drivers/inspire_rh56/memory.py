@@ -81,7 +81,7 @@ class Rh56Properties(Section, frozen=True):
         return codec.MOST_TACTILE if self.model == "dftp" else codec.MOST
 
 
-class Memory:
+class Rh56Memory:
     """The registers, and the six motors behind them.
 
     Attributes:

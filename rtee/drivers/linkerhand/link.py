@@ -21,7 +21,7 @@ _CAN_BITS = 130
 """Bits of a CAN frame with eight bytes, stuffing bits included."""
 
 
-class _Link(RelaxedDeadline):
+class _LinkerHand(RelaxedDeadline):
     """Talks to one hand.
 
     Args:
@@ -46,7 +46,7 @@ class _Link(RelaxedDeadline):
         self._spacing = spacing
 
 
-class ModbusLink(_Link):
+class ModbusLink(_LinkerHand):
     """Modbus RTU on RS-485; several hands may share a line."""
 
     _bus: ModbusBus
@@ -134,7 +134,7 @@ class ModbusLink(_Link):
         return wire_time(count, rate) + 2 * (self._spacing + silence(rate))
 
 
-class CanLink(_Link):
+class CanLink(_LinkerHand):
     """Classic CAN with 11-bit identifiers; other nodes may share the bus."""
 
     _bus: CanBus

@@ -33,7 +33,7 @@ MANIPULATION_TICKS = -4_000
 """Lower limit of the motors of a two-motor hand [ticks], as from the factory."""
 
 
-class Mapping(Protocol):
+class Transmission(Protocol):
     """Conversion between the hand's actuators and its motors."""
 
     def to_ticks(self, closure: tuple[float, ...]) -> tuple[float, float]:
@@ -160,7 +160,7 @@ class QbSoftHandDriver(Driver):
     are inactive. An active hand stays active when the connection is closed.
 
     Attributes:
-        mapping: Mapping between the actuators and the motors' ticks.
+        mapping: Transmission between the actuators and the motors' ticks.
     """
 
     Options = QbSoftHandOptions
@@ -173,7 +173,7 @@ class QbSoftHandDriver(Driver):
                 f"device '{spec.name}': a hand with {self.options.motors} motor(s) has as many "
                 f"actuators, not {len(spec.actuators)}"
             )
-        self.mapping: Mapping = OneMotor() if self.options.motors == 1 else TwoMotors()
+        self.mapping: Transmission = OneMotor() if self.options.motors == 1 else TwoMotors()
         self.connection: Connection[QbLink] = Connection(spec)
         self._effort_per_ma = self._efforts(_CURRENT_LIMIT)
         self._active = False

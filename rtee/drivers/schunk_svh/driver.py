@@ -28,7 +28,7 @@ from rtee.drivers.schunk_svh.channels import (
     channels_of,
 )
 from rtee.drivers.schunk_svh.codec import FeedbackAll
-from rtee.drivers.schunk_svh.limits import Limits
+from rtee.drivers.schunk_svh.limits import ControllerLimits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.errors import DeviceFault, RteeError
 from rtee.sample import ActuatorState, FloatArray
@@ -134,7 +134,7 @@ class SchunkSvhDriver(Driver):
         self.connection: Connection[SvhLink] = Connection(spec)
         self.stops: dict[int, int] = {}
         self._scales: ChannelScales | None = None
-        self._limits = Limits()
+        self._limits = ControllerLimits()
         self._targets = [0] * codec.CHANNELS
         self._health = homing.Health(spec.name)
         self._attached = Attached(spec.actuators)

@@ -24,7 +24,7 @@ _TOLERANCE = 5e-3
 """Relative change of a limit that is not sent: half a percent has no noticeable effect."""
 
 
-class Limits:
+class ControllerLimits:
     """Stores the settings of each channel's controllers, and sends those that a reference changes.
 
     Attributes:

@@ -34,7 +34,7 @@ from rtee.drivers.wsg50.codec import (
     release,
     setting,
 )
-from rtee.drivers.wsg50.link import Report, WsgLink, WsgRefusal
+from rtee.drivers.wsg50.link import WsgLink, WsgRefusal, WsgReport
 from rtee.errors import (
     BusError,
     CommandRejected,
@@ -105,7 +105,7 @@ class Wsg50Driver(Driver):
         only_actuator(spec, "a WSG 50")
         self.connection: Connection[WsgLink] = Connection(spec)
         self._follower = StepFollower(options.settle, options.step * 1e3, _SAME, _REACHED)
-        self._report = Report()
+        self._report = WsgReport()
         self._home_asked = False
         self._moving_to: float | None = None
         self._force = float("nan")
@@ -328,7 +328,7 @@ class Wsg50Driver(Driver):
         # By asking for recovery the user agrees to the motion that homing may need.
         self._home_asked = True
 
-    def _refuse(self, report: Report) -> None:
+    def _refuse(self, report: WsgReport) -> None:
         for bit, (name, hint) in _FAULTS.items():
             if report.state & bit:
                 raise self.fault(bit.bit_length() - 1, name, hint)

@@ -41,7 +41,7 @@ class WsgRefusal(BusError):
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class WsgReport:
     """What the gripper reports in every cycle.
 
     Attributes:
@@ -59,7 +59,7 @@ class Report:
     force: float = 0.0
 
 
-class _Reports:
+class _ReportParser:
     """Collects the answers to the requests of a report, and drops all others.
 
     Answers carry the command but no number, so a report consists of the newest answer to each.
@@ -78,7 +78,7 @@ class _Reports:
         self._frames.reset()
         self._found.clear()
 
-    def feed(self, data: bytes) -> list[Report]:
+    def feed(self, data: bytes) -> list[WsgReport]:
         for frame in self._frames.feed(data):
             if frame.command in _REPORT:
                 self._found[frame.command] = frame
@@ -91,7 +91,7 @@ class _Reports:
             if any(frame.status is not Status.OK for frame in frames):
                 raise WsgFrameError("a request was refused")
             state, grasping, *rest = frames
-            return [Report(state_of(state), grasping_of(grasping), *map(number, rest))]
+            return [WsgReport(state_of(state), grasping_of(grasping), *map(number, rest))]
         except WsgFrameError:
             self._wrong += 1
             return []
@@ -109,11 +109,11 @@ class WsgLink(RelaxedDeadline):
         self.bus = bus
         self.deadline = deadline
         self._frames = FrameParser()
-        self._reports = _Reports()
+        self._reports = _ReportParser()
         # In one packet: on a network, each separate request would cost a round trip.
         self._requests = b"".join(asking(command).to_bytes() for command in _REPORT)
 
-    async def report(self) -> Report:
+    async def report(self) -> WsgReport:
         """Return what the gripper reports; raises `BusError`."""
         return await self.bus.transact(self._requests, self._reports, self.deadline)
 

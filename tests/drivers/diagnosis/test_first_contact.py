@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from rtee.buses.pool import BusPool
 from rtee.drivers.assumptions import ASSUMPTIONS, Topic
 from rtee.drivers.connection import owner_of
-from rtee.drivers.diagnosis.contact_report import Question, Report, Verdict
+from rtee.drivers.diagnosis.contact_report import Conclusion, ContactReport, Question
 from rtee.drivers.diagnosis.first_contact import FirstContact
 from rtee.drivers.registry import find_driver
 from rtee.log.first_contact import text_of, write
@@ -80,7 +80,7 @@ def closed(emulator: Any) -> float:
 
 async def played(
     family: str, *, worn: bool, truth: Callable[[Any], float] = closed, **words: str
-) -> tuple[Report, Person]:
+) -> tuple[ContactReport, Person]:
     spec = spec_of(family, worn=worn)
     async with BusPool(wire_time=False) as pool:
         person = Person(spec, pool, truth, **words)
@@ -93,8 +93,8 @@ async def played(
         return await FirstContact(driver, person, unplug=unplug).run(), person
 
 
-def refuted(report: Report) -> set[Topic]:
-    return {one.topic for one in report.findings if one.verdict is Verdict.REFUTED}
+def refuted(report: ContactReport) -> set[Topic]:
+    return {one.topic for one in report.findings if one.verdict is Conclusion.REFUTED}
 
 
 @pytest.mark.samples(*(f"{family}-*" for family in QUICK))
@@ -104,11 +104,11 @@ async def test_nothing_is_refuted_of_a_device_as_it_is_assumed(family: str, worn
     report, person = await played(family, worn=worn)
     assert report.ended == ""
     assert refuted(report) == set(), text_of(report)
-    assert report.verdict(Topic.IDENTITY) is Verdict.CONFIRMED
-    assert report.verdict(Topic.LINK) is Verdict.CONFIRMED
+    assert report.verdict(Topic.IDENTITY) is Conclusion.CONFIRMED
+    assert report.verdict(Topic.LINK) is Conclusion.CONFIRMED
     if measurable(spec_of(family, worn=worn)):
         for topic in (Topic.DIRECTION, Topic.SCALE, Topic.OFFSET, Topic.STOP):
-            assert report.verdict(topic) is Verdict.CONFIRMED, (topic, text_of(report))
+            assert report.verdict(topic) is Conclusion.CONFIRMED, (topic, text_of(report))
     assert len(person.asked) == len(report.answers)
 
 
@@ -163,7 +163,7 @@ async def test_a_wrong_device_and_a_hand_that_runs_on_are_refuted() -> None:
 async def test_a_person_may_end_it_and_the_device_is_stopped() -> None:
     report, person = await played("robotiq_2f", worn=True, SCALE="q")
     assert report.ended == "ended by the person at 'measure'"
-    assert report.verdict(Topic.STOP) is Verdict.OPEN
+    assert report.verdict(Topic.STOP) is Conclusion.OPEN
     assert person.asked[-1].topic is Topic.SCALE
 
 

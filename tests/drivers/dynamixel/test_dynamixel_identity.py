@@ -12,7 +12,7 @@ from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator, LineProperties
 from rtee.drivers.dynamixel.identity import set_id
-from rtee.drivers.dynamixel.servo import Servo
+from rtee.drivers.dynamixel.servo import EmulatedDynamixel
 from rtee.errors import ConfigError, NotConnected
 from tests.drivers.use import set_id_command
 
@@ -70,7 +70,7 @@ async def test_a_servo_from_the_factory_gets_the_rate_of_its_hand(
     servo, address = at_its_rate
     async with BusPool() as pool:
         await set_id(pool, address, 57_600, 1, 3, 4_000_000)
-        made: Servo = servo.ordered[0]
+        made: EmulatedDynamixel = servo.ordered[0]
         assert (made.number, made.get(table.BAUD_RATE)) == (3, 6)
         with pytest.raises(NotConnected, match="no servo 3 answers"):
             await set_id(pool, address, 57_600, 3, 4)
