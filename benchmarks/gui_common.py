@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from gui_onlooker import Visit, admitted
 
 import rtee
-from rtee.testing.browser import browser, find_browser
+from tests.testing.browser import browser, find_browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

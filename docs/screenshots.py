@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 import rtee
-from rtee.testing.browser import browser
+from tests.testing.browser import browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -19,7 +19,7 @@ from experiments.common import Outcome, main, plot_of, strip
 from rtee.errors import ConfigError
 from rtee.hand.files import make_folder
 from rtee.log import Recording, Span, read
-from rtee.testing.browser import browser
+from tests.testing.browser import browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page

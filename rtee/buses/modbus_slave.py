@@ -80,9 +80,17 @@ class ModbusEmulator(Emulator):
         self.requests: list[bytes] = []
         self.parser = RtuRequests(unit) if framing == "rtu" else TcpRequests()
 
-    @abstractmethod
+    def windows(self, function: int) -> Mapping[int, Sequence[int]]:
+        """Return the registers that a function reads now: blocks by their first register."""
+        return {}
+
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers; raises `Refused`."""
+        """Return registers, which lie in one of the `windows`; raises `Refused`."""
+        self.advance(now)
+        for first, values in self.windows(function).items():
+            if first <= address and address + count <= first + len(values):
+                return values[address - first : address - first + count]
+        raise Refused(ILLEGAL_ADDRESS)
 
     @abstractmethod
     def write(self, address: int, values: Sequence[int], now: float) -> None:

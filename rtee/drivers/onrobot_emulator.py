@@ -137,13 +137,17 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         self._busy = self._built_up < 1.0
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers; those inside a block that no document names are 0."""
+        """Return registers, if the tool is there."""
         self._reachable()
-        self.advance(now)
-        if not _within(self.READABLE, address, count):
-            raise Refused(ILLEGAL_ADDRESS)
+        return super().read(function, address, count, now)
+
+    def windows(self, function: int) -> Mapping[int, Sequence[int]]:
+        """Return the readable blocks; registers that no document names are 0."""
         known = self.registers()
-        return [known.get(address + i, 0) & 0xFFFF for i in range(count)]
+        return {
+            low: [known.get(register, 0) & 0xFFFF for register in range(low, high + 1)]
+            for low, high in self.READABLE
+        }
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Set targets or settings; writing the control register starts a command."""

@@ -151,17 +151,15 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
 
     # --- registers ---------------------------------------------------------------------------
 
-    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers of the input block, or of the output block where that is read."""
-        self.advance(now)
+    def windows(self, function: int) -> Mapping[int, Sequence[int]]:
+        """Return the input block, and the output block where that is read."""
+        found: dict[int, Sequence[int]] = {}
         for inputs, outputs in self._windows():
+            found[outputs] = self.output
             # At a common address, function 3 reads what was written, the others what is measured.
-            shared = inputs == outputs and function == READ_HOLDING
-            if inputs <= address and address + count <= inputs + BLOCK and not shared:
-                return self._input_block()[address - inputs : address - inputs + count]
-            if outputs <= address and address + count <= outputs + BLOCK:
-                return self.output[address - outputs : address - outputs + count]
-        raise Refused(ILLEGAL_ADDRESS)
+            if inputs != outputs or function != READ_HOLDING:
+                found[inputs] = self._input_block()
+        return found
 
     def _input_block(self) -> list[int]:
         values = list(self.status().to_registers())

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import STRICT, IntEnum, IntFlag
-from typing import Self
+from typing import ClassVar, Self
 
 from rtee.buses.parser import FramedParser, Framing
 from rtee.drivers.packed import Packed, part
@@ -99,8 +99,6 @@ GAP = bytes(Register.FORCE - Register.ANGLE - WORDS)
 """The bytes between the angles and the `REPORT`, which have no meaning."""
 BLOCK = WORDS + len(GAP) + REPORT
 """Bytes from the angles to the last temperature."""
-SET_POINTS = Register.SPEED_SET + WORDS - Register.ANGLE_SET
-"""Bytes from the angle set-points to the last speed; the 12 before the speeds have no meaning."""
 
 
 class Error(IntFlag, boundary=STRICT):
@@ -179,6 +177,25 @@ class ReplyParser(RequestParser):
     """Finds replies in a stream, for a host."""
 
     FRAMING = REPLY
+
+
+@dataclass(frozen=True, slots=True)
+class SetPoints(Packed):
+    """The set-points of a hand: from `Register.ANGLE_SET` to the last speed.
+
+    Attributes:
+        angles: Angles [counts]; `KEEP`: a motor has none yet.
+        forces: Force limits [g].
+        speeds: Speeds [0.1 %].
+    """
+
+    WHAT = "set-points of an RH56"
+    ERROR = Rh56FrameError
+    SIZE: ClassVar[int] = Register.SPEED_SET + WORDS - Register.ANGLE_SET
+
+    angles: tuple[int, ...] = part("h", COUNT)
+    forces: tuple[int, ...] = part("h", COUNT)
+    speeds: tuple[int, ...] = part("h", COUNT, skip=WORDS)
 
 
 def words(data: bytes) -> tuple[int, ...]:

@@ -376,15 +376,12 @@ class InspireRh56Driver(Driver):
     async def _read_back(self, link: Rh56Link) -> None:
         """Read the hand's set-points back; those that differ are sent again with a reference."""
         try:
-            data = await link.read(codec.Register.ANGLE_SET, codec.SET_POINTS)
+            data = await link.read(codec.Register.ANGLE_SET, codec.SetPoints.SIZE)
         except ModbusRefusal:
             return  # they cannot be read from this hand and are assumed to be unchanged
-        angles, forces = (
-            codec.words(data[: codec.WORDS]),
-            codec.words(data[codec.WORDS : 2 * codec.WORDS]),
-        )
-        self._forces, self._speeds = list(forces), list(codec.words(data[-codec.WORDS :]))
-        pairs = zip(self._angles, angles, strict=True)
+        found = codec.SetPoints.from_bytes(data)
+        self._forces, self._speeds = list(found.forces), list(found.speeds)
+        pairs = zip(self._angles, found.angles, strict=True)
         # KEEP means unknown here, so that the next reference writes the set-point again. A hand
         # that was started anew reports the same of each motor that has no set-point yet.
         self._angles = [sent if here == sent else codec.KEEP for sent, here in pairs]

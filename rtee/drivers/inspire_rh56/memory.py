@@ -177,6 +177,11 @@ class Rh56Memory:
     def _get(self, address: int, size: int) -> bytes:
         return bytes(self._bytes[address - FIRST : address - FIRST + size])
 
+    @property
+    def _set_points(self) -> codec.SetPoints:
+        data = self._get(codec.Register.ANGLE_SET, codec.SetPoints.SIZE)
+        return codec.SetPoints.from_bytes(data)
+
     def read(self, address: int, size: int) -> bytes | None:
         """Return registers, or ``None`` if it refuses."""
         at = address - tactile.FIRST
@@ -229,7 +234,7 @@ class Rh56Memory:
                 if errors & codec.Error.CURRENT
                 else codec.State.FAULT
             )
-        if codec.words(self._get(codec.Register.ANGLE_SET, codec.WORDS))[i] == codec.KEEP:
+        if self._set_points.angles[i] == codec.KEEP:
             return codec.State.UNSET
         if axis.blocked and axis.obstacle is not None and abs(axis.effort) >= axis.max_effort:
             return codec.State.AT_FORCE
@@ -292,14 +297,13 @@ class Rh56Memory:
     def _aim(self, values: tuple[int, ...]) -> None:
         if any(value != codec.KEEP for value in values):
             self.moves += 1
-            self.begun = list(codec.words(self._get(codec.Register.FORCE_SET, codec.WORDS)))
+            self.begun = list(self._set_points.forces)
         for axis, value in zip(self.axes, values, strict=True):
             if value != codec.KEEP and axis.enabled:
                 axis.target = float(min(value, codec.OPEN))
 
     def _limit(self) -> None:
-        forces = codec.words(self._get(codec.Register.FORCE_SET, codec.WORDS))
-        speeds = codec.words(self._get(codec.Register.SPEED_SET, codec.WORDS))
-        for axis, force, speed in zip(self.axes, forces, speeds, strict=True):
+        limits = self._set_points
+        for axis, force, speed in zip(self.axes, limits.forces, limits.speeds, strict=True):
             axis.max_effort = float(force)
             axis.max_velocity = self._fastest * speed / codec.MOST

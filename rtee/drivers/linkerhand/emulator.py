@@ -6,7 +6,7 @@ last set-points when the line falls silent, and answers wrong addresses with exc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from rtee.buses.emulator import CanFrame
@@ -175,16 +175,16 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return input registers; those between its tables are 0."""
-        block = range(self.model.version, self.model.version + codec.Version.COUNT)
-        if address + count > block.stop or (
-            count > self.model.count and not self.properties.joint_reads
-        ):
+        if count > self.model.count and not self.properties.joint_reads:
             raise Refused(ILLEGAL_ADDRESS)
-        registers = [0] * block.stop
+        return super().read(function, address, count, now)
+
+    def windows(self, function: int) -> Mapping[int, Sequence[int]]:
+        """Return all tables and the version, in one block."""
+        registers = [0] * self.model.version
         for table, first in self.model.registers.items():
             registers[first : first + self.model.count] = self.table(table)
-        registers[block.start :] = self.version().to_registers()
-        return registers[address : address + count]
+        return {0: [*registers, *self.version().to_registers()]}
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Set holding registers."""

@@ -188,15 +188,6 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     # --- registers ---------------------------------------------------------------------------
 
-    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return the registers of one parameter, or a part of it."""
-        self._hear(now)
-        for parameter, words in self._parameters().items():
-            start = address - parameter.register
-            if start >= 0 and start + count <= len(words):
-                return words[start : start + count]
-        raise Refused(ILLEGAL_ADDRESS)
-
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Write the output image or a parameter, always as a whole."""
         self._hear(now)
@@ -219,6 +210,11 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     def _hear(self, now: float) -> None:
         self.advance(now)
         self._heard = now
+
+    def windows(self, function: int) -> Mapping[int, Sequence[int]]:
+        """Return the parameters by their registers."""
+        self._heard = self._clock
+        return {one.register: words for one, words in self._parameters().items()}
 
     def _parameters(self) -> Mapping[Parameter, Sequence[int]]:
         made = self.properties

@@ -13,9 +13,9 @@ from rtee.actions.build import StepPlan
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.types import ActionReference
 from rtee.remote.blocking import BlockingHand
-from rtee.testing.browser import browser
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
+from tests.testing.browser import browser
 
 from .many import make_many
 from .running import GRIPPER, MANY, SQUEEZER, Program, copy_of, free_port

@@ -6,7 +6,7 @@ from typing import Final
 
 import pytest
 
-from rtee.testing.browser import find_browser
+from tests.testing.browser import find_browser
 
 in_a_browser: Final = [
     pytest.mark.browser,
