@@ -4,64 +4,49 @@ from __future__ import annotations
 
 import json
 import math
-import types
-import typing
-from collections.abc import Mapping
-from enum import Enum
-from typing import Any, TypeVar
+import re
+from typing import Any, Final, TypeVar
+
+from msgspec import ValidationError, convert, to_builtins
 
 from rtee.errors import LogError
-from rtee.hand.validation import field_names, has_fields
 
 T = TypeVar("T")
+
+_UNKNOWN: Final = re.compile(r"Object contains unknown field `(.+?)`(?: - at `\$\.(.+)`)?")
+"""What msgspec says of a key that a section does not have: the key, and where the section is."""
 
 
 def to_json(value: object) -> str:
     """Return a dataclass, or lists and mappings of dataclasses, as JSON; infinities as strings."""
-    return json.dumps(_plain(value), indent=1)
+    return json.dumps(_finite(to_builtins(value, enc_hook=dict)), indent=1)
 
 
-def _plain(value: Any) -> Any:
-    kind: Any = type(value)
-    if has_fields(kind):
-        return {name: _plain(getattr(value, name)) for name in field_names(kind)}
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, float):
-        # JSON has no infinities; float() reads "inf" back.
-        return value if math.isfinite(value) else repr(value)
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+def _finite(value: Any) -> Any:
+    match value:
+        case dict():
+            return {key: _finite(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+        case float() if not math.isfinite(value):
+            return repr(value)  # JSON has no infinities; msgspec reads "inf" back
     return value
 
 
 def from_json(text: str | bytes, kind: type[T]) -> T:
     """Return the dataclass in a text that `to_json` wrote; `LogError` if it does not fit."""
     try:
-        value = _value_of(json.loads(text), kind)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        data = json.loads(text)
+        while True:
+            try:
+                return convert(data, kind, strict=False)
+            except ValidationError as error:
+                # Older recordings may have fields that no longer exist.
+                if (unknown := _UNKNOWN.fullmatch(str(error))) is None:
+                    raise
+                section = data
+                for key in unknown[2].split(".") if unknown[2] else ():
+                    section = section[key]
+                del section[unknown[1]]
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
         raise LogError(f"{kind.__name__} cannot be read from JSON: {error}") from error
-    return typing.cast("T", value)
-
-
-def _value_of(value: Any, kind: Any) -> Any:
-    """Return plain data as a value of a type, which is given as in an annotation."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (typing.Union, types.UnionType):
-        if value is None:
-            return None
-        return _value_of(value, next(each for each in arguments if each is not type(None)))
-    if origin is Mapping:
-        return {key: _value_of(item, arguments[1]) for key, item in value.items()}
-    if origin is tuple:
-        return tuple(_value_of(item, arguments[0]) for item in value)
-    if has_fields(kind):
-        hints = typing.get_type_hints(kind)
-        known = field_names(kind)
-        # Older recordings may have fields that no longer exist.
-        return typing.cast("Any", kind)(
-            **{key: _value_of(item, hints[key]) for key, item in value.items() if key in known}
-        )
-    return kind(value)
