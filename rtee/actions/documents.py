@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, convert
 
 from rtee.actions.build import (
     Find,
@@ -83,11 +83,7 @@ class EvidenceEntry(Section, frozen=True):
 
     def evidence(self) -> Evidence:
         """Return the evidence."""
-        values: dict[str, Any] = {name: getattr(self, name) for name in field_names(EvidenceEntry)}
-        if self.opposition is not None:
-            known = field_names(OppositionEntry)
-            values["opposition"] = Opposition(**{n: getattr(self.opposition, n) for n in known})
-        return Evidence(**values)
+        return convert(self, Evidence, from_attributes=True)
 
 
 class PostureEntry(Section, frozen=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from xml.sax.saxutils import escape, quoteattr
 
 from rtee.hand.chains import GROUP_OF_FINGERS
@@ -28,58 +28,66 @@ def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = 
         pairs: Pairs of links that need not be checked for collision.
         with_rest: Whether to write the rest posture; otherwise it is in hand.yaml.
     """
-    lines = [f"<robot name={quoteattr(hand.urdf.name)}>"]
-    for finger in hand.fingers:
-        lines += _group(finger)
-    lines.append(f'  <group name="{GROUP_OF_FINGERS}">')
-    lines += [f"    <group name={quoteattr(finger.name)}/>" for finger in hand.fingers]
-    lines += [f"    <joint name={quoteattr(name)}/>" for name in _beside(hand)]
-    lines.append("  </group>")
-    lines.append(
-        f'  <end_effector name="end_effector" parent_link={quoteattr(hand.base)} '
-        f'group="{GROUP_OF_FINGERS}"/>'
+    members = "".join(
+        [f"    <group name={quoteattr(finger.name)}/>\n" for finger in hand.fingers]
+        + [f"    <joint name={quoteattr(name)}/>\n" for name in _beside(hand)]
     )
-    lines += _passive(hand)
-    lines += _rest(hand) if with_rest else ["", "  <!-- The rest posture is in hand.yaml. -->"]
-    lines += disabled_lines(pairs)
-    lines.append("</robot>")
-    return _HEAD + "\n".join(lines) + "\n"
+    passive = _passive([j.name for j in hand.joints if j.role is JointRole.PASSIVE])
+    rest = "  <!-- The rest posture is in hand.yaml. -->\n"
+    if with_rest:
+        positions = "".join(
+            f"    <joint name={quoteattr(actuator.name)} value={quoteattr(repr(actuator.rest))}/>\n"
+            for actuator in hand.actuators
+        )
+        rest = f"""  <!-- The rest posture, from which grasping actions start [rad | m]. -->
+  <group_state name="rest" group="{GROUP_OF_FINGERS}">
+{positions}  </group_state>
+"""
+    return f"""{_HEAD}<robot name={quoteattr(hand.urdf.name)}>
+{"".join(map(_group, hand.fingers))}  <group name="{GROUP_OF_FINGERS}">
+{members}  </group>
+  <end_effector name="end_effector" parent_link={quoteattr(hand.base)} group="{GROUP_OF_FINGERS}"/>
+
+  <!-- Joints that no motor drives: <passive_joint name="JOINT"/> -->
+{passive}
+{rest}{_disabled(pairs)}</robot>
+"""
 
 
-def disabled_lines(pairs: Sequence[DisabledPair]) -> list[str]:
+def _disabled(pairs: Sequence[DisabledPair]) -> str:
     """Return the lines that disable collisions, with a comment."""
-    if not pairs:
-        return []
-    return [
-        "",
-        "  <!-- Pairs of links that are never checked for collision, and why. -->",
-        *(
-            f"  <disable_collisions link1={quoteattr(link1)} link2={quoteattr(link2)} "
-            f"reason={quoteattr(reason)}/>"
-            for link1, link2, reason in pairs
-        ),
-    ]
+    lines = "".join(
+        f"  <disable_collisions link1={quoteattr(link1)} link2={quoteattr(link2)} "
+        f"reason={quoteattr(reason)}/>\n"
+        for link1, link2, reason in pairs
+    )
+    comment = "\n  <!-- Pairs of links that are never checked for collision, and why. -->\n"
+    return comment + lines if lines else ""
+
+
+def _passive(joints: Iterable[str]) -> str:
+    return "".join(f"  <passive_joint name={quoteattr(joint)}/>\n" for joint in joints)
 
 
 def with_disabled(srdf: str, pairs: Sequence[DisabledPair]) -> str:
     """Return the text of an SRDF with added pairs."""
-    return _with_lines(srdf, disabled_lines(pairs))
+    return _with_lines(srdf, _disabled(pairs))
 
 
 def with_passive(srdf: str, joints: Sequence[str]) -> str:
     """Return the text of an SRDF with added joints without a motor."""
-    return _with_lines(srdf, [f"  <passive_joint name={quoteattr(joint)}/>" for joint in joints])
+    return _with_lines(srdf, _passive(joints))
 
 
-def _with_lines(srdf: str, lines: Sequence[str]) -> str:
+def _with_lines(srdf: str, lines: str) -> str:
     # As text, to keep the comments and layout of the user's file.
     ends = [found.start() for found in _END.finditer(srdf) if found[1]]
     if not ends or not lines:
         return srdf
-    return srdf[: ends[-1]] + "\n".join(lines).lstrip("\n") + "\n" + srdf[ends[-1] :]
+    return srdf[: ends[-1]] + lines.lstrip("\n") + srdf[ends[-1] :]
 
 
-def _group(finger: Finger) -> list[str]:
+def _group(finger: Finger) -> str:
     # XML comments must not contain two hyphens in a row.
     reason = re.sub("-(?=-)", "- ", escape(finger.reason))
     base, end = quoteattr(finger.links[0]), quoteattr(finger.links[-1])
@@ -87,12 +95,11 @@ def _group(finger: Finger) -> list[str]:
     chain = (
         f"<chain base_link={base} tip_link={end}/>" if finger.actuators else f"<link name={end}/>"
     )
-    return [
-        f"  <!-- {reason} -->",
-        f"  <group name={quoteattr(finger.name)}>",
-        f"    {chain}",
-        "  </group>",
-    ]
+    return f"""  <!-- {reason} -->
+  <group name={quoteattr(finger.name)}>
+    {chain}
+  </group>
+"""
 
 
 def _beside(hand: Hand) -> list[str]:
@@ -101,27 +108,3 @@ def _beside(hand: Hand) -> list[str]:
     moves = hand.transmission.moves
     used = {moves(row) for row, joint in enumerate(hand.joints) if joint.child in links}
     return [name for index, name in enumerate(hand.actuator_names) if index not in used]
-
-
-def _passive(hand: Hand) -> list[str]:
-    return [
-        "",
-        '  <!-- Joints that no motor drives: <passive_joint name="JOINT"/> -->',
-    ] + [
-        f"  <passive_joint name={quoteattr(joint.name)}/>"
-        for joint in hand.joints
-        if joint.role is JointRole.PASSIVE
-    ]
-
-
-def _rest(hand: Hand) -> list[str]:
-    return [
-        "",
-        "  <!-- The rest posture, from which grasping actions start [rad | m]. -->",
-        f'  <group_state name="rest" group="{GROUP_OF_FINGERS}">',
-        *(
-            f"    <joint name={quoteattr(actuator.name)} value={quoteattr(repr(actuator.rest))}/>"
-            for actuator in hand.actuators
-        ),
-        "  </group_state>",
-    ]

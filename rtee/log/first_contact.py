@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rtee import monotonic
-from rtee.drivers.diagnosis.contact_report import Conclusion, ContactReport, Finding
+from rtee.drivers.diagnosis.contact_report import Conclusion, ContactReport
 from rtee.errors import ConfigError
 from rtee.hand.files import write_together
+from rtee.sample import MEASURED
+from rtee.values import plain
 
 _VERSION = f"rtee {version('rtee')}"
 _SCHEMA = json.dumps({"type": "object"}).encode()
@@ -58,7 +60,7 @@ def _recorded(report: ContactReport, actuators: list[str]) -> bytes:
         start = int(report.samples[0].stamp * 1e9) + wall if report.samples else time.time_ns()
 
         def put(topic: str, stamp: int, data: Mapping[str, Any]) -> None:
-            writer.add_message(channels[topic], stamp, json.dumps(data).encode(), stamp)
+            writer.add_message(channels[topic], stamp, json.dumps(plain(data)).encode(), stamp)
 
         put("device", start, {"driver": report.driver, "identity": report.identity})
         for sample in report.samples:
@@ -69,81 +71,51 @@ def _recorded(report: ContactReport, actuators: list[str]) -> bytes:
                 {
                     "step": sample.step,
                     "actuators": actuators,
-                    "position": _plain(state.position),
-                    "velocity": _plain(state.velocity),
-                    "effort": _plain(state.effort),
-                    "current": _plain(state.current),
-                    "temperature": _plain(state.temperature),
-                    "touch": [] if state.touch is None else _plain(state.touch.values),
-                    "reference": list(sample.reference),
-                    "warnings": list(state.warnings),
+                    **{name: getattr(state, name) for name in MEASURED},
+                    "touch": [] if state.touch is None else state.touch.values,
+                    "reference": sample.reference,
+                    "warnings": state.warnings,
                 },
             )
         last = int(report.samples[-1].stamp * 1e9) + wall if report.samples else start
         for question, answer in report.answers:
-            put(
-                "question",
-                last,
-                {"topic": str(question.topic), "text": question.text, "answer": answer},
-            )
+            asked = {"topic": question.topic, "text": question.text, "answer": answer}
+            put("question", last, asked)
         for one in report.findings:
-            put("finding", last, _finding(one))
+            put("finding", last, asdict(one))
         writer.finish()  # type: ignore[no-untyped-call]
         return file.getvalue()
-
-
-def _plain(values: Iterable[float]) -> list[float | None]:
-    return [float(value) if math.isfinite(value) else None for value in values]
-
-
-def _finding(one: Finding) -> dict[str, str]:
-    return {
-        "topic": str(one.topic),
-        "verdict": str(one.verdict),
-        "actuator": one.actuator,
-        "text": one.text,
-    }
 
 
 def text_of(report: ContactReport) -> str:
     """Return the page, in Markdown."""
     identity = ", ".join(f"{name} {value}" for name, value in report.identity.items())
-    lines = [
-        f"# First contact: {report.device}",
-        "",
-        f"Driver `{report.driver}`, {_VERSION}, {time.strftime('%Y-%m-%d %H:%M')}.",
-        f"The device says of itself: {identity or 'nothing'}.",
-        "",
-    ]
-    if report.ended:
-        lines += [f"**It ended early**, {report.ended}.", ""]
-    lines += [
-        "## Assumptions",
-        "",
-        "| assumption | about | source | now |",
-        "| --- | --- | --- | --- |",
-    ]
-    lines += [
+    ended = f"**It ended early**, {report.ended}.\n\n" if report.ended else ""
+    assumptions = (
         f"| {assumption.text} | {assumption.topic} | {assumption.source or 'none'} | "
-        f"{f'**{verdict}**' if verdict is Conclusion.REFUTED else verdict} |"
+        f"{f'**{verdict}**' if verdict is Conclusion.REFUTED else verdict} |\n"
         for assumption, verdict in report.judged()
-    ]
-    lines += [
-        "",
-        "## Findings",
-        "",
-        "| about | actuator | verdict | |",
-        "| --- | --- | --- | --- |",
-    ]
-    lines += [
-        f"| {one.topic} | {one.actuator} | {one.verdict} | {one.text} |" for one in report.findings
-    ]
-    lines += ["", "## Answers", ""]
-    lines += [f"- {question.text} **{answer or '(Enter)'}**" for question, answer in report.answers]
-    lines += [
-        "",
-        "Send this page and the recording beside it to the project: they hold no more than what "
-        "the device measured and what you answered.",
-        "",
-    ]
-    return "\n".join(lines)
+    )
+    findings = (f"| {f.topic} | {f.actuator} | {f.verdict} | {f.text} |\n" for f in report.findings)
+    answers = (f"- {q.text} **{answer or '(Enter)'}**\n" for q, answer in report.answers)
+    return f"""# First contact: {report.device}
+
+Driver `{report.driver}`, {_VERSION}, {time.strftime("%Y-%m-%d %H:%M")}.
+The device says of itself: {identity or "nothing"}.
+
+{ended}## Assumptions
+
+| assumption | about | source | now |
+| --- | --- | --- | --- |
+{"".join(assumptions)}
+## Findings
+
+| about | actuator | verdict | |
+| --- | --- | --- | --- |
+{"".join(findings)}
+## Answers
+
+{"".join(answers)}
+Send this page and the recording beside it to the project: they hold no more than what the device \
+measured and what you answered.
+"""
