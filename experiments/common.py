@@ -20,7 +20,7 @@ from rtee.hand.model import Hand
 from rtee.log import Recorder, read
 from rtee.log.figure import PlotSubject, figure
 from rtee.log.playback import fingers
-from rtee.log.plot_png import write_png
+from rtee.log.plots import write_png
 from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray

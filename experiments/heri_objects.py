@@ -18,7 +18,7 @@ from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.log import read
 from rtee.log.figure import Band, Figure, PlotSubject, bands_of, figure
 from rtee.log.playback import fingers
-from rtee.log.plot_png import write_png
+from rtee.log.plots import write_png
 from rtee.log.recording import Recording
 from rtee.loop.planning import OPEN
 from rtee.trials.bench import bench

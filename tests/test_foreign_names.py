@@ -42,7 +42,7 @@ from rtee.hand.yamlfile import read_yaml
 from rtee.log import Recorder, read
 from rtee.log.export import Format, export, tables
 from rtee.log.figure import figure
-from rtee.log.plot_html import write_html
+from rtee.log.plots import write_html
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings

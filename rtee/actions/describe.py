@@ -16,8 +16,10 @@ from rtee.actions.types import (
     ActionKind,
     Posture,
     Primitive,
+    PrimitiveKind,
     kind_of,
 )
+from rtee.hand.abduction import abduction
 from rtee.hand.model import Hand
 
 
@@ -126,3 +128,22 @@ def _posture(posture: Posture) -> dict[str, Any]:
         "posture": {name: float(value) for name, value in posture.position.items()},
         "involved": list(posture.involved),
     }
+
+
+def abduction_actuators(hand: Hand, action: Action) -> tuple[str, ...]:
+    """Return the abduction actuators of a Trig; none of other actions.
+
+    A Trig moves all actuators that move only its finger, including abduction.
+    """
+    if not isinstance(action, Primitive) or action.kind is not PrimitiveKind.TRIG:
+        return ()
+    swinging = dict.fromkeys(
+        a for name in action.fingers for a in abduction(hand, hand.finger(name))
+    )
+    return tuple(name for name in swinging if name in action.posture.involved)
+
+
+def abduction_sentence(hand: Hand, action: Action, prefix: str = "") -> str:
+    """Return a sentence about a Trig's abduction, without a prefix of names, or ``""``."""
+    names = [name.removeprefix(prefix) for name in abduction_actuators(hand, action)]
+    return f"also swings sideways (abduction): {', '.join(names)}" if names else ""

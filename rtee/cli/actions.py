@@ -46,7 +46,7 @@ def _show(hand: HandModel, library: list[Action]) -> None:
 
 
 def _row(hand: HandModel, action: Action, prefix: str) -> Row:
-    from rtee.actions.abduction import abduction_sentence
+    from rtee.actions.describe import abduction_sentence
     from rtee.actions.types import Primitive, Timed
 
     match action:

@@ -310,7 +310,7 @@ def _show(hand: HandModel, extraction: Extraction) -> None:
 
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
-    from rtee.actions.abduction import abduction_sentence
+    from rtee.actions.describe import abduction_sentence
     from rtee.cli.actions import primitive_remarks
 
     posture = primitive.posture

@@ -180,14 +180,14 @@ def plot(
     )
     base = output or recording.paths[0].with_suffix("")
     if html:
-        from rtee.log.plot_html import write_html
+        from rtee.log.plots import write_html
 
         # `with_suffix` would cut off a part of a name with a dot.
         path = base.with_name(base.name + ".html")
         write_html(drawing, path)
         print(path)
     if png:
-        from rtee.log.plot_png import write_png
+        from rtee.log.plots import write_png
 
         path = base.with_name(base.name + ".png")
         write_png(drawing, path)

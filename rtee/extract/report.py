@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rtee.actions.abduction import abduction_sentence
-from rtee.actions.describe import clearance_text, deeper_text
+from rtee.actions.describe import abduction_sentence, clearance_text, deeper_text
 from rtee.actions.types import (
     Action,
     ActionKind,

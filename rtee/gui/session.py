@@ -14,8 +14,7 @@ import anyio.to_thread
 import numpy as np
 import viser
 
-from rtee.actions.abduction import abduction_sentence
-from rtee.actions.describe import deeper_text
+from rtee.actions.describe import abduction_sentence, deeper_text
 from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge

@@ -8,8 +8,8 @@ from hand.conftest import MODELS
 from hand.models import anthropomorphic
 
 from extract.models import Model, box
-from rtee.actions.abduction import abduction_sentence
 from rtee.actions.action_files import read_actions
+from rtee.actions.describe import abduction_sentence
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.hand.abduction import abduction

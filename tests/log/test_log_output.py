@@ -46,8 +46,7 @@ from rtee.log.file_index import index_file
 from rtee.log.info import info
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
-from rtee.log.plot_html import write_html
-from rtee.log.plot_png import write_png
+from rtee.log.plots import write_html, write_png
 from rtee.loop.settings import LoopSettings
 from rtee.messages import topics
 from rtee.types import Event, Goal, Named

@@ -18,8 +18,7 @@ from rtee.log import read
 from rtee.log.check import check
 from rtee.log.export import tables
 from rtee.log.figure import figure
-from rtee.log.plot_html import write_html
-from rtee.log.plot_png import write_png
+from rtee.log.plots import write_html, write_png
 from rtee.loop.settings import LoopSettings
 from rtee.messages.touch import TOUCH, TouchEncoder, sensors_fields, sensors_of, touch_of
 from rtee.sample import ActuatorState
