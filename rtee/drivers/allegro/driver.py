@@ -34,13 +34,7 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.wiring import numbers_of
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    ConfigError,
-    NotConnected,
-    RteeError,
-)
+from rtee.errors import BusError, BusTimeout, ConfigError, NotConnected, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 

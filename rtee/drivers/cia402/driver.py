@@ -24,13 +24,7 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
-from rtee.errors import (
-    BusTimeout,
-    ConfigError,
-    HandshakeError,
-    NotConnected,
-    RteeError,
-)
+from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, JointKind, Reference
 

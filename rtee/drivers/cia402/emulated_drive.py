@@ -12,18 +12,9 @@ from typing import Literal
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.axis import Axis
-from rtee.drivers.cia402 import cia301
+from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
-from rtee.drivers.cia402.codec import (
-    HALT,
-    HOMING_START,
-    NEW_SET_POINT,
-    RELATIVE,
-    Mode,
-    Object,
-    State,
-    StatusBit,
-)
+from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.node import Entry, Node
 from rtee.drivers.options import Positive
 from rtee.hand.validation import Section
@@ -35,13 +26,13 @@ METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
 
 # The next state by the present one and the low four bits of the controlword.
 _TRANSITIONS = {
-    (State.SWITCH_ON_DISABLED, 0x06): State.READY,
-    (State.READY, 0x07): State.SWITCHED_ON,
-    (State.READY, 0x0F): State.ENABLED,
-    (State.SWITCHED_ON, 0x0F): State.ENABLED,
-    (State.SWITCHED_ON, 0x06): State.READY,
-    (State.ENABLED, 0x07): State.SWITCHED_ON,
-    (State.ENABLED, 0x06): State.READY,
+    (codec.State.SWITCH_ON_DISABLED, 0x06): codec.State.READY,
+    (codec.State.READY, 0x07): codec.State.SWITCHED_ON,
+    (codec.State.READY, 0x0F): codec.State.ENABLED,
+    (codec.State.SWITCHED_ON, 0x0F): codec.State.ENABLED,
+    (codec.State.SWITCHED_ON, 0x06): codec.State.READY,
+    (codec.State.ENABLED, 0x07): codec.State.SWITCHED_ON,
+    (codec.State.ENABLED, 0x06): codec.State.READY,
 }
 
 _LOST_HOST = 0x8130
@@ -131,7 +122,7 @@ class Drive:
             friction=40.0,
             resolution=0.5,
         )
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = codec.State.SWITCH_ON_DISABLED
         self.emergencies: list[Emergency] = []
         self.homed = properties.homed
         self.zero = 0.0
@@ -197,7 +188,7 @@ class Drive:
 
     def reset(self) -> None:
         """Restart with the drive, heartbeats and PDOs disabled."""
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = codec.State.SWITCH_ON_DISABLED
         self.emergencies = []
         self._control = 0
         self._acknowledged = self._halted = self._homing_error = False
@@ -226,33 +217,33 @@ class Drive:
 
     def _controlled(self, word: int) -> Abort | None:
         before, self._control = self._control, word
-        if self.state is State.FAULT:
+        if self.state is codec.State.FAULT:
             # Only the rising edge resets a fault (CiA 402-2).
             if word & 0x80 and not before & 0x80:
                 self._recover()
             return None
         # "Disable voltage" takes precedence over all other bits.
         if not word & 0x02:
-            self._become(State.SWITCH_ON_DISABLED)
+            self._become(codec.State.SWITCH_ON_DISABLED)
         elif not word & 0x04:
-            if self.state is State.ENABLED:
+            if self.state is codec.State.ENABLED:
                 self._stay()
-                self._become(State.QUICK_STOP)
+                self._become(codec.State.QUICK_STOP)
         else:
             found = _TRANSITIONS.get((self.state, word & 0x0F))
             if found is not None:
                 self._become(found)
-        if self.state is State.ENABLED:
-            self._halt(bool(word & HALT))
+        if self.state is codec.State.ENABLED:
+            self._halt(bool(word & codec.HALT))
             self._set_point(word, before)
         return None
 
-    def _become(self, state: State) -> None:
-        if (state is State.ENABLED) is not (self.state is State.ENABLED):
+    def _become(self, state: codec.State) -> None:
+        if (state is codec.State.ENABLED) is not (self.state is codec.State.ENABLED):
             self._stay()
             self._acknowledged = self._halted = False
         self.state = state
-        self.axis.enabled = state in (State.ENABLED, State.QUICK_STOP)
+        self.axis.enabled = state in (codec.State.ENABLED, codec.State.QUICK_STOP)
 
     def _stay(self) -> None:
         """Make the present position the goal, and end homing."""
@@ -274,19 +265,19 @@ class Drive:
 
     def _set_point(self, word: int, before: int) -> None:
         mode = self.node.get(Object.MODE_DISPLAY)
-        rising = bool(word & NEW_SET_POINT) and not before & NEW_SET_POINT
-        if mode == Mode.PROFILE_POSITION:
+        rising = bool(word & codec.NEW_SET_POINT) and not before & codec.NEW_SET_POINT
+        if mode == codec.Mode.PROFILE_POSITION:
             if rising:
                 target = float(self.node.get(Object.TARGET_POSITION, signed=True))
                 # A relative target is relative to the previous target, not to the position.
-                self._aim(target + (self._goal if word & RELATIVE else self.zero))
+                self._aim(target + (self._goal if word & codec.RELATIVE else self.zero))
                 self._acknowledged = True
-            elif not word & NEW_SET_POINT:
+            elif not word & codec.NEW_SET_POINT:
                 self._acknowledged = False
-        elif mode == Mode.HOMING:
+        elif mode == codec.Mode.HOMING:
             if rising:
                 self._begin_homing()
-            elif not word & HOMING_START and self._legs:
+            elif not word & codec.HOMING_START and self._legs:
                 self._stay()
 
     # --- homing ------------------------------------------------------------------------------
@@ -333,7 +324,7 @@ class Drive:
         self.emergencies.append(Emergency(code, register))
         self.axis.enabled = False
         self._legs = []
-        self.state = State.FAULT
+        self.state = codec.State.FAULT
 
     def _recover(self) -> None:
         if self.cause:
@@ -342,7 +333,7 @@ class Drive:
         self.node.set(Object.ERROR_CODE, 0)
         self.node.set(Object.ERROR_REGISTER, 0)
         self.emergencies.append(Emergency(0))
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = codec.State.SWITCH_ON_DISABLED
 
     def _silence(self) -> None:
         self.emergencies.append(Emergency(_LOST_HOST, cia301.error_register(_LOST_HOST)))
@@ -353,15 +344,15 @@ class Drive:
             self.emergencies.pop()
             self.fail(_LOST_HOST)
         elif reaction in (2, 3):
-            self._become(State.SWITCH_ON_DISABLED)
+            self._become(codec.State.SWITCH_ON_DISABLED)
 
     # --- motion ------------------------------------------------------------------------------
 
     def cycle(self) -> None:
         """Apply a SYNC: in cyclic mode, follow the target."""
-        if self.state is not State.ENABLED:
+        if self.state is not codec.State.ENABLED:
             return
-        if self.node.get(Object.MODE_DISPLAY) == Mode.CYCLIC_POSITION:
+        if self.node.get(Object.MODE_DISPLAY) == codec.Mode.CYCLIC_POSITION:
             target = float(self.node.get(Object.TARGET_POSITION, signed=True)) + self.zero
             allowed = self.properties.following_error
             if allowed and not self._halted and abs(target - self.axis.position) > allowed:
@@ -374,7 +365,7 @@ class Drive:
         axis, node = self.axis, self.node
         limit = node.get(Object.MAX_TORQUE)
         axis.max_effort = float(limit)
-        profile = node.get(Object.MODE_DISPLAY) == Mode.PROFILE_POSITION
+        profile = node.get(Object.MODE_DISPLAY) == codec.Mode.PROFILE_POSITION
         speed = float(node.get(Object.PROFILE_VELOCITY)) if profile else self.properties.speed
         if self._legs:
             speed = self._legs[0].speed
@@ -392,19 +383,19 @@ class Drive:
     def _report(self) -> None:
         """Update the objects with the state of the drive."""
         axis, node = self.axis, self.node
-        word = self.state.value[1] | StatusBit.VOLTAGE | StatusBit.REMOTE
+        word = self.state.value[1] | codec.StatusBit.VOLTAGE | codec.StatusBit.REMOTE
         mode = node.get(Object.MODE_DISPLAY)
         stands = not axis.moving
-        if mode == Mode.HOMING:
+        if mode == codec.Mode.HOMING:
             under_way = bool(self._legs) and not self._halted
-            word |= StatusBit.REACHED if not under_way and stands else 0
-            word |= StatusBit.ACKNOWLEDGED if self.homed else 0
-            word |= StatusBit.HOMING_ERROR if self._homing_error else 0
+            word |= codec.StatusBit.REACHED if not under_way and stands else 0
+            word |= codec.StatusBit.ACKNOWLEDGED if self.homed else 0
+            word |= codec.StatusBit.HOMING_ERROR if self._homing_error else 0
         else:
             reached = stands if self._halted else axis.position == self._goal
-            word |= StatusBit.REACHED if reached else 0
-            cyclic = mode == Mode.CYCLIC_POSITION and self.state is State.ENABLED
-            word |= StatusBit.ACKNOWLEDGED if self._acknowledged or cyclic else 0
+            word |= codec.StatusBit.REACHED if reached else 0
+            cyclic = mode == codec.Mode.CYCLIC_POSITION and self.state is codec.State.ENABLED
+            word |= codec.StatusBit.ACKNOWLEDGED if self._acknowledged or cyclic else 0
         node.set(Object.STATUSWORD, word)
         node.set(Object.POSITION, round(axis.measured - self.zero))
         node.set(Object.VELOCITY, round(axis.velocity))

@@ -29,13 +29,7 @@ from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of, sca
 from rtee.drivers.inspire_rh56.tactile import TactileReader, sensors
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options
-from rtee.errors import (
-    BusError,
-    CalibrationError,
-    CommandRejected,
-    FrameError,
-    RteeError,
-)
+from rtee.errors import BusError, CalibrationError, CommandRejected, FrameError, RteeError
 from rtee.hand.validation import Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading

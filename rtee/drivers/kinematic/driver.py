@@ -14,13 +14,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.options import NotNegative, read_options
-from rtee.errors import (
-    BusBroken,
-    CommandRejected,
-    ConfigError,
-    NotConnected,
-    suggestion,
-)
+from rtee.errors import BusBroken, CommandRejected, ConfigError, NotConnected, suggestion
 from rtee.hand.validation import Section
 from rtee.sample import ActuatorState
 from rtee.types import ActuatorSpec, DeviceSpec, Reference, from_rest

@@ -25,11 +25,7 @@ from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.scale import LinearScale
-from rtee.errors import (
-    CommandRejected,
-    ConfigError,
-    RteeError,
-)
+from rtee.errors import CommandRejected, ConfigError, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 

@@ -14,12 +14,7 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
 from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
 from rtee.drivers.onrobot_common import PRODUCT
-from rtee.drivers.onrobot_emulator import (
-    IDENTITY,
-    OnRobotEmulator,
-    OnRobotProperties,
-    identity,
-)
+from rtee.drivers.onrobot_emulator import IDENTITY, OnRobotEmulator, OnRobotProperties, identity
 from rtee.drivers.options import Duration, Positive
 
 _SETTINGS = 0x0401

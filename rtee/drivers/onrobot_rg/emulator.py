@@ -13,12 +13,7 @@ from typing import Literal
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TARGETS, TENTH_MM, signed
-from rtee.drivers.onrobot_emulator import (
-    IDENTITY,
-    OnRobotEmulator,
-    OnRobotProperties,
-    identity,
-)
+from rtee.drivers.onrobot_emulator import IDENTITY, OnRobotEmulator, OnRobotProperties, identity
 from rtee.drivers.onrobot_rg import codec
 from rtee.drivers.options import Duration
 

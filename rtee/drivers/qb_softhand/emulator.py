@@ -16,15 +16,6 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Byte, Duration, Positive
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import (
-    BROADCAST,
-    HEADER,
-    SLOT,
-    Command,
-    Frame,
-    Parameter,
-    Parser,
-)
 from rtee.hand.validation import Section
 
 _LOWEST = -4_000
@@ -119,7 +110,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
 
     def power_cycle(self, now: float) -> None:
         """Restart; the fingers stay where they are."""
-        self.parser = Parser()
+        self.parser = codec.Parser()
         self._boot = now
         self._heard = now
         self.baudrate = codec.BAUDRATE
@@ -175,9 +166,9 @@ class QbSoftHandEmulator(Emulator, Grasps):
             replies.append(self.options.text.encode("ascii"))
         return [] if now - self._boot < self.options.boot_time else replies
 
-    def answers(self, frame: Frame, now: float) -> Iterable[bytes]:
+    def answers(self, frame: codec.Frame, now: float) -> Iterable[bytes]:
         """Obey a frame and return the reply, if any."""
-        if frame.device in {self._number, BROADCAST}:
+        if frame.device in {self._number, codec.BROADCAST}:
             self._heard = now
             self.frames[frame.command] = self.frames.get(frame.command, 0) + 1
             if (reply := self._answer(frame)) is not None:
@@ -188,20 +179,20 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return self.options.device ^ (0x40 if "wrong_device" in self.faults else 0)
 
     def _reply(self, command: int, data: bytes = b"") -> bytes:
-        return Frame(self._number, command, data).to_bytes()
+        return codec.Frame(self._number, command, data).to_bytes()
 
     def _acknowledge(self, command: int) -> bytes:
         legacy = self.options.generation == "legacy"
         return self._reply(1) if legacy else self._reply(command, b"\x01")
 
-    def _answer(self, frame: Frame) -> bytes | None:
+    def _answer(self, frame: codec.Frame) -> bytes | None:
         """Return the reply to a frame; ``None`` for a command without an acknowledgement."""
         values = self._query(frame.command)
         if values is not None:
             return self._reply(frame.command, values)
-        if frame.command == Command.GET_INFO:
+        if frame.command == codec.Command.GET_INFO:
             return self._long(frame.command, self.options.text.encode("ascii"))
-        if frame.command == Command.GET_PARAM_LIST and frame.data == b"\x00\x00":
+        if frame.command == codec.Command.GET_PARAM_LIST and frame.data == b"\x00\x00":
             return self._long(frame.command, self._parameters())
         return self._obey(frame.command, frame.data)
 
@@ -210,38 +201,40 @@ class QbSoftHandEmulator(Emulator, Grasps):
         currents = [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]
         positions = self._by_encoder([axis.measured for axis in self.axes])
         match command:
-            case Command.PING:
+            case codec.Command.PING:
                 return b""
-            case Command.GET_ACTIVATE:
+            case codec.Command.GET_ACTIVATE:
                 true_mask = self.options.activation_mask or len(self.axes) > 1
                 # Older firmware reports both bits although there is one motor.
                 return bytes([self.active if true_mask else 3 * self.active])
-            case Command.GET_INPUTS:
+            case codec.Command.GET_INPUTS:
                 return codec.pack_int16(*self._references)
-            case Command.GET_MEASUREMENTS:
+            case codec.Command.GET_MEASUREMENTS:
                 return codec.pack_int16(*positions)
-            case Command.GET_CURRENTS:
+            case codec.Command.GET_CURRENTS:
                 return codec.pack_int16(*currents)
-            case Command.GET_CURR_AND_MEAS:
+            case codec.Command.GET_CURR_AND_MEAS:
                 return codec.pack_int16(*currents, *positions)
-            case Command.GET_VELOCITIES:
+            case codec.Command.GET_VELOCITIES:
                 return codec.pack_int16(*self._by_encoder([axis.velocity for axis in self.axes]))
-            case Command.GET_ACCELERATIONS:
+            case codec.Command.GET_ACCELERATIONS:
                 return codec.pack_int16(*self._by_encoder(self._accelerations))
         return None
 
     def _obey(self, command: int, data: bytes) -> bytes | None:
         """Carry out a command; return its acknowledgement, ``None`` if it has none."""
         match command:
-            case Command.ACTIVATE if data:
+            case codec.Command.ACTIVATE if data:
                 self._activate(data[0])
-            case Command.SET_INPUTS if len(data) == 4:
+            case codec.Command.SET_INPUTS if len(data) == 4:
                 self._inputs(data)
-            case Command.SET_WATCHDOG if data and self.options.watchdog:
+            case codec.Command.SET_WATCHDOG if data and self.options.watchdog:
                 self.watchdog = codec.watchdog_seconds(data[0])
-            case Command.SET_BAUDRATE if data:
+            case codec.Command.SET_BAUDRATE if data:
                 self.baudrate = _RATES.get(data[0], codec.BAUDRATE)
-            case Command.STORE_PARAMS | Command.SET_ZEROS | Command.GET_PARAM_LIST:
+            case (
+                codec.Command.STORE_PARAMS | codec.Command.SET_ZEROS | codec.Command.GET_PARAM_LIST
+            ):
                 return self._acknowledge(command)
         return None
 
@@ -264,15 +257,17 @@ class QbSoftHandEmulator(Emulator, Grasps):
         made = self.options
         travel = (made.lower, made.upper) * made.motors
         known = {
-            1: Parameter(2, (made.device,), "1 - Device ID:"),
-            4: Parameter(0, (int(made.startup_active),), "4 - Startup Activation:"),
-            7: Parameter(2, (3, 3, 3), "7 - Resolutions:"),
-            10: Parameter(0, (1,), "10 - Pos. limits active:"),
-            11: Parameter(5, travel, "11 - Pos. limits [tick]:"),
-            13: Parameter(3, (_CURRENT_LIMIT,), "13 - Current limit [mA]:"),
+            1: codec.Parameter(2, (made.device,), "1 - Device ID:"),
+            4: codec.Parameter(0, (int(made.startup_active),), "4 - Startup Activation:"),
+            7: codec.Parameter(2, (3, 3, 3), "7 - Resolutions:"),
+            10: codec.Parameter(0, (1,), "10 - Pos. limits active:"),
+            11: codec.Parameter(5, travel, "11 - Pos. limits [tick]:"),
+            13: codec.Parameter(3, (_CURRENT_LIMIT,), "13 - Current limit [mA]:"),
         }
-        slots = [known.get(i, Parameter(2, (0,), f"{i} - (not emulated)")) for i in range(1, 14)]
-        return bytes([len(slots)]) + b"".join(slot.to_bytes().ljust(SLOT) for slot in slots)
+        slots = [
+            known.get(i, codec.Parameter(2, (0,), f"{i} - (not emulated)")) for i in range(1, 14)
+        ]
+        return bytes([len(slots)]) + b"".join(slot.to_bytes().ljust(codec.SLOT) for slot in slots)
 
     def _long(self, command: int, data: bytes) -> bytes:
         body = bytes([command]) + data
@@ -283,4 +278,4 @@ class QbSoftHandEmulator(Emulator, Grasps):
         else:
             # Longer than a byte can hold; the real hand truncates it in the same way.
             length = (len(body) + 1) & 0xFF
-        return HEADER + bytes([self._number, length]) + body + bytes([reduce(xor, body)])
+        return codec.HEADER + bytes([self._number, length]) + body + bytes([reduce(xor, body)])

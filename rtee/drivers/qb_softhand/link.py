@@ -8,15 +8,6 @@ from typing import Any, TypeVar
 
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import (
-    BROADCAST,
-    Command,
-    Frame,
-    ListParser,
-    Parameter,
-    Parser,
-    QbFrameError,
-)
 from rtee.errors import BusTimeout, FrameError
 
 T = TypeVar("T")
@@ -45,16 +36,16 @@ class QbLink:
         self.deadline = deadline
         self.retries = retries
         self.patient = True
-        self._parser = Parser()
+        self._parser = codec.Parser()
 
-    async def request(self, command: Command, data: bytes = b"") -> bytes:
+    async def request(self, command: codec.Command, data: bytes = b"") -> bytes:
         """Send a command and return the data of its answer; raises `BusError`."""
 
-        def answers(reply: Frame) -> bool:
+        def answers(reply: codec.Frame) -> bool:
             return reply.device == self.device and reply.command == command
 
         deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
-        reply: Frame = await self.bus.transact(
+        reply: codec.Frame = await self.bus.transact(
             _asking(self.device, command, data),
             self._parser,
             deadline,
@@ -63,14 +54,14 @@ class QbLink:
         )
         return reply.data
 
-    def send(self, command: Command, data: bytes = b"") -> Coroutine[Any, Any, None]:
+    def send(self, command: codec.Command, data: bytes = b"") -> Coroutine[Any, Any, None]:
         """Send a command without an answer, when awaited; raises `BusError`."""
-        return self.bus.send(Frame(self.device, command, data).to_bytes(), self.deadline)
+        return self.bus.send(codec.Frame(self.device, command, data).to_bytes(), self.deadline)
 
     async def ping(self) -> bool:
         """Return whether the hand answers."""
         try:
-            await self.request(Command.PING)
+            await self.request(codec.Command.PING)
         except (BusTimeout, FrameError):
             return False
         return True
@@ -92,43 +83,43 @@ class QbLink:
             return True
         return True
 
-    async def _ping_all(self) -> Frame:
-        ping = Frame(BROADCAST, Command.PING).to_bytes()
+    async def _ping_all(self) -> codec.Frame:
+        ping = codec.Frame(codec.BROADCAST, codec.Command.PING).to_bytes()
         # Without `accept`, since any number may answer.
         return await self.bus.transact(ping, self._parser, self.deadline, self.retries)
 
-    async def parameters(self) -> dict[int, Parameter]:
+    async def parameters(self) -> dict[int, codec.Parameter]:
         """Return the hand's parameters by index; none if it does not answer."""
-        request = Frame(self.device, Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
+        request = codec.Frame(self.device, codec.Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
         try:
             # Only one retry: the whole list is sent again, and defaults are known.
             return await self.bus.transact(
-                request, ListParser(self.device), _LIST_DEADLINE, retries=1
+                request, codec.ListParser(self.device), _LIST_DEADLINE, retries=1
             )
         except (BusTimeout, FrameError):
             return {}
 
     async def active(self) -> int:
         """Return the mask of active motors."""
-        return self._decoded(codec.activation, await self.request(Command.GET_ACTIVATE))
+        return self._decoded(codec.activation, await self.request(codec.Command.GET_ACTIVATE))
 
-    async def integers(self, command: Command, least: int) -> tuple[int, ...]:
+    async def integers(self, command: codec.Command, least: int) -> tuple[int, ...]:
         """Return the 16-bit values in the answer to a command; raises `BusError`."""
         return self._decoded(partial(codec.read_int16, least=least), await self.request(command))
 
     async def currents_and_positions(self) -> codec.CurrentsAndPositions:
         """Return currents and positions in one exchange."""
-        data = await self.request(Command.GET_CURR_AND_MEAS)
+        data = await self.request(codec.Command.GET_CURR_AND_MEAS)
         return self._decoded(codec.CurrentsAndPositions.from_bytes, data)
 
     def _decoded(self, decode: Callable[[bytes], T], data: bytes) -> T:
         try:
             return decode(data)
-        except QbFrameError as error:
+        except codec.QbFrameError as error:
             raise FrameError(self.bus.name, str(error), data) from error
 
 
 @lru_cache(64)
-def _asking(device: int, command: Command, data: bytes) -> bytes:
+def _asking(device: int, command: codec.Command, data: bytes) -> bytes:
     """Return a request, cached: there are few, and some are sent in every cycle."""
-    return Frame(device, command, data).to_bytes()
+    return codec.Frame(device, command, data).to_bytes()

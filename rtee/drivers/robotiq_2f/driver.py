@@ -16,13 +16,7 @@ from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.codec import FAULTS, MODELS, Command, Grasp, Status
-from rtee.drivers.robotiq_common import (
-    INPUT,
-    OUTPUT,
-    SAME,
-    Grip,
-    RobotiqOptions,
-)
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.scale import FingerScale
 from rtee.drivers.wiring import only_actuator

@@ -12,13 +12,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.robotiq_3f import codec
-from rtee.drivers.robotiq_common import (
-    INPUT,
-    OUTPUT,
-    SAME,
-    Grip,
-    RobotiqOptions,
-)
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import ConfigError
 from rtee.sample import ActuatorState

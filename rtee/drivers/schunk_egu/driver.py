@@ -21,33 +21,10 @@ from rtee.drivers.deadlines import time_limit
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.scale import LinearScale
-from rtee.drivers.schunk_egu.codec import (
-    ERRORS,
-    FAST_STOP,
-    IMAGE,
-    MODULES,
-    RESULTS,
-    SILENT,
-    TEXTS,
-    UNHEARD,
-    WARNINGS,
-    Control,
-    Input,
-    Output,
-    Parameter,
-    Status,
-    float_of,
-    text_of,
-)
+from rtee.drivers.schunk_egu import codec
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import (
-    BusError,
-    ConfigError,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-)
+from rtee.errors import BusError, ConfigError, DeviceFault, FrameError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -144,35 +121,41 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> Identity:
         BusError: if it does not answer, or refuses.
     """
 
-    async def read(what: Parameter, count: int) -> tuple[int, ...]:
+    async def read(what: codec.Parameter, count: int) -> tuple[int, ...]:
         return await bus.read(unit, what.register, count, deadline=PATIENT)
 
-    async def number(what: Parameter) -> float:
-        return float_of(await read(what, 2))
+    async def number(what: codec.Parameter) -> float:
+        return codec.float_of(await read(what, 2))
 
     # The bytes of the register are in the gripper's order, low byte first.
-    module = (await read(Parameter.MODULE, 1))[0].to_bytes(2, "big")
-    name = MODULES.get(int.from_bytes(module, "little"))
+    module = (await read(codec.Parameter.MODULE, 1))[0].to_bytes(2, "big")
+    name = codec.MODULES.get(int.from_bytes(module, "little"))
     if name is None:
         raise HandshakeError(
             device, _WHAT, f"a device of module type {int.from_bytes(module, 'little')}"
         )
-    least, most = await number(Parameter.LEAST_POSITION), await number(Parameter.MOST_POSITION)
-    force, speed = await number(Parameter.MOST_FORCE), await number(Parameter.MOST_SPEED)
+    least, most = (
+        await number(codec.Parameter.LEAST_POSITION),
+        await number(codec.Parameter.MOST_POSITION),
+    )
+    force, speed = (
+        await number(codec.Parameter.MOST_FORCE),
+        await number(codec.Parameter.MOST_SPEED),
+    )
     # Another device may return zeros for registers that it does not have.
     if not (least < most and force > 0.0 and speed > 0.0):
         raise HandshakeError(
             device, _WHAT, f"positions {least} to {most} mm, {force} N, {speed} mm/s"
         )
-    texts = {what: text_of(await read(what, count)) for what, count in TEXTS.items()}
+    texts = {what: codec.text_of(await read(what, count)) for what, count in codec.TEXTS.items()}
     try:
-        grip_speed = await number(Parameter.MOST_GRIP_SPEED)
+        grip_speed = await number(codec.Parameter.MOST_GRIP_SPEED)
     except ModbusRefusal:
         grip_speed = speed
     return Identity(
         name,
-        texts[Parameter.SERIAL],
-        texts[Parameter.SOFTWARE],
+        texts[codec.Parameter.SERIAL],
+        texts[codec.Parameter.SOFTWARE],
         least,
         most,
         force,
@@ -199,7 +182,7 @@ _SHARE = 0.85
 """Share of a cycle in which a grip is watched; the rest is for the stop that may come last."""
 _MISFIT = 1e-3
 """How far the actuator's range may exceed the gripper's stroke [m]: rounding in models."""
-_EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
+_EXPECTED = frozenset({codec.FAST_STOP, codec.SILENT, codec.UNHEARD})
 _BRAKE = 0x28  # error code of a failed brake test
 
 
@@ -239,17 +222,17 @@ class SchunkEguDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         options = self.options = read_options(SchunkEguOptions, spec)
-        self.connection: Connection[Blocks[Input]] = Connection(spec)
+        self.connection: Connection[Blocks[codec.Input]] = Connection(spec)
         only_actuator(spec, "an EGU or EGK")
         self._follower = StepFollower(options.settle, options.step * _PER_FINGER, _SAME, _REACHED)
-        self._input = Input()
+        self._input = codec.Input()
         self._gripping = False
         self._asked: tuple[bool, float] | None = None
         self._running = False
         self._most_speed = self._grip_speed = 0.0
         self._cycle_began = 0.0
         self._timer = GripTimer()
-        self._word: Control | None = None
+        self._word: codec.Control | None = None
         self.capabilities = self._adopt(0.0, _PER_FINGER * self._range, 1.0, {}, options.rate)
 
     @property
@@ -293,10 +276,10 @@ class SchunkEguDriver(Driver):
             lambda bus: Blocks(
                 bus,
                 options.unit,
-                lambda words: Input.from_registers(words, options.port),
-                output=Parameter.OUTPUT.register,
-                source=Parameter.INPUT.register,
-                count=IMAGE,
+                lambda words: codec.Input.from_registers(words, options.port),
+                output=codec.Parameter.OUTPUT.register,
+                source=codec.Parameter.INPUT.register,
+                count=codec.IMAGE,
                 # The gripper has no function that writes and reads at once.
                 kind="separate",
                 refresh=0.0,
@@ -314,7 +297,7 @@ class SchunkEguDriver(Driver):
             await self._identify(blocks)
         blocks.pace(self.spec, self.capabilities.best_rate)
 
-    async def _identify(self, blocks: Blocks[Input]) -> None:
+    async def _identify(self, blocks: Blocks[codec.Input]) -> None:
         bus = blocks.bus
         found = await identify(bus, self.options.unit, self.spec.name)
         stroke = found.most - found.least
@@ -326,8 +309,8 @@ class SchunkEguDriver(Driver):
                 key=f"devices.{self.spec.name}.actuators",
             )
         self._most_speed, self._grip_speed = 1e3 * found.speed, 1e3 * found.grip_speed
-        self._timer.reading = bus.exchange_time(5, 2 + 2 * IMAGE)
-        self._timer.writing = bus.exchange_time(6 + 2 * IMAGE, 5)
+        self._timer.reading = bus.exchange_time(5, 2 + 2 * codec.IMAGE)
+        self._timer.writing = bus.exchange_time(6 + 2 * codec.IMAGE, 5)
         # Three exchanges: the image is read, and a command takes two writes.
         wire = self._timer.reading + 2 * self._timer.writing
         self.capabilities = self._adopt(
@@ -361,14 +344,14 @@ class SchunkEguDriver(Driver):
         self.active = True
 
     @staticmethod
-    def _ready(now: Input) -> bool:
-        return bool(now.status & Status.READY) and not now.status & Status.ERROR
+    def _ready(now: codec.Input) -> bool:
+        return bool(now.status & codec.Status.READY) and not now.status & codec.Status.ERROR
 
     async def _acknowledge(self) -> None:
         """Withdraw a fast stop and acknowledge errors; wait until it is ready."""
-        await self._write(Output(Control.RUN))
-        await asyncio.sleep(_WRITE_GAP if self._input.error == SILENT else 0.0)
-        await self._write(Output(Control.RUN | Control.ACKNOWLEDGE))
+        await self._write(codec.Output(codec.Control.RUN))
+        await asyncio.sleep(_WRITE_GAP if self._input.error == codec.SILENT else 0.0)
+        await self._write(codec.Output(codec.Control.RUN | codec.Control.ACKNOWLEDGE))
         try:
             await self._until(self._ready, _READY)
         # The gripper's error says more than that it took too long.
@@ -378,27 +361,27 @@ class SchunkEguDriver(Driver):
         finally:
             # The next acknowledgement needs a rising edge, too.
             with contextlib.suppress(BusError):
-                await self._write(Output(Control.RUN))
+                await self._write(codec.Output(codec.Control.RUN))
 
     async def _test_brake(self) -> None:
-        await self._write(Output(Control.RUN))
-        before = self._input.status & Status.RECEIVED
-        await self._write(Output(Control.RUN | Control.BRAKE_TEST))
+        await self._write(codec.Output(codec.Control.RUN))
+        before = self._input.status & codec.Status.RECEIVED
+        await self._write(codec.Output(codec.Control.RUN | codec.Control.BRAKE_TEST))
 
-        def done(now: Input) -> bool:
+        def done(now: codec.Input) -> bool:
             self._refuse(now)
-            return now.status & Status.RECEIVED != before and bool(now.status & RESULTS)
+            return now.status & codec.Status.RECEIVED != before and bool(now.status & codec.RESULTS)
 
         self.doing = "testing its brake"
         try:
             await self._until(done, _BRAKE_TEST)
         finally:
             self.doing = ""
-        if self._input.status & Status.NOT_FEASIBLE:
+        if self._input.status & codec.Status.NOT_FEASIBLE:
             raise self._error(_BRAKE, "brake test not feasible; has this model a brake?")
-        await self._write(Output(Control.RUN))
+        await self._write(codec.Output(codec.Control.RUN))
 
-    async def _until(self, done: Callable[[Input], bool], within: float) -> None:
+    async def _until(self, done: Callable[[codec.Input], bool], within: float) -> None:
         """Read until a condition holds; raises `DeviceFault` when that takes too long [s]."""
 
         def too_slow() -> DeviceFault:
@@ -426,7 +409,7 @@ class SchunkEguDriver(Driver):
         stamp = monotonic.now()
         if self.active:
             self._refuse(now)
-        gripped = bool(now.status & Status.GRIPPED) and not now.status & Status.LOST
+        gripped = bool(now.status & codec.Status.GRIPPED) and not now.status & codec.Status.LOST
         return ActuatorState.measured(
             [self.position.to_si(now.position)],
             stamp,
@@ -434,13 +417,13 @@ class SchunkEguDriver(Driver):
             warnings=self._warnings(now),
         )
 
-    def _warnings(self, now: Input) -> tuple[str, ...]:
+    def _warnings(self, now: codec.Input) -> tuple[str, ...]:
         warnings = []
         if now.warning:
-            warnings.append(WARNINGS.get(now.warning, f"warning {now.warning:#04x}"))
-        if now.status & Status.LOST:
+            warnings.append(codec.WARNINGS.get(now.warning, f"warning {now.warning:#04x}"))
+        if now.status & codec.Status.LOST:
             warnings.append("workpiece lost")
-        if now.status & Status.WRONG_WORKPIECE:
+        if now.status & codec.Status.WRONG_WORKPIECE:
             warnings.append("wrong workpiece")
         return tuple(warnings)
 
@@ -451,7 +434,7 @@ class SchunkEguDriver(Driver):
         target = float(self.position.to_count(float(reference.position[0])))
         force = self.effort.to_count(float(reference.max_effort[0]))
         now = self._input
-        here, held = float(now.position), bool(now.status & Status.GRIPPED)
+        here, held = float(now.position), bool(now.status & codec.Status.GRIPPED)
         if self._gripping and self._running:
             if force < (self._follower.force or 0.0):
                 await self._halt()
@@ -460,27 +443,27 @@ class SchunkEguDriver(Driver):
             return
         order = self._follower.next(target, force, here, busy=self._running, held=held)
         if order is Order.STOP:
-            await self._command(Control.STOP)
+            await self._command(codec.Control.STOP)
             self._follower.sent()
-        elif order is Order.GO and self._word != Control.RUN:
+        elif order is Order.GO and self._word != codec.Control.RUN:
             # In a separate cycle: together with the command it would take longer than a cycle.
-            await self._write(Output(Control.RUN))
+            await self._write(codec.Output(codec.Control.RUN))
         elif order is Order.GO:
             await self._go(here, target, force, float(reference.max_velocity[0]), held)
 
     async def _go(self, here: float, target: float, force: int, speed: float, held: bool) -> None:
         if self._way(here, target) > _REACHED or (held and here == target):
-            await self._command(Control.GRIP, force=force)
+            await self._command(codec.Control.GRIP, force=force)
             self._follower.sent()
             await self._watch(target)
         elif held:
             # It opens by its own release distance; the motion to the target follows.
-            await self._command(Control.RELEASE)
+            await self._command(codec.Control.RELEASE)
             self._follower.forget()
         else:
             wanted = speed if math.isfinite(speed) else self.options.speed
             limited = max(1, round(min(wanted * _PER_FINGER, self._most_speed)))
-            await self._command(Control.MOVE, position=round(target), speed=limited)
+            await self._command(codec.Control.MOVE, position=round(target), speed=limited)
             self._follower.sent()
 
     async def _watch(self, target: float) -> None:
@@ -499,16 +482,16 @@ class SchunkEguDriver(Driver):
             if left > 2.0 * self._period * self._grip_speed:
                 return
             now = monotonic.now()
-            due = self._timer.due(left, 1 if self._word == Control.RUN else 2)
+            due = self._timer.due(left, 1 if self._word == codec.Control.RUN else 2)
             # Read as long as there is time: what meets an object meanwhile must not be stopped.
             last = due - now < self._timer.reading or now + self._timer.reading > end
             if (
                 due - now > self._timer.writing
                 and self._asked is None
-                and self._word != Control.RUN
+                and self._word != codec.Control.RUN
             ):
                 # The bit of the grip is withdrawn in time, so that the stop is a single write.
-                await self._write(Output(Control.RUN))
+                await self._write(codec.Output(codec.Control.RUN))
                 continue
             if due < math.inf and last:
                 # Between the end of this cycle and what the next one can do, whichever is nearer.
@@ -523,7 +506,7 @@ class SchunkEguDriver(Driver):
 
     async def _halt(self) -> None:
         """Stop a grip under way."""
-        await self._command(Control.STOP)
+        await self._command(codec.Control.STOP)
         self._follower.halted(float(self._input.position))
 
     @property
@@ -537,17 +520,17 @@ class SchunkEguDriver(Driver):
         return target - here if self.options.opens == "down" else here - target
 
     async def _command(
-        self, control: Control, *, position: int = 0, speed: int = 0, force: int = 0
+        self, control: codec.Control, *, position: int = 0, speed: int = 0, force: int = 0
     ) -> None:
         """Give a command by the rising edge of its bit, which needs a write without it before."""
-        if self._word != Control.RUN:
-            await self._write(Output(Control.RUN))
+        if self._word != codec.Control.RUN:
+            await self._write(codec.Output(codec.Control.RUN))
         # Before the write: if only the answer is lost, the command has begun.
-        self._gripping = control is Control.GRIP
+        self._gripping = control is codec.Control.GRIP
         self._running = True
         self._timer.begin(self._way(0.0, float(self._input.position)))
-        self._asked = bool(self._input.status & Status.RECEIVED), monotonic.now()
-        await self._write(Output(Control.RUN | control, position, speed, force))
+        self._asked = bool(self._input.status & codec.Status.RECEIVED), monotonic.now()
+        await self._write(codec.Output(codec.Control.RUN | control, position, speed, force))
 
     def _waits(self) -> bool:
         """Return whether the last command is not accepted yet; after a while it is given up."""
@@ -570,13 +553,15 @@ class SchunkEguDriver(Driver):
         """End the motion; what is gripped stays gripped."""
         if not self.connection.is_open:
             return
-        if self._input.status & Status.GRIPPED and not self._running:
+        if self._input.status & codec.Status.GRIPPED and not self._running:
             # A stop is not needed, and might end the grip.
             self._forget()
             return
         # Without the bit first: the command is its rising edge, and it may be set already.
-        await self.connection.link.insist(Output(Control.RUN).to_registers())
-        if await self.connection.link.insist(Output(Control.RUN | Control.STOP).to_registers()):
+        await self.connection.link.insist(codec.Output(codec.Control.RUN).to_registers())
+        if await self.connection.link.insist(
+            codec.Output(codec.Control.RUN | codec.Control.STOP).to_registers()
+        ):
             self._forget()
 
     async def deactivate(self) -> None:
@@ -593,9 +578,11 @@ class SchunkEguDriver(Driver):
         self._refuse(self._input)
         self._forget()
 
-    def _refuse(self, now: Input) -> None:
-        if now.status & Status.ERROR:
-            raise self._error(now.error, ERRORS.get(now.error, "an error that no document names"))
+    def _refuse(self, now: codec.Input) -> None:
+        if now.status & codec.Status.ERROR:
+            raise self._error(
+                now.error, codec.ERRORS.get(now.error, "an error that no document names")
+            )
 
     def _error(self, code: int, name: str) -> DeviceFault:
         hint = "remove the cause, then `rtee recover`, which acknowledges it"
@@ -603,21 +590,21 @@ class SchunkEguDriver(Driver):
 
     # --- the wire ----------------------------------------------------------------------------
 
-    async def _read_on(self) -> Input:
+    async def _read_on(self) -> codec.Input:
         """Read the image and update the progress of the last command."""
         asked = monotonic.now()
         now = self._input = await self.connection.link.read()
         answered = monotonic.now()
         self._timer.read(answered - asked)
-        if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
+        if self._asked is not None and bool(now.status & codec.Status.RECEIVED) != self._asked[0]:
             self._asked = None
-        if self._asked is None and now.status & RESULTS:
+        if self._asked is None and now.status & codec.RESULTS:
             self._running = False
         if self._asked is None and self._gripping:
             self._timer.see(self._way(0.0, float(now.position)), asked, answered)
         return now
 
-    async def _write(self, output: Output) -> None:
+    async def _write(self, output: codec.Output) -> None:
         # Unknown until the gripper has answered.
         self._word = None
         begun = monotonic.now()

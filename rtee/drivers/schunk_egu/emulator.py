@@ -12,35 +12,19 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulat
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Byte, Duration, Positive, Rate
-from rtee.drivers.schunk_egu.codec import (
-    COMMANDS,
-    FAST_STOP,
-    FAST_STOP_CODE,
-    IMAGE,
-    SILENT,
-    TEXTS,
-    Control,
-    Input,
-    Output,
-    Parameter,
-    Status,
-    data_of,
-    float_of,
-    float_registers,
-    registers,
-)
+from rtee.drivers.schunk_egu import codec
 from rtee.hand.validation import Section
 
 _COMMANDS = (
-    Control.STOP
-    | Control.ACKNOWLEDGE
-    | Control.RELEASE
-    | Control.GRIP
-    | Control.MOVE
-    | Control.MOVE_BY
-    | Control.GRIP_AT
-    | Control.BRAKE_TEST
-    | Control.REPEAT
+    codec.Control.STOP
+    | codec.Control.ACKNOWLEDGE
+    | codec.Control.RELEASE
+    | codec.Control.GRIP
+    | codec.Control.MOVE
+    | codec.Control.MOVE_BY
+    | codec.Control.GRIP_AT
+    | codec.Control.BRAKE_TEST
+    | codec.Control.REPEAT
 )
 _MOVE_FORCE = 0.3
 """Force of a motion that is not a grip, as a share of the largest; no document states it."""
@@ -52,14 +36,14 @@ _ERRORS: Mapping[str, int] = {
     "overcurrent": 0xDE,
     "brake_test": 0x28,
 }
-_WRITTEN: Mapping[Parameter, int] = {
-    Parameter.COMMAND: 1,
-    Parameter.SET_POSITION: 2,
-    Parameter.SET_SPEED: 2,
-    Parameter.SET_FORCE: 2,
-    Parameter.DIRECTION: 1,
-    Parameter.RELEASE_DELTA: 2,
-    Parameter.PREPOSITION: 2,
+_WRITTEN: Mapping[codec.Parameter, int] = {
+    codec.Parameter.COMMAND: 1,
+    codec.Parameter.SET_POSITION: 2,
+    codec.Parameter.SET_SPEED: 2,
+    codec.Parameter.SET_FORCE: 2,
+    codec.Parameter.DIRECTION: 1,
+    codec.Parameter.RELEASE_DELTA: 2,
+    codec.Parameter.PREPOSITION: 2,
 }
 """Registers of the parameters that a host may write; lengths, speeds and forces are numbers."""
 _BLOCKED = 0xF4  # error: a motion met something
@@ -136,21 +120,21 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         self.moves = 0
         self.begun = 0
         self.tests = 0
-        self.taken: list[Control] = []
+        self.taken: list[codec.Control] = []
         # Parameters that hosts write beside the image; the gripper keeps them.
-        self._kept: dict[Parameter, bytes] = {
+        self._kept: dict[codec.Parameter, bytes] = {
             parameter: bytes(2 * count) for parameter, count in _WRITTEN.items()
         }
-        for parameter in (Parameter.RELEASE_DELTA, Parameter.PREPOSITION):
-            self._kept[parameter] = data_of(float_registers(made.release))
+        for parameter in (codec.Parameter.RELEASE_DELTA, codec.Parameter.PREPOSITION):
+            self._kept[parameter] = codec.data_of(codec.float_registers(made.release))
         self._start(made.ready)
 
     def _start(self, ready: bool) -> None:
-        self._output = Output(Control.RUN if ready else Control(0))
-        self._error = 0 if ready else FAST_STOP
-        self._results = Status(0)
+        self._output = codec.Output(codec.Control.RUN if ready else codec.Control(0))
+        self._error = 0 if ready else codec.FAST_STOP
+        self._results = codec.Status(0)
         self._toggle = False
-        self._running = Control(0)
+        self._running = codec.Control(0)
         self._building = 0.0
         self._heard: float | None = None
         self._halt()
@@ -162,7 +146,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     def _halt(self) -> None:
         self.axis.target = self.axis.position
-        self._running = Control(0)
+        self._running = codec.Control(0)
 
     # --- objects and faults ------------------------------------------------------------------
 
@@ -183,7 +167,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     def _fail(self, code: int) -> None:
         self._error = code
-        self._results = Status(0)
+        self._results = codec.Status(0)
         self._halt()
 
     # --- registers ---------------------------------------------------------------------------
@@ -191,17 +175,17 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Write the output image or a parameter, always as a whole."""
         self._hear(now)
-        if address == Parameter.OUTPUT.register:
-            if len(values) != IMAGE:
+        if address == codec.Parameter.OUTPUT.register:
+            if len(values) != codec.IMAGE:
                 raise Refused(ILLEGAL_VALUE)
-            self._obey(Output.from_registers(values))
+            self._obey(codec.Output.from_registers(values))
             return
         for parameter, count in _WRITTEN.items():
             if address == parameter.register:
                 if len(values) != count:
                     raise Refused(ILLEGAL_VALUE)
-                self._kept[parameter] = data_of(values)
-                if parameter is Parameter.COMMAND:
+                self._kept[parameter] = codec.data_of(values)
+                if parameter is codec.Parameter.COMMAND:
                     # The low byte first, as in every number.
                     self._obey_code(values[0] >> 8)
                 return
@@ -216,133 +200,145 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         self._heard = self._clock
         return {one.register: words for one, words in self._parameters().items()}
 
-    def _parameters(self) -> Mapping[Parameter, Sequence[int]]:
+    def _parameters(self) -> Mapping[codec.Parameter, Sequence[int]]:
         made = self.properties
-        texts = {Parameter.SERIAL: made.serial, Parameter.SOFTWARE: "5.2.0"}
+        texts = {codec.Parameter.SERIAL: made.serial, codec.Parameter.SOFTWARE: "5.2.0"}
         module = 99 if "wrong_device" in self.faults else made.module
         # The word of an enumeration has its low byte first, like every number.
-        found: dict[Parameter, Sequence[int]] = {
-            Parameter.INPUT: self.image().to_registers(),
-            Parameter.OUTPUT: self._output.to_registers(),
-            Parameter.ERROR: (self._error << 8,),
-            Parameter.POSITION: float_registers(self.axis.measured),
-            Parameter.SPEED: float_registers(self.axis.velocity),
-            Parameter.MODULE: (module << 8,),
-            Parameter.STROKE: float_registers(made.stroke),
-            Parameter.LEAST_POSITION: float_registers(0.0),
-            Parameter.MOST_POSITION: float_registers(made.stroke),
-            Parameter.MOST_SPEED: float_registers(made.speed),
-            Parameter.MOST_GRIP_SPEED: float_registers(made.grip_speed),
-            Parameter.MOST_FORCE: float_registers(made.force),
-            Parameter.FIELDBUS: (7 << 8,),
+        found: dict[codec.Parameter, Sequence[int]] = {
+            codec.Parameter.INPUT: self.image().to_registers(),
+            codec.Parameter.OUTPUT: self._output.to_registers(),
+            codec.Parameter.ERROR: (self._error << 8,),
+            codec.Parameter.POSITION: codec.float_registers(self.axis.measured),
+            codec.Parameter.SPEED: codec.float_registers(self.axis.velocity),
+            codec.Parameter.MODULE: (module << 8,),
+            codec.Parameter.STROKE: codec.float_registers(made.stroke),
+            codec.Parameter.LEAST_POSITION: codec.float_registers(0.0),
+            codec.Parameter.MOST_POSITION: codec.float_registers(made.stroke),
+            codec.Parameter.MOST_SPEED: codec.float_registers(made.speed),
+            codec.Parameter.MOST_GRIP_SPEED: codec.float_registers(made.grip_speed),
+            codec.Parameter.MOST_FORCE: codec.float_registers(made.force),
+            codec.Parameter.FIELDBUS: (7 << 8,),
         }
         for parameter, data in self._kept.items():
-            found[parameter] = registers(data)
+            found[parameter] = codec.registers(data)
         for parameter, text in texts.items():
-            found[parameter] = registers(text.encode("ascii").ljust(2 * TEXTS[parameter], b"\0"))
+            found[parameter] = codec.registers(
+                text.encode("ascii").ljust(2 * codec.TEXTS[parameter], b"\0")
+            )
         return found
 
-    def image(self) -> Input:
+    def image(self) -> codec.Input:
         """Return the input image."""
         ready = self._error == 0
         status = self._results
         # As captured from a real gripper, which after power-up reports error and brake.
-        status |= Status.READY if ready else Status.ERROR | Status.BRAKE
-        status |= Status.RECEIVED if self._toggle else Status(0)
-        return Input(status, round(1e3 * self.axis.measured), self._error)
+        status |= codec.Status.READY if ready else codec.Status.ERROR | codec.Status.BRAKE
+        status |= codec.Status.RECEIVED if self._toggle else codec.Status(0)
+        return codec.Input(status, round(1e3 * self.axis.measured), self._error)
 
     # --- behaviour ---------------------------------------------------------------------------
 
-    def _obey(self, output: Output) -> None:
+    def _obey(self, output: codec.Output) -> None:
         before, self._output = self._output, output
-        if not output.control & Control.RUN:
-            if before.control & Control.RUN:
+        if not output.control & codec.Control.RUN:
+            if before.control & codec.Control.RUN:
                 # A fast stop is a command: it is acknowledged by the toggle, too.
                 self._toggle = not self._toggle
-            self._fail(FAST_STOP)
+            self._fail(codec.FAST_STOP)
             return
         # A command is given by the rising edge of its bit, or by a change of the repeat bit.
-        risen = output.control & ~before.control & _COMMANDS & ~Control.REPEAT
-        if (output.control ^ before.control) & Control.REPEAT:
-            risen = output.control & _COMMANDS & ~Control.REPEAT
+        risen = output.control & ~before.control & _COMMANDS & ~codec.Control.REPEAT
+        if (output.control ^ before.control) & codec.Control.REPEAT:
+            risen = output.control & _COMMANDS & ~codec.Control.REPEAT
         if risen:
             self._take(risen, output)
 
-    def _take(self, risen: Control, output: Output) -> None:
+    def _take(self, risen: codec.Control, output: codec.Output) -> None:
         """Accept a command; ``risen`` may hold several, which is not feasible."""
         self._toggle = not self._toggle
         self.taken = [*self.taken[-63:], risen]
-        if risen is Control.ACKNOWLEDGE:
+        if risen is codec.Control.ACKNOWLEDGE:
             self._acknowledge()
         elif self._error or (risen.bit_count() != 1):
-            self._results = Status.NOT_FEASIBLE
+            self._results = codec.Status.NOT_FEASIBLE
         else:
             self._command(risen, output)
 
     def _obey_code(self, code: int) -> None:
         """Act on a command code, with the set-points that were written as parameters."""
-        if code == FAST_STOP_CODE:
+        if code == codec.FAST_STOP_CODE:
             self._toggle = not self._toggle
-            self._fail(FAST_STOP)
+            self._fail(codec.FAST_STOP)
             return
-        command = COMMANDS.get(code)
+        command = codec.COMMANDS.get(code)
         if command is None:
             raise Refused(ILLEGAL_VALUE)
         position, speed, force = (
-            float_of(registers(self._kept[parameter]))
-            for parameter in (Parameter.SET_POSITION, Parameter.SET_SPEED, Parameter.SET_FORCE)
+            codec.float_of(codec.registers(self._kept[parameter]))
+            for parameter in (
+                codec.Parameter.SET_POSITION,
+                codec.Parameter.SET_SPEED,
+                codec.Parameter.SET_FORCE,
+            )
         )
-        outward = Control.OUTWARD if any(self._kept[Parameter.DIRECTION]) else Control(0)
+        outward = (
+            codec.Control.OUTWARD
+            if any(self._kept[codec.Parameter.DIRECTION])
+            else codec.Control(0)
+        )
         values = round(1e3 * position), round(1e3 * speed), round(force)
-        self._take(command, Output(Control.RUN | command | outward, *values))
+        self._take(command, codec.Output(codec.Control.RUN | command | outward, *values))
 
     def _acknowledge(self) -> None:
         left = [_ERRORS[f] for f in self.faults if f in _ERRORS and f != "brake_test"]
         self._error = left[0] if left else 0
 
-    def _command(self, command: Control, output: Output) -> None:
+    def _command(self, command: codec.Control, output: codec.Output) -> None:
         made = self.properties
         target, speed, force = self._motion(command, output)
         if target is None or not 0.0 <= target <= made.stroke or not 0.0 < speed <= made.speed:
-            feasible = command in (Control.STOP, Control.BRAKE_TEST)
+            feasible = command in (codec.Control.STOP, codec.Control.BRAKE_TEST)
             if not feasible:
-                self._results = Status.NOT_FEASIBLE
+                self._results = codec.Status.NOT_FEASIBLE
                 return
-        self._results, self._building = Status(0), 0.0
-        if command is Control.STOP:
+        self._results, self._building = codec.Status(0), 0.0
+        if command is codec.Control.STOP:
             self._halt()
-            self._results = Status.SUCCESS | Status.REACHED
-        elif command is Control.BRAKE_TEST:
+            self._results = codec.Status.SUCCESS | codec.Status.REACHED
+        elif command is codec.Control.BRAKE_TEST:
             self.tests += 1
             if "brake_test" in self.faults:
                 self._fail(_ERRORS["brake_test"])
             else:
-                self._results = Status.SUCCESS
+                self._results = codec.Status.SUCCESS
         elif target is not None:
             self._running = command
             self.axis.target, self.axis.max_velocity, self.axis.max_effort = target, speed, force
             self.moves += 1
-            if command in (Control.GRIP, Control.GRIP_AT):
+            if command in (codec.Control.GRIP, codec.Control.GRIP_AT):
                 self.begun = output.force
 
-    def _motion(self, command: Control, output: Output) -> tuple[float | None, float, float]:
+    def _motion(
+        self, command: codec.Control, output: codec.Output
+    ) -> tuple[float | None, float, float]:
         """Return the target [mm], the speed [mm/s] and the force [N] of a command."""
         made = self.properties
         position, speed = output.position / 1e3, output.speed / 1e3
-        outward = bool(output.control & Control.OUTWARD)
-        if command in (Control.GRIP, Control.GRIP_AT):
+        outward = bool(output.control & codec.Control.OUTWARD)
+        if command in (codec.Control.GRIP, codec.Control.GRIP_AT):
             # In percent, as the driver's scale of efforts has it.
             if not 1 <= output.force <= 100:
                 return None, 0.0, 0.0
             end = made.stroke if outward else 0.0
             return end, speed or made.grip_speed, output.force / 100.0 * made.force
         free = _MOVE_FORCE * made.force
-        if command is Control.MOVE:
+        if command is codec.Control.MOVE:
             return position, speed, free
-        if command is Control.MOVE_BY:
+        if command is codec.Control.MOVE_BY:
             return self.axis.position + position, speed, free
-        if command is Control.RELEASE:
-            release = float_of(registers(self._kept[Parameter.RELEASE_DELTA]))
+        if command is codec.Control.RELEASE:
+            release = codec.float_of(codec.registers(self._kept[codec.Parameter.RELEASE_DELTA]))
             way = -release if outward else release
             wanted = min(max(self.axis.position + way, 0.0), made.stroke)
             return wanted, made.grip_speed, free
@@ -354,7 +350,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         silent = self._heard is not None and now - self._heard > self.properties.watch
         if silent and not self._error:
             # A break in the communication stops it; the brake holds what is gripped.
-            self._fail(SILENT)
+            self._fail(codec.SILENT)
         if dt > 0.0:
             self._advance_by(dt * self.properties.haste)
 
@@ -363,23 +359,23 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         if not self._running or self.axis.moving:
             return
         there = abs(self.axis.position - self.axis.target) < _NEAR
-        if self._running in (Control.GRIP, Control.GRIP_AT):
+        if self._running in (codec.Control.GRIP, codec.Control.GRIP_AT):
             self._grip(there, dt)
         elif there:
-            self._running = Control(0)
-            self._results = Status.SUCCESS | Status.REACHED
+            self._running = codec.Control(0)
+            self._results = codec.Status.SUCCESS | codec.Status.REACHED
         elif not self.axis.stuck:
             self._fail(_BLOCKED)
 
     def _grip(self, there: bool, dt: float) -> None:
         if there:
-            self._running = Control(0)
-            self._results = Status.SUCCESS | Status.NO_WORKPIECE
+            self._running = codec.Control(0)
+            self._results = codec.Status.SUCCESS | codec.Status.NO_WORKPIECE
             return
         if self.axis.stuck:
             return
         self._building += dt
-        self._results = Status.PRE_HOLDING
+        self._results = codec.Status.PRE_HOLDING
         if self._building >= self.properties.force_time:
-            self._running = Control(0)
-            self._results = Status.SUCCESS | Status.GRIPPED
+            self._running = codec.Control(0)
+            self._results = codec.Status.SUCCESS | codec.Status.GRIPPED

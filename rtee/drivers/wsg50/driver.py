@@ -35,12 +35,7 @@ from rtee.drivers.wsg50.codec import (
     setting,
 )
 from rtee.drivers.wsg50.link import WsgLink, WsgRefusal, WsgReport
-from rtee.errors import (
-    BusError,
-    CommandRejected,
-    DeviceFault,
-    FrameError,
-)
+from rtee.errors import BusError, CommandRejected, DeviceFault, FrameError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 

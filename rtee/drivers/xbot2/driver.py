@@ -24,15 +24,6 @@ from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import (
-    COMMAND_PORT,
-    SERVICE_PORT,
-    STATE_PORT,
-    Command,
-    Control,
-    State,
-    XBot2FrameError,
-)
 from rtee.errors import BusTimeout, ConfigError, RteeError, suggestion
 from rtee.hand.validation import Misfit, Section
 from rtee.sample import ActuatorState, FloatArray
@@ -84,9 +75,9 @@ class XBot2Options(DeviceOptions, frozen=True):
     """
 
     address: str = "tcp://127.0.0.1"
-    state_port: Port = STATE_PORT
-    service_port: Port = SERVICE_PORT
-    command_port: Port = COMMAND_PORT
+    state_port: Port = codec.STATE_PORT
+    service_port: Port = codec.SERVICE_PORT
+    command_port: Port = codec.COMMAND_PORT
     joints: dict[str, JointOptions] = field(default_factory=dict)
     control: Literal["position", "limited", "effort"] = "position"
     rate: Positive = 100.0
@@ -141,7 +132,7 @@ class XBot2Driver(Driver):
         self._reported = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
         self.connection: Connection[ZmqBus] = Connection(spec)
         self._undo: Callable[[], None] | None = None
-        self._state: State | None = None
+        self._state: codec.State | None = None
         self._index: list[int] = []
         self._stamp = -math.inf
         self._seen = -math.inf
@@ -214,18 +205,18 @@ class XBot2Driver(Driver):
             "xbot2_zmq",
             f"xbot2_zmq does not answer at {self.options.address}",
             "does XBot2 run there with its plugin zmq, and are the ports open?",
-            XBot2FrameError,
+            codec.XBot2FrameError,
             check="check the ports",
         )
 
     def _take(self, message: bytes, stamp: float) -> None:
         try:
-            state = State.from_bytes(message)
+            state = codec.State.from_bytes(message)
             if state is None:
                 return
             # Each message names its joints, so their order may change.
             self._index = [state.names.index(name) for name in self._names]
-        except (XBot2FrameError, ValueError):
+        except (codec.XBot2FrameError, ValueError):
             self.connection.link.counters.checksum_errors += 1
             return
         self._state, self._stamp = state, stamp
@@ -291,10 +282,12 @@ class XBot2Driver(Driver):
             positions = tuple(
                 self._commanded[i].to_raw(float(reference.position[i])) for i in chosen
             )
-        control = tuple(Control.POSITION if e is None else Control.EFFORT for e in pushed)
+        control = tuple(
+            codec.Control.POSITION if e is None else codec.Control.EFFORT for e in pushed
+        )
         efforts = tuple(0.0 if effort is None else effort for effort in pushed)
         names = tuple(self._names[i] for i in chosen)
-        self.connection.link.send_now(Command(names, positions, efforts, control).to_bytes())
+        self.connection.link.send_now(codec.Command(names, positions, efforts, control).to_bytes())
 
     def _here(self) -> FloatArray:
         """Return the newest positions of the joints ``(n,)`` [rad | m]; ``NaN``: not known."""
@@ -328,11 +321,12 @@ class XBot2Driver(Driver):
         limits = [self._limits[i] for i in chosen]
         efforts = tuple(limit if math.isfinite(limit) else 0.0 for limit in limits)
         control = tuple(
-            Control.POSITION | (Control.EFFORT if math.isfinite(limit) else Control(0))
+            codec.Control.POSITION
+            | (codec.Control.EFFORT if math.isfinite(limit) else codec.Control(0))
             for limit in limits
         )
         limited = any(math.isfinite(limit) for limit in limits)
-        command = Command(names, raw, efforts if limited else (), control)
+        command = codec.Command(names, raw, efforts if limited else (), control)
         self.connection.link.send_now(command.to_bytes())
 
     async def stop(self) -> None:
