@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -51,10 +51,10 @@ POWERED = 1
 """Value of the torque register that lets a servo drive."""
 
 _ATTEMPTS = 4
-"""Attempts to write goals that servos do not have afterwards."""
+"""Attempts to write values that servos do not have afterwards."""
 
 
-class ServoLink(Protocol):
+class ServoLink(ABC):
     """The line of a device's servos. All methods raise `BusError`.
 
     Attributes:
@@ -63,21 +63,25 @@ class ServoLink(Protocol):
 
     delay: float
 
+    @abstractmethod
     def relaxed_deadline(self) -> AbstractContextManager[None]:
         """Let exchanges take longer, outside the cycle."""
-        ...
 
+    @abstractmethod
     async def model(self, number: int) -> int | None:
         """Return a servo's model number, ``None`` if it does not answer."""
-        ...
 
+    @abstractmethod
     async def data(self, number: int, address: int, size: int) -> bytes:
         """Return bytes of a servo's registers."""
-        ...
 
+    @abstractmethod
     async def values(self, register: Any, numbers: Sequence[int]) -> dict[int, int]:
         """Return a register of several servos, by id."""
-        ...
+
+    @abstractmethod
+    async def set_values(self, register: Any, values: Mapping[int, int]) -> None:
+        """Set a register of several servos, which do not answer."""
 
     async def set_all(
         self, register: Any, values: Mapping[int, int], within: int = 0
@@ -87,7 +91,15 @@ class ServoLink(Protocol):
         Servos do not answer a write to several of them, so the value read back decides; it may
         differ by ``within``. Returns the other values that servos have kept, by id.
         """
-        ...
+        left, kept = dict(values), dict[int, int]()
+        for _ in range(_ATTEMPTS if left else 0):
+            await self.set_values(register, left)
+            there = await self.values(register, list(left))
+            kept = {n: has for n, has in there.items() if abs(has - left[n]) > within}
+            left = {number: left[number] for number in kept}
+            if not left:
+                break
+        return kept
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,6 +130,9 @@ class FirstContact:
             raise _Ended
         return answer
 
+    async def _enter(self, topic: Topic, text: str, actuator: str = "") -> str:
+        return await self._put(Question(topic, text, "enter", actuator))
+
     async def _yes(self, topic: Topic, text: str, actuator: str = "") -> bool | None:
         """Return whether a person says yes; ``None``: no answer."""
         answer = await self._put(Question(topic, text, "yes", actuator))
@@ -209,13 +212,10 @@ class FirstContact:
         self._find(Topic.IDENTITY, said, f"it says: {reported}")
 
     async def _rest(self) -> None:
-        await self._put(
-            Question(
-                Topic.REST,
-                "Nothing may touch it now, and it must stand still. Press Enter; it is read for "
-                f"{_REST:g} s and does not move.",
-                "enter",
-            )
+        await self._enter(
+            Topic.REST,
+            "Nothing may touch it now, and it must stand still. Press Enter; it is read for "
+            f"{_REST:g} s and does not move.",
         )
         end, states = monotonic.now() + _REST, []
         while monotonic.now() < end:
@@ -261,22 +261,16 @@ class FirstContact:
         needs = await patiently(self._driver.examine)
         self._find(Topic.POWER_UP, True, f"it is {needs or 'ready'} when it is connected")
         if needs:
-            await self._put(
-                Question(
-                    Topic.POWER_UP,
-                    f"It is {needs}: press Enter, and it moves over its full travel. Keep clear.",
-                    "enter",
-                )
+            await self._enter(
+                Topic.POWER_UP,
+                f"It is {needs}: press Enter, and it moves over its full travel. Keep clear.",
             )
             await patiently(self._driver.recover)
         else:
-            await self._put(
-                Question(
-                    Topic.POWER_UP,
-                    "It is powered next and moved slowly, one actuator after the other. Keep "
-                    "clear and press Enter; q ends it.",
-                    "enter",
-                )
+            await self._enter(
+                Topic.POWER_UP,
+                "It is powered next and moved slowly, one actuator after the other. Keep "
+                "clear and press Enter; q ends it.",
             )
         await patiently(self._driver.activate)
 
@@ -369,15 +363,12 @@ class FirstContact:
             if grip is None or "max_effort" not in can.accepts:
                 continue
             weakest = grip.weakest[0]
-            answer = await self._put(
-                Question(
-                    Topic.FORCE,
-                    "Hold a force gauge (a kitchen scale, a spring) between the fingertips. "
-                    f"{one.name} closes with its least force, {weakest:.1f} N. Press Enter when it "
-                    "is there, n to leave it out.",
-                    "enter",
-                    one.name,
-                )
+            answer = await self._enter(
+                Topic.FORCE,
+                "Hold a force gauge (a kitchen scale, a spring) between the fingertips. "
+                f"{one.name} closes with its least force, {weakest:.1f} N. Press Enter when it "
+                "is there, n to leave it out.",
+                one.name,
             )
             if answer.startswith("n"):
                 self._find(Topic.FORCE, None, "nobody measured", one.name)
@@ -412,13 +403,10 @@ class FirstContact:
         state = await self._sense()
         start = float(state.position[index])
         far = one.upper if start < 0.5 * (one.lower + one.upper) else one.lower
-        await self._put(
-            Question(
-                Topic.STOP,
-                f"{one.name} moves slowly, and is stopped on its way. Press Enter and watch.",
-                "enter",
-                one.name,
-            )
+        await self._enter(
+            Topic.STOP,
+            f"{one.name} moves slowly, and is stopped on its way. Press Enter and watch.",
+            one.name,
         )
         begun = monotonic.now()
         await self._glide(index, far, until=lambda: monotonic.now() > begun + 2.0)
@@ -435,9 +423,7 @@ class FirstContact:
 
     async def _cut(self) -> None:
         if self._unplug is None:
-            await self._put(
-                Question(Topic.LINK, "Pull its data cable now, then press Enter.", "enter")
-            )
+            await self._enter(Topic.LINK, "Pull its data cable now, then press Enter.")
         before = self.report.samples[-1].state.position
         if self._unplug is not None:
             self._unplug(True)
@@ -454,7 +440,7 @@ class FirstContact:
         if self._unplug is not None:
             self._unplug(False)
         else:
-            await self._put(Question(Topic.LINK, "Plug it in again, then press Enter.", "enter"))
+            await self._enter(Topic.LINK, "Plug it in again, then press Enter.")
         await asyncio.sleep(1.0)
         await patiently(self._driver.configure)
         state = await self._sense()

@@ -13,6 +13,7 @@ from rtee import monotonic
 from rtee.buses.dynamixel import DynamixelBus
 from rtee.drivers.dynamixel.codec import Error
 from rtee.drivers.dynamixel.table import Register
+from rtee.drivers.servos import ServoLink
 from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
 
 T = TypeVar("T")
@@ -27,8 +28,6 @@ with a latency timer of 1 ms."""
 _PATIENT_LATENCY = 0.03
 """The same during set-up [s]; the SDK allows 34 ms."""
 
-_ATTEMPTS = 4
-"""Attempts to write a group of servos that do not have the value afterwards."""
 
 _UNHURRIED = 5.0
 """Longest time for an exchange outside the cycle, with all its repetitions [s]."""
@@ -94,7 +93,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         return int(sdk.COMM_SUCCESS)
 
 
-class DynamixelLink:
+class DynamixelLink(ServoLink):
     """Reads and writes servos on one line.
 
     Attributes:
@@ -151,15 +150,9 @@ class DynamixelLink:
         """Return a register of several servos, by id; raises `BusError`."""
         return await self.run(partial(self._values, register, list(numbers))) if numbers else {}
 
-    async def set_all(
-        self, register: Register, values: Mapping[int, int], within: int = 0
-    ) -> dict[int, int]:
-        """Write a register of several servos, and again to those that have not received it.
-
-        Servos do not answer a group write, so the register is read back, and may differ by
-        ``within``. Returns the other values that servos have kept, by id; raises `BusError`.
-        """
-        return await self.run(partial(self._confirmed, register, values, within)) if values else {}
+    async def set_values(self, register: Register, values: Mapping[int, int]) -> None:
+        """Set a register of several servos, which do not answer; raises `BusError`."""
+        await self.run(partial(self.write_group, register, values))
 
     def repeated(self, attempt: Callable[[], int]) -> None:
         """Repeat an attempt until it succeeds, within deadline and retries; in the worker thread.
@@ -248,19 +241,6 @@ class DynamixelLink:
         ids = None if set(numbers) == set(self.ids) else numbers
         there, _ = self.read_group(register.address, register.size, ids)
         return {number: register.unpack(there[number]) for number in numbers}
-
-    def _confirmed(
-        self, register: Register, values: Mapping[int, int], within: int
-    ) -> dict[int, int]:
-        left, kept = dict(values), dict[int, int]()
-        for _ in range(_ATTEMPTS):
-            self.write_group(register, left)
-            there = self._values(register, list(left))
-            kept = {n: has for n, has in there.items() if abs(has - left[n]) > within}
-            left = {number: left[number] for number in kept}
-            if not left:
-                break
-        return kept
 
     def write(self, number: int, register: Register, value: int) -> None:
         """Write a register of one servo and check the answer.

@@ -9,13 +9,11 @@ from rtee.buses.timing import wire_time
 from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.feetech import codec
 from rtee.drivers.feetech.table import MODEL, Family, Register
+from rtee.drivers.servos import ServoLink
 from rtee.errors import BusTimeout, FrameError
 
-_ATTEMPTS = 4
-"""Attempts to write a register that has another value afterwards."""
 
-
-class FeetechLink(RelaxedDeadline):
+class FeetechLink(RelaxedDeadline, ServoLink):
     """Talks to servos on one line; several devices may share it.
 
     A frame counts as the answer if it has the servo's id and the right length. Adapters with an
@@ -134,23 +132,7 @@ class FeetechLink(RelaxedDeadline):
         for request in codec.sync_write(address, data):
             await self._bus.send(request)
 
-    async def set_all(
-        self, register: Register, values: Mapping[int, int], within: int = 0
-    ) -> dict[int, int]:
-        """Set a register of several servos and read it back; repeat for those without the value.
-
-        Servos may be configured to answer only reads, and the answer to a write only confirms that
-        it was received; so the value read back decides, which may differ by ``within``. Returns the
-        other values that servos have kept, by id; raises `BusError`.
-        """
-        kept = dict[int, int]()
-        left = dict(values)
-        for _ in range(_ATTEMPTS if left else 0):
-            data = {number: self._family.pack(register, value) for number, value in left.items()}
-            await self.write_all(register.address, data)
-            there = await self.values(register, left)
-            kept = {n: has for n, has in there.items() if abs(has - left[n]) > within}
-            left = {number: left[number] for number in kept}
-            if not left:
-                break
-        return kept
+    async def set_values(self, register: Register, values: Mapping[int, int]) -> None:
+        """Set a register of several servos, which do not answer; raises `BusError`."""
+        data = {number: self._family.pack(register, value) for number, value in values.items()}
+        await self.write_all(register.address, data)
