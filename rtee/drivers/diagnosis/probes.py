@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.buses.dynamixel import DynamixelBus
-from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
 from rtee.buses.serial import SerialBus
 from rtee.drivers.diagnosis.slaves import ANSWER, Found, slave
-from rtee.errors import BusError, BusTimeout, FrameError
+from rtee.errors import BusBroken, BusClosed, BusError, BusTimeout, FrameError
 
 _NOBODYS_UNIT = 213
 """A Modbus number that no known device has: a device that answers to it answers to all."""
+T = TypeVar("T")
 OWNER = "scan"
 """The owner of the buses during a scan."""
 _SERVO = 0.02
@@ -33,6 +35,16 @@ class Probe:
 
     name: str
     ask: Callable[[BusPool, str], Awaitable[list[Found]]]
+
+
+async def heard(answer: Awaitable[T]) -> T | None:
+    """Return an answer; ``None`` without one that can be understood."""
+    try:
+        return await answer
+    except (BusBroken, BusClosed):
+        raise
+    except BusError:
+        return None
 
 
 async def ended(bus: Bus, answers: Awaitable[list[Found]]) -> list[Found]:
@@ -113,10 +125,7 @@ def linkerhand() -> Probe:
         for unit in (RIGHT, LEFT):
             for name, model in MODELS.items():
                 link = ModbusLink(bus, model, unit, _LINKER_ANSWER, 0, model.spacing)
-                try:
-                    version = await link.version()
-                except (BusTimeout, FrameError, ModbusRefusal):
-                    continue
+                version = await heard(link.version())
                 if version is not None and version.motors == model.count:
                     options = {"port": address, "model": name, "unit": unit}
                     what = f"LinkerHand {model.name}, unit {unit}"
@@ -139,9 +148,8 @@ def svh() -> Probe:
     from rtee.drivers.schunk_svh.link import SvhLink
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
-        try:
-            info = await SvhLink(bus, 0.15, 1).firmware()
-        except BusError:
+        info = await heard(SvhLink(bus, 0.15, 1).firmware())
+        if info is None:
             return []
         what = f"SCHUNK SVH, firmware {info.major}.{info.minor}"
         return [Found("schunk_svh", what, {"port": address})]
@@ -172,13 +180,10 @@ def ability_hand() -> Probe:
     from rtee.drivers.ability_hand.codec import ADDRESS, BAUDRATES, Command, Header, ReplyParser
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
-        try:
-            await bus.transact(Command(ADDRESS, Header.READ).to_bytes(), ReplyParser(), 0.1, 1)
-        except (BusTimeout, FrameError):
-            return []
-        return [
-            Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})
-        ]
+        asked = Command(ADDRESS, Header.READ).to_bytes()
+        reply = await heard(bus.transact(asked, ReplyParser(), 0.1, 1))
+        what = f"PSYONIC Ability Hand, address {ADDRESS}"
+        return [] if reply is None else [Found("ability_hand", what, {"port": address})]
 
     return _on_line("PSYONIC Ability Hand", BAUDRATES[0], listen)
 
@@ -191,11 +196,8 @@ def rh56(units: Sequence[int]) -> Probe:
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         found = []
         for unit in units:
-            try:
-                number = await FrameLink(bus, unit, ANSWER, 0).read(Register.HAND_ID, 1)
-            except (BusTimeout, FrameError):
-                continue
-            if number[0] == unit:
+            number = await heard(FrameLink(bus, unit, ANSWER, 0).read(Register.HAND_ID, 1))
+            if number == bytes([unit]):
                 options = {"port": address, "unit": unit, "protocol": "frames"}
                 found.append(Found("inspire_rh56", f"Inspire RH56, unit {unit}", options))
         return found
@@ -327,9 +329,8 @@ def feetech(baudrate: int) -> Probe:
         # Any family will do: only the model's raw bytes are used, whose order tells the family.
         link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO, 0), []
         for number in range(LARGEST_ID + 1):
-            try:
-                about = (await link.read(number, 0, 7)).params
-            except (BusTimeout, FrameError):
+            about = await heard(link.data(number, 0, 7))
+            if about is None:
                 continue
             model = recognise(about[3:5])
             family = "" if model is None else model.family
