@@ -105,12 +105,8 @@ def _check_group(srdf: Srdf, group: SrdfGroup, urdf: Urdf) -> None:
             if link not in urdf.links:
                 raise UnknownLink(link, tuple(urdf.links), path=srdf.path, line=chain.line)
         if chain.base == chain.tip or urdf.chain(chain.base, chain.tip) is None:
-            raise ModelError(
-                f"tip '{chain.tip}' of the chain of group '{group.name}' is not below its base "
-                f"'{chain.base}'",
-                path=srdf.path,
-                line=chain.line,
-            )
+            what = f"tip '{chain.tip}' of the chain of group '{group.name}' is not below its base"
+            raise ModelError(f"{what} '{chain.base}'", path=srdf.path, line=chain.line)
     for link, line in group.links.items():
         if link not in urdf.links:
             raise UnknownLink(link, tuple(urdf.links), path=srdf.path, line=line)

@@ -390,9 +390,7 @@ class _Meshes:
             raise self._refusal(source, "is larger than 1 km; its scale should bring it to metres")
 
     def _refusal(self, source: UrdfGeometry, why: str) -> ModelError:
-        return ModelError(
-            f"mesh '{source.mesh}' {why}", path=self._hand.urdf.path, line=source.line
-        )
+        return self._hand.urdf.error(f"mesh '{source.mesh}' {why}", source.line)
 
 
 _COAL_PREFIXES: Final = ("From file", "in function", "at line", "message", "Hint")

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 import pinocchio as pin
 
-from rtee.errors import ModelError, UnknownLink
+from rtee.errors import UnknownLink
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple, UrdfJoint
 from rtee.sample import FloatArray
@@ -47,11 +47,8 @@ class Kinematics:
                 # Pinocchio numbers joints in the order in which they are added, which must be that
                 # of arrays of joints.
                 if added != index[joint.name] + 1:
-                    raise ModelError(
-                        f"joint '{joint.name}' is not in the order of the tree",
-                        path=hand.urdf.path,
-                        line=joint.line,
-                    )
+                    what = f"joint '{joint.name}' is not in the order of the tree"
+                    raise hand.urdf.error(what, joint.line)
                 self.bodies[joint.child] = (added, pin.SE3.Identity())
             else:
                 self.bodies[joint.child] = (parent, placement)

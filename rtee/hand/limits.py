@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rtee.errors import ModelError, UserError
+from rtee.errors import UserError
 from rtee.hand.config import DEFAULTS, HandConfig
 from rtee.hand.config_schema import (
     ActuatorLimits,
@@ -65,7 +65,7 @@ class Overrides:
         """Return the error for a configured value, with its line if it is in a file."""
         if self.error is not None:
             return self.error(place, what)
-        return ModelError(f"{'.'.join(map(str, place))}: {what}", path=urdf.path)
+        return urdf.error(f"{'.'.join(map(str, place))}: {what}")
 
 
 def rest_state(srdf: Srdf | None) -> tuple[str, dict[str, float]]:
@@ -160,12 +160,8 @@ class _LimitReader:
         """Return the position limits [rad | m]."""
         joint = self.joint
         if joint.lower == joint.upper:
-            raise ModelError(
-                f"actuator '{joint.name}' has empty limits: lower and upper are both "
-                f"{joint.lower:g}",
-                path=self.urdf.path,
-                line=joint.line,
-            )
+            what = f"empty limits: lower and upper are both {joint.lower:g}"
+            raise self.urdf.error(f"actuator '{joint.name}' has {what}", joint.line)
         lower, upper = least, most = self.soft() or (joint.lower, joint.upper)
         for key in ("lower", "upper"):
             value: float | None = getattr(self.own, key)
@@ -213,17 +209,14 @@ class _LimitReader:
         message = f"rest position {value:g} lies outside the limits {lower:g} … {upper:g}"
         # The SRDF is wrong, not hand.yaml, so the error names the model's file.
         if configured is None:
-            message = f"actuator '{name}': the SRDF's {message}"
-            raise ModelError(message, path=self.urdf.path, line=self.joint.line)
+            raise self.urdf.error(f"actuator '{name}': the SRDF's {message}", self.joint.line)
         raise self.error(("rest", name), message)
 
     def error(self, location: tuple[str, ...], message: str) -> UserError:
         """Return an error with the place in the configuration, or else that of the joint."""
         if self.overrides.error is not None:
             return self.overrides.error(location, message)
-        return ModelError(
-            f"actuator '{self.joint.name}': {message}", path=self.urdf.path, line=self.joint.line
-        )
+        return self.urdf.error(f"actuator '{self.joint.name}': {message}", self.joint.line)
 
 
 def standing_position(

@@ -258,10 +258,9 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]
     if not driven:
         check_mimics(urdf)  # the likelier mistake
-        raise ModelError(
+        raise urdf.error(
             "no joint is an actuator: every moving joint is mimic, passive or ignored, or there is "
-            "none",
-            path=urdf.path,
+            "none"
         )
     _check_actuators(driven, apart, overrides, urdf)
     state_name, state = rest_state(srdf)

@@ -159,17 +159,12 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
     path = resolve_mesh(shape.mesh, urdf.path, package_dirs, line=shape.line)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise ModelError(
-            f"mesh '{shape.mesh}' has an unknown format '{suffix}'; there are {', '.join(FORMATS)}",
-            path=urdf.path,
-            line=shape.line,
-        )
+        what = f"has an unknown format '{suffix}'; there are {', '.join(FORMATS)}"
+        raise urdf.error(f"mesh '{shape.mesh}' {what}", shape.line)
     data = read_bytes(path, "mesh", ModelError)
     wrong = why_no_mesh(data, suffix)
     if wrong:
-        raise ModelError(
-            f"mesh '{shape.mesh}' cannot be read: {wrong}", path=urdf.path, line=shape.line
-        )
+        raise urdf.error(f"mesh '{shape.mesh}' cannot be read: {wrong}", shape.line)
     return path
 
 

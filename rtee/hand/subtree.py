@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rtee.errors import ModelError, UnknownLink
+from rtee.errors import UnknownLink
 from rtee.hand.config_schema import Outside
 from rtee.hand.frames import angles, origin
 from rtee.hand.srdf import Srdf
@@ -48,11 +48,10 @@ class Subtree:
         for name in moving:
             mimic = whole.joints[name].mimic
             if mimic is not None and mimic.of in whole.joints and mimic.of not in moving:
-                raise ModelError(
+                raise whole.error(
                     f"joint '{name}' follows '{mimic.of}', which is outside the hand below "
                     f"'{self.root}'; take a link above both as the root",
-                    path=whole.path,
-                    line=mimic.line,
+                    mimic.line,
                 )
         if self.outside is Outside.RIGID:
             children = self._with_rigid(robot, whole, moving)

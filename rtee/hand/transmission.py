@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rtee.errors import ExpressionError, ModelError, UnknownJoint
+from rtee.errors import ExpressionError, UnknownJoint
 from rtee.hand.urdf import Urdf, UrdfJoint, UrdfMimic
 from rtee.sample import FloatArray
 from rtee.types import readonly
@@ -247,16 +247,11 @@ def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     while joint.name not in known:
         mimic = joint.mimic
         if mimic is None:
-            raise ModelError(
-                f"joint '{joint.name}' is neither an actuator nor mimic nor passive",
-                path=urdf.path,
-                line=joint.line,
-            )
+            what = f"joint '{joint.name}' is neither an actuator nor mimic nor passive"
+            raise urdf.error(what, joint.line)
         if joint.name in on_chain:
             names = " -> ".join(f"'{j.name}'" for j, _ in chain)
-            raise ModelError(
-                f"mimic loop: {names} -> '{joint.name}'", path=urdf.path, line=mimic.line
-            )
+            raise urdf.error(f"mimic loop: {names} -> '{joint.name}'", mimic.line)
         on_chain.add(joint.name)
         chain.append((joint, mimic))
         joint = _master(urdf, joint, mimic)
@@ -275,11 +270,8 @@ def _master(urdf: Urdf, joint: UrdfJoint, mimic: UrdfMimic) -> UrdfJoint:
     if master is None:
         raise UnknownJoint(mimic.of, moving, path=urdf.path, line=mimic.line)
     if not master.moving:
-        raise ModelError(
-            f"joint '{joint.name}' mimics '{master.name}', which is fixed",
-            path=urdf.path,
-            line=mimic.line,
-        )
+        what = f"joint '{joint.name}' mimics '{master.name}', which is fixed"
+        raise urdf.error(what, mimic.line)
     return master
 
 
@@ -303,24 +295,18 @@ def _check_range(urdf: Urdf, actuators: Sequence[UrdfJoint], known: Mapping[str,
     """Refuse non-linear couplings without a finite value or slope within the limits."""
     for name, coupling in known.items():
         if coupling.actuator is None and not math.isfinite(coupling.value(0.0)):
-            mimic = urdf.joints[name].mimic
-            raise ExpressionError(
-                f"nlFunPos of joint '{name}' has no finite value where the joint it follows stands",
-                path=urdf.path,
-                line=mimic.line if mimic else None,
-            )
+            raise _undefined(urdf, name, "value where the joint it follows stands")
         if coupling.linear or coupling.actuator is None:
             continue
         actuator = actuators[coupling.actuator]
         for q in sample(actuator.lower, actuator.upper):
             if not all(math.isfinite(v) for v in coupling.dual(q)):
-                mimic = urdf.joints[name].mimic
-                raise ExpressionError(
-                    f"nlFunPos of joint '{name}' has no finite value and slope at "
-                    f"{actuator.name} = {q:g}",
-                    path=urdf.path,
-                    line=mimic.line if mimic else None,
-                )
+                raise _undefined(urdf, name, f"value and slope at {actuator.name} = {q:g}")
+
+
+def _undefined(urdf: Urdf, joint: str, what: str) -> ExpressionError:
+    mimic, text = urdf.joints[joint].mimic, f"nlFunPos of joint '{joint}' has no finite {what}"
+    return ExpressionError(text, path=urdf.path, line=mimic.line if mimic else None)
 
 
 def sample(lower: float, upper: float) -> list[float]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-from rtee.errors import UnknownLink
+from rtee.errors import ModelError, UnknownLink
 
 GeometryKind = Literal["mesh", "box", "sphere", "cylinder"]
 UrdfJointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
@@ -177,6 +177,10 @@ class Urdf:
     joint_to: Mapping[str, UrdfJoint]
     joints_below: Mapping[str, tuple[UrdfJoint, ...]]
     unread: tuple[str, ...] = ()
+
+    def error(self, message: str, line: int | None = None) -> ModelError:
+        """Return an error that points at a line of the file."""
+        return ModelError(message, path=self.path, line=line)
 
     def path_to(self, link: str) -> tuple[UrdfJoint, ...]:
         """Return the joints from the root to a link, nearest the root first.

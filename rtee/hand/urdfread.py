@@ -11,7 +11,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from rtee.errors import ModelError, UnknownLink
+from rtee.errors import UnknownLink
 from rtee.hand.frames import angles, origin, pose_matrix
 from rtee.hand.urdf import (
     Triple,
@@ -379,31 +379,19 @@ def _tree(
     for joint in joints.values():
         if joint.child in joint_to:
             other = joint_to[joint.child].name
-            raise ModelError(
-                f"link '{joint.child}' hangs on two joints, '{other}' and '{joint.name}'; "
-                "a URDF is a tree",
-                path=root.path,
-                line=joint.line,
-            )
+            what = f"hangs on two joints, '{other}' and '{joint.name}'; a URDF is a tree"
+            raise root.error(f"link '{joint.child}' {what}", joint.line)
         joint_to[joint.child] = joint
         below[joint.parent].append(joint)
     roots = [link for link in links if link not in joint_to]
     if len(roots) > 1:
-        line = links[roots[1]].line
-        raise ModelError(
-            f"links '{roots[0]}' and '{roots[1]}' both have no parent; a URDF has one root",
-            path=root.path,
-            line=line,
-        )
+        what = f"links '{roots[0]}' and '{roots[1]}' both have no parent; a URDF has one root"
+        raise root.error(what, links[roots[1]].line)
     # With one root, a joint that cannot be reached from it is part of a loop.
     reached = _in_tree_order(roots[0], below) if roots else {}
     loop = next((joint for name, joint in joints.items() if name not in reached), None)
     if loop is not None:
-        raise ModelError(
-            f"joint '{loop.name}' is part of a loop; a URDF is a tree",
-            path=root.path,
-            line=loop.line,
-        )
+        raise root.error(f"joint '{loop.name}' is part of a loop; a URDF is a tree", loop.line)
     return roots[0], joint_to, {link: tuple(found) for link, found in below.items()}
 
 

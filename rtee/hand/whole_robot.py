@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rtee.errors import ModelError
 from rtee.hand.chains import Chain
 from rtee.hand.linkages import Mover
 from rtee.hand.model import Hand, JointRole
@@ -129,14 +128,13 @@ def check_one_hand(hand: Hand) -> None:
     if whole or (not hands and len(branches) < 2):
         return
     if not hands:
-        raise ModelError(
+        raise hand.urdf.error(
             f"no hand is found: the {len(branches)} branches that move end in one link each, as "
-            "arms and legs do; --root LINK says where the hand is",
-            path=hand.urdf.path,
+            "arms and legs do; --root LINK says where the hand is"
         )
     named = " or ".join(f"--root {each.link} ({len(each.ends)} fingers)" for each in hands)
     what = "a hand and other parts" if len(hands) == 1 else f"{len(hands)} hands"
-    raise ModelError(f"is a robot with {what}; take a hand by {named}", path=hand.urdf.path)
+    raise hand.urdf.error(f"is a robot with {what}; take a hand by {named}")
 
 
 def _is_arm(joints: Sequence[str], urdf: Urdf) -> bool:

@@ -101,9 +101,9 @@ class Element:
             raise self.error(f'{attribute}="{text[:80]}" should be {count} numbers')
         return tuple(self._finite(attribute, part, most) for part in parts)
 
-    def error(self, message: str) -> ModelError:
-        """Return an error that points at this element."""
-        return ModelError(message, path=self.path, line=self.line)
+    def error(self, message: str, line: int | None = None) -> ModelError:
+        """Return an error that points at this element, or at another line of its file."""
+        return ModelError(message, path=self.path, line=self.line if line is None else line)
 
     def _finite(self, attribute: str, text: str, most: float) -> float:
         try:

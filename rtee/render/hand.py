@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from rtee.errors import ModelError
 from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
@@ -80,9 +79,8 @@ class HandRenderer:
         self._last: tuple[bytes, RayCaster] | None = None
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         if not self._mesh.links:
-            raise ModelError(
-                "no link has visual or collision geometry, so there is nothing to see in a picture",
-                path=hand.urdf.path,
+            raise hand.urdf.error(
+                "no link has visual or collision geometry, so there is nothing to see in a picture"
             )
         self._back, self._up = choose_view(self._mesh.geometry)
         rest = self._corners(hand.rest)
