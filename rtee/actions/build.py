@@ -153,12 +153,7 @@ def compose(
 
 
 def sequence(
-    hand: Hand,
-    find: Find,
-    name: str,
-    steps: Sequence[StepPlan],
-    *,
-    description: str = "",
+    hand: Hand, find: Find, name: str, steps: Sequence[StepPlan], *, description: str = ""
 ) -> Timed:
     """Put actions in sequence, with margins.
 

@@ -12,14 +12,7 @@ from typing import Annotated, Any, ClassVar, Final, TypeVar
 import numpy as np
 from msgspec import Meta, convert
 
-from rtee.actions.build import (
-    Find,
-    StepPlan,
-    check_custom_name,
-    compose,
-    full_posture,
-    sequence,
-)
+from rtee.actions.build import Find, StepPlan, check_custom_name, compose, full_posture, sequence
 from rtee.actions.naming import normalise
 from rtee.actions.types import (
     Action,

@@ -129,10 +129,7 @@ class ActionLibrary:
         return self._index.names
 
     def find(
-        self,
-        name: str,
-        elements: Sequence[str] = (),
-        kind: ActionKind | str | None = None,
+        self, name: str, elements: Sequence[str] = (), kind: ActionKind | str | None = None
     ) -> Action:
         """Return one action.
 

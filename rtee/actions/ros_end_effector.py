@@ -25,14 +25,7 @@ from rtee.actions.build import SLACK, StepPlan, full_posture, generic
 from rtee.actions.documents import located, read_document
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
-from rtee.actions.types import (
-    Action,
-    ActionReference,
-    Posture,
-    Primitive,
-    PrimitiveKind,
-    Timed,
-)
+from rtee.actions.types import Action, ActionReference, Posture, Primitive, PrimitiveKind, Timed
 from rtee.errors import ActionError, suggestion
 from rtee.hand.files import reason
 from rtee.hand.model import Hand

@@ -161,10 +161,7 @@ def new_tree(target: Path) -> Iterator[Path]:
 
 
 def write_all(
-    files: Mapping[Path, str | bytes],
-    *,
-    folders: Iterable[Path] = (),
-    gone: Iterable[Path] = (),
+    files: Mapping[Path, str | bytes], *, folders: Iterable[Path] = (), gone: Iterable[Path] = ()
 ) -> None:
     """Write several files as `write_together` does, make their folders, and delete others.
 

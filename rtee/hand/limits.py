@@ -10,10 +10,7 @@ from typing import Any, Final
 
 from rtee.errors import UserError
 from rtee.hand.config import DEFAULTS, HandConfig
-from rtee.hand.config_schema import (
-    ActuatorLimits,
-    PositionRange,
-)
+from rtee.hand.config_schema import ActuatorLimits, PositionRange
 from rtee.hand.model import Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample

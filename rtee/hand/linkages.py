@@ -107,11 +107,7 @@ class _Branch:
 
     @classmethod
     def of(
-        cls,
-        chain: Chain,
-        urdf: Urdf,
-        movers: Mapping[str, Mover],
-        poses: Mapping[str, FloatArray],
+        cls, chain: Chain, urdf: Urdf, movers: Mapping[str, Mover], poses: Mapping[str, FloatArray]
     ) -> _Branch:
         path = [joint for joint in urdf.path_to(chain.links[-1]) if joint.name in movers]
         own = [joint for joint in path if joint.child in chain.links[1:]]

@@ -17,12 +17,7 @@ from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, sug
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf, joints_of_hand
 from rtee.hand.config import DEFAULTS, HandConfig, read_document
-from rtee.hand.config_schema import (
-    ActuatorDynamics,
-    Following,
-    Outside,
-    TouchSection,
-)
+from rtee.hand.config_schema import ActuatorDynamics, Following, Outside, TouchSection
 from rtee.hand.discovery import find_branches, make_fingers
 from rtee.hand.limits import (
     Overrides,

@@ -294,9 +294,7 @@ def _composed(text: str, path: Path, what: str, raised: type[UserError], *, fore
         if problem.startswith("but "):
             problem = f"{error.context}, {problem}"
         raise raised(
-            f"{what} is not YAML: {problem}",
-            path=path,
-            line=mark.line + 1 if mark else None,
+            f"{what} is not YAML: {problem}", path=path, line=mark.line + 1 if mark else None
         ) from None
     except (YAMLError, RecursionError, ValueError) as error:
         deep = isinstance(error, RecursionError)

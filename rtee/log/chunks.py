@@ -249,9 +249,7 @@ class ChunkBuilder:
 
 
 def pack(
-    data: bytes | bytearray | memoryview,
-    entries: Entries,
-    compressor: zstandard.ZstdCompressor,
+    data: bytes | bytearray | memoryview, entries: Entries, compressor: zstandard.ZstdCompressor
 ) -> PackedChunk:
     """Return message records, one after the other, as a chunk.
 

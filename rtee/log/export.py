@@ -186,10 +186,7 @@ def read_for(paths: Sequence[Path], only: Sequence[str] = ()) -> Iterator[Record
 
 
 def export(
-    recording: Recording | Iterable[Recording],
-    output: Path,
-    kind: Format,
-    only: Sequence[str] = (),
+    recording: Recording | Iterable[Recording], output: Path, kind: Format, only: Sequence[str] = ()
 ) -> list[Path]:
     """Write the topics of a recording, or ``only`` some, as tables; return the files written.
 

@@ -420,11 +420,7 @@ class _Told:
 
     def spans(self, whole: Recording) -> list[Span]:
         return replace(
-            whole,
-            goals=self.goals,
-            plans=self.plans,
-            feedback=self.feedback,
-            results=self.results,
+            whole, goals=self.goals, plans=self.plans, feedback=self.feedback, results=self.results
         ).spans
 
 

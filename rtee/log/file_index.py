@@ -11,13 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Header,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rtee.errors import LogError
 from rtee.hand.files import reason

@@ -179,8 +179,5 @@ def _sheet(table: Sequence[float]) -> GripForce | None:
         return None
     (weak, strong, placed), rows = table[:3], table[3:]
     return GripForce(
-        (weak, strong),
-        tuple(rows[1::3]),
-        tuple(rows[2::3]),
-        tuple(rows[0::3]) if placed else (),
+        (weak, strong), tuple(rows[1::3]), tuple(rows[2::3]), tuple(rows[0::3]) if placed else ()
     )

@@ -14,14 +14,7 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    Header,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from rtee.log.brief import MAGIC
 from rtee.messages.mcap_chunk import LARGEST_CHUNK, DamagedChunkError, decompressed
@@ -233,15 +226,7 @@ class Finder:
         return (summary, position) if 0 < summary < position else (position,)
 
 
-R = TypeVar(
-    "R",
-    Header,
-    Metadata,
-    Attachment,
-    Schema,
-    Channel,
-    Chunk,
-)
+R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
 
 
 def scan(stream: BinaryIO) -> Iterator[Record]:

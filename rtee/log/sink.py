@@ -43,10 +43,7 @@ class DiskSink:
     """
 
     def __init__(
-        self,
-        contents: Contents,
-        settings: RecorderSettings,
-        monotonic: Callable[[], float] = asked,
+        self, contents: Contents, settings: RecorderSettings, monotonic: Callable[[], float] = asked
     ) -> None:
         self._contents = contents
         self._settings = settings

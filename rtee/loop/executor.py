@@ -151,11 +151,7 @@ class Executor:
             self._profile.go({}, brake=self._moving(except_for=()))
 
     def step(
-        self,
-        stamp: float,
-        measured: Measured,
-        reference: Sequence[float],
-        limits: Sequence[float],
+        self, stamp: float, measured: Measured, reference: Sequence[float], limits: Sequence[float]
     ) -> None:
         """Evaluate the state; proceed to the next leg, or end the goal, when it is time.
 

@@ -293,11 +293,7 @@ class HandLoop:
         if self._ended:
             raise GoalRejected("the loop has ended")
         plan = make_plan(
-            goal,
-            self.hand,
-            self.library,
-            self.settings,
-            devices=self._devices.forces(),
+            goal, self.hand, self.library, self.settings, devices=self._devices.forces()
         )
         movable = self._devices.movable()
         if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:

@@ -8,16 +8,7 @@ from dataclasses import dataclass, field, replace
 from rtee.actions.types import Posture
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip
-from rtee.types import (
-    Aim,
-    Around,
-    FirstContact,
-    Force,
-    Intensity,
-    OnContact,
-    Opening,
-    from_rest,
-)
+from rtee.types import Aim, Around, FirstContact, Force, Intensity, OnContact, Opening, from_rest
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,10 +86,7 @@ class TouchGatherer:
             return False
         if device.scale is not None:
             values = values * device.scale
-        self.states = {
-            **self.states,
-            name: TouchState(name, device.sensors, values, reading.stamp),
-        }
+        self.states = {**self.states, name: TouchState(name, device.sensors, values, reading.stamp)}
         if device.weights is not None and device.blank is not None:
             self.forces = {**self.forces, name: _felt(device.weights, values) + device.blank}
         self._next_stale = min(self._next_stale, reading.stamp + STALE_AFTER)

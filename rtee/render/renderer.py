@@ -103,11 +103,7 @@ class _GBuffer:
     """Normal, depth, link and light of each pixel of a picture."""
 
     def __init__(
-        self,
-        hits: Hits,
-        y: NDArray[np.int64],
-        x: NDArray[np.int64],
-        shape: tuple[int, int],
+        self, hits: Hits, y: NDArray[np.int64], x: NDArray[np.int64], shape: tuple[int, int]
     ) -> None:
         self.hits = hits
         self.y, self.x, self.shape = y, x, shape
