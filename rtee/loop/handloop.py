@@ -218,7 +218,8 @@ class HandLoop:
             window = self.settings.statistics_window
             if self._status_at > 0.0:
                 self._status_at = record.stamp + window
-                self._observers.status(self.statuses(), self.statistics())
+                statuses, statistics = self.statuses(), self.statistics()
+                self._observers.each(lambda each: each.on_status(statuses, statistics))
             else:  # spread out, so that hands on one clock do not all report at the same tick
                 self._status_at = record.stamp + crc32(self.name.encode()) / 2**32 * window
 
@@ -242,7 +243,7 @@ class HandLoop:
             if isinstance(item, tuple):
                 self._observers.goal(*item, stamp)
             else:
-                self._observers.command(item)
+                self._observers.each(lambda each, record=item: each.on_command(record))
 
     def _deliver(self) -> None:
         """Pass the controller's reports to the observers, and disable devices that are too hot."""
@@ -251,9 +252,9 @@ class HandLoop:
         for item in items:
             match item:
                 case Feedback():
-                    self._observers.feedback(item)
+                    self._observers.each(lambda each, item=item: each.on_feedback(item))
                 case Result():
-                    self._observers.result(item)
+                    self._observers.each(lambda each, item=item: each.on_result(item))
                     waiting = self._waiters.pop(item.goal_id, None)
                     if waiting is not None:
                         waiting[1].append(item)

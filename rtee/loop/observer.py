@@ -74,7 +74,8 @@ class Observers:
         """Records that observers had to drop."""
         return sum(int(getattr(observer, "dropped", 0)) for observer in self._all)
 
-    def _each(self, call: Callable[[Observer], None]) -> None:
+    def each(self, call: Callable[[Observer], None]) -> None:
+        """Call a method of every observer."""
         for observer in self._all:
             try:
                 call(observer)
@@ -99,31 +100,15 @@ class Observers:
 
     def goal(self, goal: Goal, plan: Plan, stamp: float) -> None:
         """Report a goal that begins, and its plan."""
-        self._each(lambda observer: observer.on_goal(goal, stamp))
-        self._each(lambda observer: observer.on_plan(plan, stamp))
+        self.each(lambda observer: observer.on_goal(goal, stamp))
+        self.each(lambda observer: observer.on_plan(plan, stamp))
 
     def describe_object(self, obj: ObjectDescription | None, stamp: float) -> None:
         """Report a new simulated object."""
         if obj is not self._object and obj is not None:
             self._object = obj
-            self._each(lambda observer: observer.on_object(obj, stamp))
-
-    def command(self, record: CommandRecord) -> None:
-        """Report a command."""
-        self._each(lambda observer: observer.on_command(record))
-
-    def feedback(self, feedback: Feedback) -> None:
-        """Report feedback."""
-        self._each(lambda observer: observer.on_feedback(feedback))
-
-    def result(self, result: Result) -> None:
-        """Report a result."""
-        self._each(lambda observer: observer.on_result(result))
+            self.each(lambda observer: observer.on_object(obj, stamp))
 
     def event(self, event: Event) -> None:
         """Report an event."""
-        self._each(lambda observer: observer.on_event(event))
-
-    def status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Report the status of devices and clock."""
-        self._each(lambda observer: observer.on_status(statuses, statistics))
+        self.each(lambda observer: observer.on_event(event))

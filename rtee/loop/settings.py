@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -195,19 +195,16 @@ def device_settings(
             f"{choice.source or hand.name}: no device drives the actuator '{left[0]}'"
         )
     stand_in = KINEMATIC if settings else driver
-    spec = DeviceSpec(
-        name=_free_name(stand_in, [name for name, _ in chosen]),
-        hand=hand.name,
-        driver=stand_in,
-        actuators=tuple(hand.actuator(name) for name in left),
-        options=dict(choice.options) if stand_in == driver else {},
-        rate=rate,
-        emulated=choice.emulated,
-        worn=choice.emulated and not choice.ideal,
-        source=f"--driver {driver}" if choice.driver or choice.options else choice.source,
-        folder=choice.folder,
+    given = choice.driver or choice.options
+    own = replace(
+        choice,
+        options=choice.options if stand_in == driver else (),
+        source=f"--driver {driver}" if given else choice.source,
+        lines={},
     )
-    return [*settings, DeviceSettings(spec)]
+    name = _free_name(stand_in, [name for name, _ in chosen])
+    section = DeviceSection(stand_in, tuple(left))
+    return [*settings, _settings_of(hand, name, section, rate, own)]
 
 
 _PATIENT: Final = 0.5
