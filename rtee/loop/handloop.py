@@ -243,7 +243,7 @@ class HandLoop:
             if isinstance(item, tuple):
                 self._observers.goal(*item, stamp)
             else:
-                self._observers.each(lambda each, record=item: each.on_command(record))
+                self._observers.command(item)
 
     def _deliver(self) -> None:
         """Pass the controller's reports to the observers, and disable devices that are too hot."""
@@ -252,9 +252,9 @@ class HandLoop:
         for item in items:
             match item:
                 case Feedback():
-                    self._observers.each(lambda each, item=item: each.on_feedback(item))
+                    self._observers.feedback(item)
                 case Result():
-                    self._observers.each(lambda each, item=item: each.on_result(item))
+                    self._observers.result(item)
                     waiting = self._waiters.pop(item.goal_id, None)
                     if waiting is not None:
                         waiting[1].append(item)

@@ -109,6 +109,18 @@ class Observers:
             self._object = obj
             self.each(lambda observer: observer.on_object(obj, stamp))
 
+    def command(self, record: CommandRecord) -> None:
+        """Report a command."""
+        self.each(lambda observer: observer.on_command(record))
+
+    def feedback(self, feedback: Feedback) -> None:
+        """Report feedback."""
+        self.each(lambda observer: observer.on_feedback(feedback))
+
+    def result(self, result: Result) -> None:
+        """Report a result."""
+        self.each(lambda observer: observer.on_result(result))
+
     def event(self, event: Event) -> None:
         """Report an event."""
         self.each(lambda observer: observer.on_event(event))
