@@ -320,8 +320,10 @@ class _Bench:
             mount=mount,
             container=(float(x), float(y)) if transfer.container else None,
         )
-        # Before the first step: a varied object may be inside the hand at the end of the way.
-        approach = _AWAY * mount @ stance.approach
+        # Along the same line in the world, however the hand is tilted: a tilted one would begin or
+        # end inside the table. Before the first step: a varied object may be inside the hand at the
+        # end of the way.
+        approach = _AWAY * stance.mount @ stance.approach
         simulation.surroundings.jump(np.concatenate([-approach, np.zeros(3)]))
         quiet = variation is not None
         headless = HeadlessHand(
