@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.objects import GraspObject
-from rtee.planning.postures import HandPose
+from rtee.planning.postures import HandPoses
 from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
@@ -33,6 +33,7 @@ class PoseCandidate:
         approach_from: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
         width: Its width between the fingers [m].
         opening: How far apart they are at rest [m].
+        start: Step of the action's path at which the hand comes, and from which it closes.
         raised: It was moved once already, so that the closing hand clears the table.
     """
 
@@ -40,21 +41,24 @@ class PoseCandidate:
     approach_from: FloatArray
     width: float
     opening: float
+    start: int = 0
     raised: bool = False
 
 
 @dataclass(slots=True)
 class Approach:
-    """A straight approach of the object to the open hand; `bring_in` finds where it ends.
+    """A straight approach of the object to the hand; `bring_in` finds where it ends.
 
     Attributes:
         pose: Pose of the object at depth 0 ``(4, 4)``.
         direction: From where it comes, a unit vector ``(3,)``.
+        frames: Poses of the hand's bodies as it comes ``(m + 1, 4, 4)``.
         depth: How far before the pose it stops [m]; negative beyond it; ``None`` if it can't come.
     """
 
     pose: FloatArray
     direction: FloatArray
+    frames: FloatArray
     depth: float | None = None
 
 
@@ -62,8 +66,8 @@ Found: TypeAlias = PoseCandidate | Approach
 """A candidate; or an approach, whose depth decides which candidates come next."""
 
 
-def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) -> None:
-    """Set the depths of approaches: how far the object comes before it touches the open hand."""
+def bring_in(scene: GraspScene, approaches: Sequence[Approach]) -> None:
+    """Set the depths of approaches: how far the object comes before it touches the hand."""
     if not approaches:
         return
     directions = np.array([approach.direction for approach in approaches])
@@ -75,8 +79,9 @@ def bring_in(scene: GraspScene, at: HandPose, approaches: Sequence[Approach]) ->
     )
     depths = first.copy()
     poses[:, :3, 3] += depths[:, None] * directions
-    near = DistanceBounds(scene, at, poses)
     left = np.arange(len(approaches))
+    at = HandPoses(scene.postures, np.array([approach.frames for approach in approaches]))
+    near = DistanceBounds(scene, [at.one(row) for row in left.tolist()], poses)
     while len(left):
         # A step of the free distance cannot pass a link; `GAP` is left at the end.
         free = near.least(at, first[left], left) - GAP

@@ -188,16 +188,22 @@ class HandClosing:
         drive = postures.carried @ np.abs(scene.hand.transmission.jacobian(path.at(1.0))) > 0.0
         self.drives: BoolArray = drive & path.moving
 
-    def close(self, pose: FloatArray) -> Closure | None:
+    def close(self, pose: FloatArray, start: int) -> Closure | None:
         """Close on an object; see `close_all`."""
-        return close_all([(self, pose)])[0]
+        return close_all([(self, pose, start)])[0]
+
+    @staticmethod
+    def tick(start: int) -> int:
+        """Return the tick of a step of the table, or the one just before."""
+        return start * TICKS // STEPS
 
 
-def close_all(asked: Sequence[tuple[HandClosing, FloatArray]]) -> list[Closure | None]:
+def close_all(asked: Sequence[tuple[HandClosing, FloatArray, int]]) -> list[Closure | None]:
     """Close hands on an object, each by an action; together, it takes a fraction of the time.
 
     Args:
-        asked: Actions of one scene, and where the object is at first ``(4, 4)``, free of the hand.
+        asked: Actions of one scene, where the object is at first ``(4, 4)``, free of the hand, and
+            the step of the table from which the hand closes.
 
     Returns:
         The closed hands; ``None`` where one never holds the object from two sides.
@@ -208,18 +214,19 @@ def close_all(asked: Sequence[tuple[HandClosing, FloatArray]]) -> list[Closure |
 class _HandBatch:
     """Hands that close on an object at the same time, one in each row."""
 
-    def __init__(self, asked: Sequence[tuple[HandClosing, FloatArray]]) -> None:
-        self._closings = [closing for closing, _ in asked]
+    def __init__(self, asked: Sequence[tuple[HandClosing, FloatArray, int]]) -> None:
+        self._closings = [closing for closing, _, _ in asked]
         first = self._closings[0]
         self._scene, self._friction = first.scene, first.friction
         self._links = [shape.link for shape in self._scene.geometry.shapes]
-        poses = np.array([pose for _, pose in asked])
+        poses = np.array([pose for _, pose, _ in asked])
         self._poses = poses
-        # All begin at rest.
-        self._near = DistanceBounds(self._scene, first.table[0], poses)
-        frames = np.array([closing.frames[0] for closing in self._closings])
+        self._ticks = np.array([first.tick(start) for _, _, start in asked], dtype=np.intp)
+        begun = zip(self._closings, self._ticks.tolist(), strict=True)
+        frames = np.array([closing.frames[tick] for closing, tick in begun])
         self._at = HandPoses(self._scene.postures, frames)
-        self._ticks = np.zeros(len(asked), dtype=np.intp)
+        at = [self._at.one(row) for row in range(len(asked))]
+        self._near = DistanceBounds(self._scene, at, poses)
         self._speed = np.array([closing.speed for closing in self._closings])
         self._fastest = np.maximum(self._speed, 1e-9)
         self._touches: list[list[Touch]] = [[] for _ in asked]

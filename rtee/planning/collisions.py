@@ -102,7 +102,7 @@ class GraspCollisions:
             return []
         at = scene.posed(u)
         depths: dict[str, float] = {}
-        for touch in DistanceBounds(scene, at, self._pose[None]).touching(at)[0]:
+        for touch in DistanceBounds(scene, [at], self._pose[None]).touching(at)[0]:
             link, depth = self._geometry.shapes[touch.shape].link, -touch.distance
             if depth > (_PRESSED if self._tips.get(link) in fingers else _DEPTH):
                 depths[link] = max(depth, depths.get(link, 0.0))

@@ -46,22 +46,23 @@ class DistanceBounds:
 
     Args:
         scene: The hand and the object.
-        at: Where the hand is at first in all rows.
+        at: Where the hand is at first in each row.
         poses: Poses of the object ``(k, 4, 4)`` in the base frame.
     """
 
-    def __init__(self, scene: GraspScene, at: HandPose, poses: FloatArray) -> None:
+    def __init__(self, scene: GraspScene, at: Sequence[HandPose], poses: FloatArray) -> None:
         self._scene = scene
         self._turns, self.places = poses[:, :3, :3], poses[:, :3, 3].copy()
         self._here: list[coal.Transform3s | None] = [None] * len(poses)
-        found = [scene.gaps(at, pose) for pose in poses]
+        found = [scene.gaps(there, pose) for there, pose in zip(at, poses, strict=True)]
         # Arrays (rows, shapes, pieces): a pair has one number there, its shape a slot. Its bound
         # follows every move; where its planes were is kept as well, to look at the gap again.
         self._bounds = np.array([gaps for gaps, _ in found])
         count, shapes, self._pieces = self._bounds.shape
         normals = np.array([normals for _, normals in found])
-        self._in_body = (normals @ at.bodies).reshape(-1, 3)
-        shifts = self.places[:, None] - at.middles
+        bodies = np.array([there.bodies for there in at])
+        self._in_body = (normals @ bodies).reshape(-1, 3)
+        shifts = self.places[:, None] - np.array([there.middles for there in at])
         self._begin = (self._bounds - np.einsum("knpi,kni->knp", normals, shifts)).ravel()
         self._normals = normals.reshape(-1, 3)
         self._radii = np.tile(scene.postures.radii, count)

@@ -29,17 +29,18 @@ _PUSH: Final = 0.002
 def closed_nearby(closing: HandClosing, candidate: PoseCandidate) -> list[Closure | None]:
     """Return a hand closed at twelve poses near a candidate; ``None`` where it does not hold."""
     nearby = _nearby(candidate.pose)
-    free = [_pushed(closing, pose, candidate.approach_from) for pose in nearby]
-    closures = iter(close_all([(closing, pose) for pose in free if pose is not None]))
+    free = [_pushed(closing, pose, candidate) for pose in nearby]
+    asked = [(closing, pose, candidate.start) for pose in free if pose is not None]
+    closures = iter(close_all(asked))
     return [None if pose is None else next(closures) for pose in free]
 
 
-def _pushed(closing: HandClosing, pose: FloatArray, approach_from: FloatArray) -> FloatArray | None:
-    """Return the pose to which the open hand pushes an object; ``None`` if out of reach."""
+def _pushed(closing: HandClosing, pose: FloatArray, candidate: PoseCandidate) -> FloatArray | None:
+    """Return the pose to which the hand pushes an object as it comes; ``None`` if out of reach."""
+    approach_from, at = candidate.approach_from, closing.table[candidate.start]
     pose, length = pose.copy(), float(np.linalg.norm(approach_from))
-    at = closing.table[0]
     for _ in range(round(_PUSHED / _PUSH)):
-        if DistanceBounds(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
+        if DistanceBounds(closing.scene, [at], pose[None]).least(at, enough=_PUSH)[0] > 0.0:
             return pose
         # Without an approach, there is no direction to push it.
         if not length:

@@ -17,7 +17,7 @@ from rtee.hand.frames import base_in_flange, flange_with
 from rtee.hand.model import Hand
 from rtee.objects.shape import Table
 from rtee.planning.approaches import GAP, PoseCandidate
-from rtee.planning.closing import ActionPath, Closure, HandClosing
+from rtee.planning.closing import STEPS, ActionPath, Closure, HandClosing
 from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.nearby import closed_nearby
 from rtee.planning.objects import GraspObject
@@ -46,6 +46,9 @@ _POSES: Final = 120
 
 _FEWEST: Final = 3
 """Poses tried for each action at least."""
+
+_ABOVE: Final = 3
+"""So many times as many above a table, which rules most of them out."""
 
 _MOST: Final = 16
 """Poses tried for each action at most."""
@@ -143,7 +146,6 @@ class Planner:
             raise ConfigError(f"a friction is above 0 and at most 10, not {friction:g}")
         self.hand, self.obj = hand, obj
         self.scene = GraspScene(hand, obj)
-        self._open = self.scene.posed(np.array(hand.rest))
         self.out = outward(self.scene)
         axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
@@ -164,7 +166,8 @@ class Planner:
     def plan(self, actions: Iterable[Action]) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
         """Return the grasps of actions, the best first, and why the others can't be used."""
         chosen = list(actions)
-        each = min(_MOST, max(_FEWEST, _POSES // max(1, len(chosen))))
+        several = 1 if self.ground is None else _ABOVE
+        each = min(_MOST, several * max(_FEWEST, _POSES // max(1, len(chosen))))
         grasps, plans, rejected = [], [], []
         for action, found in zip(chosen, self._grasps(chosen, each), strict=True):
             if isinstance(found, str):
@@ -230,7 +233,7 @@ class Planner:
         found: list[list[FoundGrasp] | str] = []
         for begin in range(0, len(actions), _TOGETHER):
             some = [self._search(action, most) for action in actions[begin : begin + _TOGETHER]]
-            search_together(self.scene, self._open, some, self.promise)
+            search_together(self.scene, some, self.promise)
             found += [self._found(search) for search in some]
         return found
 
@@ -283,7 +286,7 @@ class Planner:
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
         """Return the hand as it has closed by an action where a plan says."""
         closing = HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
-        return closing.close(np.array(plan.pose))
+        return closing.close(np.array(plan.pose), round(plan.preshape * STEPS))
 
     def promise(self, closure: Closure) -> float:
         """Return a quick estimate of how good a grasp is; larger is better."""
@@ -413,30 +416,33 @@ class Planner:
         """Return pre-shape, opening and clearance before the hand closes.
 
         The hand closes as far as it can without coming near the object at the end of its approach
-        or on it.
+        or on it; above a table, as far as it was found to clear that.
         """
         gaps, closing, candidate = grasp.search.gaps, grasp.search.closing, grasp.candidate
+        start = candidate.start
         # Places on its approach, closer to each other near its end, where the fingers are.
         places = [
             candidate.pose[:3, 3] + share * np.array(candidate.approach_from)
             for share in (0, 0.1, 0.3, 1)
         ]
         # A timed action always runs at intensity 1, so it has no pre-shape.
-        steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.search.action, Timed) else (0,)
+        found = self.ground is not None or isinstance(grasp.search.action, Timed)
+        last = start if found else len(gaps) - 1
+        steps = range(last, start - 1, -1)
         for step in steps:
             wide = gaps[step] >= candidate.width + _MARGIN
-            if step and not (wide and closing.grid[step] < grasp.closure.first):
+            if step > start and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
             at, least = closing.table[step], math.inf
-            near = DistanceBounds(self.scene, at, candidate.pose[None])
+            near = DistanceBounds(self.scene, [at], candidate.pose[None])
             for place in places:
                 near.pushed((place - near.places[0])[None])
                 least = float(near.least(at, min(least, _FAR))[0])
                 # Where a posture is ruled out, its other places do not matter.
-                if step and least <= _CLEAR:
+                if step > start and least <= _CLEAR:
                     break
-            # Rest is the last posture to try: there any clearance is reported.
-            if not step or least > _CLEAR:
+            # The last posture to try: there any clearance is reported.
+            if step == start or least > _CLEAR:
                 return float(closing.grid[step]), float(gaps[step] if step else gaps.max()), least
         return 0.0, float(gaps.max()), 0.0
 

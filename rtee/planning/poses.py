@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Final
+from typing import Final, TypeAlias
 
 import coal
 import numpy as np
 
-from rtee.actions.types import Action
+from rtee.actions.types import Action, Timed
 from rtee.hand.linalg import cross
 from rtee.planning.approaches import (
     APPROACH_LENGTH,
@@ -46,6 +47,16 @@ _ROOM: Final = 0.025
 """What jaws leave free on either side of an object that comes between them [m]: where it may be up
 to 10 mm beside its place, 10 % larger and turned by 10 degrees, a jaw that does not move stays
 clear of it."""
+
+_LOW: Final = 1e-3
+"""Fingertips that are higher above a table by less are as low [m]."""
+
+_SLANTED: Final = 0.5
+"""Fingertips oppose each other along the reach where it is less than 60 degrees off: the cosine."""
+
+Way: TypeAlias = tuple[FloatArray, list[tuple[FloatArray, FloatArray]]]
+"""Axis of closing, side and reach of a hand that comes, as columns ``(3, 3)``, and from where the
+object comes, with shifts of it [m]."""
 
 _SHIFTS: Final = (0.0, 0.015, 0.03)
 """Jaws that turn about a hinge have room for an object farther out than their middles [m]."""
@@ -126,6 +137,7 @@ class Poses:
     ) -> None:
         """Look at how the action's fingertips move; the hand reaches out along ``out``."""
         self._scene, self._closing, self._out, self._ground = scene, closing, out, ground
+        self._timed = isinstance(action, Timed)
         self.blocked = False
         """Whether a pose was left out because of the table."""
         self._fingers = self._involved(action)
@@ -192,10 +204,16 @@ class Poses:
         if count < SEVERAL:
             return None, np.array([-1.0, 1.0][:count])
         axis, sides = opposition(self._paths[-1] - self._paths[0], self._out)
-        # Without an axis, or with all tips on one side of it, they close from all around.
-        if axis is None or not ((sides > 0).any() and (sides < 0).any()):
-            return None, np.zeros(count)
-        return axis, sides
+        if axis is not None and (sides > 0).any() and (sides < 0).any():
+            return axis, sides
+        # Without an axis, or with all tips on one side of it, they close from all around; but above
+        # a table it matters how a thumb and fingers oppose each other along the reach, too.
+        if self._ground is not None:
+            motions = self._paths[STEP_MIDDLE] - self._paths[0]
+            axis, sides = opposition(motions - motions.mean(axis=0), np.zeros(3))
+            if axis is not None and (sides > 0).any() and (sides < 0).any():
+                return None, sides
+        return None, np.zeros(count)
 
     def _at(self, step: int) -> tuple[FloatArray, FloatArray]:
         """Return the middle between the fingertips and the unit axis of closing at a step."""
@@ -304,7 +322,7 @@ class Poses:
         """Yield poses of the object, at most so many; see `search`."""
         for found in self.search(turns, most):
             if isinstance(found, Approach):
-                bring_in(self._scene, self._closing.table[0], [found])
+                bring_in(self._scene, [found])
             else:
                 yield found
 
@@ -323,28 +341,68 @@ class Poses:
         yield from at_most(interleaved(between, wrapped), most)
 
     def _between_tips(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
-        opening, open_at = float(self.gaps.max()), int(np.argmax(self.gaps))
-        fitting = [
+        opening = float(self.gaps.max())
+        fitting = []
+        for number, (width, _, deep) in enumerate(self._sizes(turns)):
+            if width > opening - 2.0 * GAP:
+                continue
+            step = self._last(width + GAP)
+            ways = list(self._ways(step, turns[number]))
             # Rounded, so that the last digits do not decide between turns of the same width.
-            (round(width, 3), round(deep, 3), number)
-            for number, (width, _, deep) in enumerate(self._sizes(turns))
-            if width <= opening - 2.0 * GAP and self._from_above(turns[number])
-        ]
-        for width, _, number in sorted(fitting):
-            # The last step that leaves room: before the widest one, the tips are still opening.
-            there = np.flatnonzero(self.gaps >= width + GAP)
-            step = int(there[there >= open_at].max(initial=open_at))
-            placed = self._placed(step, turns[number], self._directions())
+            fitting += [
+                (from_side, round(width, 3), round(deep, 3), number, part, step, way)
+                for part, (from_side, way) in enumerate(ways)
+            ]
+        fitting.sort(key=lambda entry: entry[:5])
+        for _, width, _, number, _, step, (frame, directions) in fitting:
+            placed = self._placed(step, frame @ turns[number], width, directions)
             if len(self._fingers) < SEVERAL:
-                there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
-                wide = int(there[there >= open_at].max(initial=open_at))
+                wide = self._last(width + 2.0 * _ROOM)
                 # Only where one jaw is fixed: where both move, the two places are the same one, and
                 # rounding would decide between equal candidates.
                 if self._aside(wide, step) > _STILL:
-                    placed = interleaved(
-                        self._placed(wide, turns[number], self._directions()), placed
-                    )
+                    there = self._frame(wide) @ turns[number]
+                    placed = interleaved(self._placed(wide, there, width, directions), placed)
             yield from at_most(placed, _share(most, len(fitting)))
+
+    def _ways(self, step: int, turn: FloatArray) -> Iterator[tuple[bool, Way]]:
+        """Yield how the object may come, turned, and whether from the side above a table.
+
+        Fingers that oppose a thumb along the reach, and curl, come tilted to what stands there.
+        """
+        frame, directions = self._frame(step), self._directions()
+        up = None if self._ground is None else self._ground.up
+        if up is None:
+            yield False, (frame, directions)
+            return
+        ways = [(frame, [way]) for way in directions]
+        closing = frame[:, 0]
+        if self._sides.any():
+            between = self._between(step)
+            between = between / max(float(np.linalg.norm(between)), _STILL)
+            if abs(float(between @ self._out)) > _SLANTED:
+                closing = between
+        reach = _across(self._out, closing)
+        curl = sum((direction for direction, _ in directions[1:2]), np.zeros(3))
+        front = _across(_across(curl, closing), reach)
+        tilted = [] if closing is frame[:, 0] else [reach]
+        if float(np.linalg.norm(front)) > _STILL:
+            tilted.append((reach + front) / math.sqrt(2.0))
+        ways += [
+            (np.stack([closing, cross(axis, closing), axis], axis=1), [(axis, np.zeros(3))])
+            for axis in tilted
+        ]
+        for turned, way in ways:
+            steep = -float(way[0][0] @ turned @ turn @ up)
+            if steep > -STEEP:
+                yield steep <= STEEP, (turned, way)
+
+    def _last(self, width: float) -> int:
+        """Return the last step, from the widest on, until which the opening is no less [m]."""
+        open_at = int(np.argmax(self.gaps))
+        narrow = np.flatnonzero(self.gaps[open_at:] < width)
+        left = int(narrow[0]) - 1 if len(narrow) else len(self.gaps) - 1 - open_at
+        return open_at + max(0, left)
 
     def _aside(self, wide: int, step: int) -> float:
         """Return the motion of the grasp centre across the reach between two steps [m].
@@ -355,25 +413,18 @@ class Poses:
         return float(np.linalg.norm(moved - (moved @ self._out) * self._out))
 
     def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
-        _, closing = self._at(STEP_MIDDLE)
         front = self._directions()[1:]
-        across = front[0][0] @ np.stack([self._rotation(closing, turn) for turn in turns])
+        frame = self._frame(STEP_MIDDLE)
+        across = front[0][0] @ np.stack([frame @ turn for turn in turns])
         thick = self._scene.object.support(across) + self._scene.object.support(-across)
         sized = [
-            (round(float(thick[number]) + high, 3), number)
-            for number, (_, _, high) in enumerate(self._sizes(turns))
+            (round(float(thick[number]) + high, 3), number, width)
+            for number, (width, _, high) in enumerate(self._sizes(turns))
         ]
-        for _, number in sorted(sized):
-            placed = self._placed(3 * STEP_MIDDLE // 2, turns[number], front)
+        step = 3 * STEP_MIDDLE // 2
+        for _, number, width in sorted(sized):
+            placed = self._placed(step, self._frame(step) @ turns[number], width, front)
             yield from at_most(placed, _share(most, len(sized)))
-
-    def _from_above(self, turn: FloatArray) -> bool:
-        """Return whether a turned object can be approached from above the table."""
-        up = None if self._ground is None else self._ground.up
-        if up is None:
-            return True
-        along = self._rotation(self._at(0)[1], turn) @ up
-        return any(float(direction @ along) < STEEP for direction, _ in self._directions())
 
     def narrowest(self, turns: list[FloatArray]) -> float:
         """Return the object's least width between the fingers [m]."""
@@ -384,30 +435,40 @@ class Poses:
         # These are its extents along the turn's own rows, wherever the axes of the hand are.
         return [self._scene.sizes(turn) for turn in turns]
 
-    def _rotation(self, closing: FloatArray, turn: FloatArray) -> FloatArray:
-        side = cross(self._out, closing)
-        rotation: FloatArray = np.stack([closing, side, self._out], axis=1) @ turn
-        return rotation
+    def _frame(self, step: int) -> FloatArray:
+        """Return axis of closing, side and reach of the hand at a step, as columns ``(3, 3)``."""
+        _, closing = self._at(step)
+        return np.stack([closing, cross(self._out, closing), self._out], axis=1)
 
     def _placed(
-        self, step: int, turn: FloatArray, directions: list[tuple[FloatArray, FloatArray]]
+        self,
+        step: int,
+        turned: FloatArray,
+        width: float,
+        directions: list[tuple[FloatArray, FloatArray]],
     ) -> Iterator[Found]:
-        middle, closing = self._at(step)
+        """Yield poses of the turned object ``(3, 3)`` at the fingertips' middle, and approaches."""
+        middle, _ = self._at(step)
         pose = np.eye(4)
-        pose[:3, :3] = self._rotation(closing, turn)
+        pose[:3, :3] = turned
         # The middle of its box, since a mesh may have its origin anywhere.
-        pose[:3, 3] = middle - pose[:3, :3] @ self._scene.object.box[0]
-        (width, _, _), opening = self._scene.sizes(turn), float(self.gaps.max())
+        pose[:3, 3] = middle - turned @ self._scene.object.box[0]
+        opening = float(self.gaps.max())
         for direction, shift in directions:
             begin = pose.copy()
             begin[:3, 3] += shift
-            least = self._stands(begin, direction, width)
-            if least is None:
-                self.blocked = True
-                continue
-            approach = Approach(begin, direction)
-            yield approach
-            deepest = approach.depth
+            stands = self._stands(begin, direction, width)
+            self.blocked |= not stands
+            deepest = None
+            for start, least, there in stands:
+                begin = there
+                approach = Approach(
+                    begin, direction, self._closing.frames[self._closing.tick(start)]
+                )
+                yield approach
+                deepest = approach.depth
+                if deepest is not None and deepest <= max(least, 0.0):
+                    break
             if deepest is None:
                 continue
             obj = self._scene.object
@@ -424,43 +485,66 @@ class Poses:
                 taken.append(depth)
                 there = begin.copy()
                 there[:3, 3] += depth * direction
-                yield PoseCandidate(there, APPROACH_LENGTH * direction, width, opening)
+                yield PoseCandidate(there, APPROACH_LENGTH * direction, width, opening, start)
 
-    def _stands(self, begin: FloatArray, direction: FloatArray, width: float) -> float | None:
-        """Return the least depth at which the hand stays clear of the table [m].
+    def _stands(
+        self, begin: FloatArray, direction: FloatArray, width: float
+    ) -> list[tuple[int, float, FloatArray]]:
+        """Return steps at which the hand may come, the one to try first first.
 
-        A hand that comes from the side is raised as far as it has to be: ``begin`` is changed.
-        ``None`` if it would come from below, or too far above the object.
+        With each the least depth at which it stays clear of the table as it closes [m], and the
+        pose of the object at depth 0: a hand that comes from the side is raised as far as it has to
+        be. The first is as open as it can be with its fingertips as low as possible, or below the
+        object's middle; the others are more open. There is none from below, and none that is too
+        far above the object.
         """
         ground = self._ground
         if ground is None:
-            return -np.inf
+            return [(0, -np.inf, begin)]
         up = ground.top(begin, direction).up
         steep = -float(direction @ up)
         if steep < -STEEP:
-            return None
+            return []
         if ground.edge:  # where there is room is found by trying
-            return -np.inf
-        steps = int(np.flatnonzero(self.gaps >= width).max(initial=0)) + 1
-        more = ground.missing(self._closing, steps, begin, direction)
+            return [(0, -np.inf, begin)]
+        steps = min(self._last(width) + 1, len(self.gaps) - 1)
+        missing = ground.missing(self._closing, steps, begin, direction)
+        last = 0 if self._timed else max(0, steps - 2)
+        first = int(np.argmax(missing[: last + 1] <= max(0.0, float(missing[last])) + _LOW))
+        starts = range(first, -1, -1)
         if steep > STEEP:
-            return more / steep
-        if more > 0.0:
-            begin[:3, 3] -= more * up
-        reach = self._scene.object.support((up @ begin[:3, :3])[None])
-        high = float(reach[0] - up @ begin[:3, :3] @ self._scene.object.box[0])
-        return -np.inf if more < high else None
+            return [(start, float(missing[start]) / steep, begin) for start in starts]
+        turned, obj = up @ begin[:3, :3], self._scene.object
+        high = float(obj.support(turned[None])[0] - turned @ obj.box[0])
+        found = []
+        for start in starts:
+            more = max(0.0, float(missing[start]))
+            raised = begin.copy()
+            raised[:3, 3] -= more * up
+            if more < high:
+                found.append((start, -np.inf, raised))
+        return found
 
     def _directions(self) -> list[tuple[FloatArray, FloatArray]]:
         """Return the directions from which the object may come, and shifts of it ``(3,)`` [m]."""
         directions = [(self._out, np.zeros(3))]
         curl = self._paths[len(self._paths) // 2].mean(axis=0) - self._paths[0].mean(axis=0)
         curl = curl - (curl @ self._out) * self._out
+        # Fingers that close along an axis have no palm in front of which they all curl.
+        if self._axis is not None:
+            curl = curl - (curl @ self._axis) * self._axis
         size = float(np.linalg.norm(curl))
         if size > 5.0 * _STILL:
             directions.append((curl / size, np.zeros(3)))
             directions.append((curl / size, -_BACK * self._out))
         return directions
+
+
+def _across(vector: FloatArray, axis: FloatArray) -> FloatArray:
+    """Return the unit vector of what is across a unit axis; nearly zero if nothing is."""
+    across = vector - (vector @ axis) * axis
+    size = float(np.linalg.norm(across))
+    return across / size if size > 0.1 else np.zeros(3)
 
 
 def _share(most: int, turns: int) -> int:

@@ -67,7 +67,7 @@ def robust_poses(
         poses = Poses(planner.scene, closing, group, planner.out)
         most = _CANDIDATES if group is action else _OF_GROUP
         candidates += poses.candidates(planner.turns, most)
-    closures = close_all([(closing, candidate.pose) for candidate in candidates])
+    closures = close_all([(closing, candidate.pose, candidate.start) for candidate in candidates])
     closed = [(c, k) for c, k in zip(candidates, closures, strict=True) if k is not None]
     between = _two_tips(planner.hand, action, closing)
     if between:  # a gripper holds with its tips, though its linkage might hold more firmly

@@ -15,7 +15,6 @@ from rtee.actions.types import Action
 from rtee.planning.approaches import Approach, Found, PoseCandidate, bring_in
 from rtee.planning.closing import Closure, HandClosing, close_all
 from rtee.planning.poses import Poses
-from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
 from rtee.planning.table import Ground
 from rtee.sample import FloatArray
@@ -91,7 +90,6 @@ class FoundGrasp:
 
 def search_together(
     scene: GraspScene,
-    open_hand: HandPose,
     searches: Sequence[Search],
     promise: Callable[[Closure], float],
 ) -> None:
@@ -99,12 +97,11 @@ def search_together(
 
     Args:
         scene: The hand and the object.
-        open_hand: Where the open hand is.
         searches: The searches; their grasps are filled in.
         promise: A quick estimate of how good a closed hand holds; larger is better.
     """
-    while asked := _next(scene, open_hand, searches):
-        closures = close_all([(search.closing, candidate.pose) for search, candidate in asked])
+    while asked := _next(scene, searches):
+        closures = close_all([(search.closing, c.pose, c.start) for search, c in asked])
         for (search, candidate), closure in zip(asked, closures, strict=True):
             if closure is None:
                 continue
@@ -116,9 +113,7 @@ def search_together(
                 search.grasps.append(FoundGrasp(search, candidate, closure, promise(closure)))
 
 
-def _next(
-    scene: GraspScene, open_hand: HandPose, searches: Sequence[Search]
-) -> list[tuple[Search, PoseCandidate]]:
+def _next(scene: GraspScene, searches: Sequence[Search]) -> list[tuple[Search, PoseCandidate]]:
     """Return the poses to try next; the approaches on which they depend are found together."""
     found: list[tuple[Search, PoseCandidate]] = []
     while searches:
@@ -131,6 +126,6 @@ def _next(
                 approaches.append(after)
             else:
                 found += [(search, candidate) for candidate in after]
-        bring_in(scene, open_hand, approaches)
+        bring_in(scene, approaches)
         searches = asking
     return found

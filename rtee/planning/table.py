@@ -177,17 +177,22 @@ class Ground:
 
     def missing(
         self, closing: HandClosing, steps: int, begin: FloatArray, direction: FloatArray
-    ) -> float:
-        """Return how much farther an object has to be for the closing hand to clear the table [m].
+    ) -> FloatArray:
+        """Return how much farther an object has to be for the closing hand to clear the table.
 
         Args:
             closing: What closes the hand.
             steps: Steps of its table until it touches the object.
             begin: Pose of the object ``(4, 4)``.
             direction: From where it comes, a unit vector.
+
+        Returns:
+            For one that comes at each step and closes from there ``(steps + 1,)`` [m].
         """
         top = self.top(begin, direction)
-        return CLEAR - min(self.gap(at, top) for at in closing.table[: steps + 1])
+        gaps = np.array([self.gap(at, top) for at in closing.table[: steps + 1]])
+        missing: FloatArray = CLEAR - np.minimum.accumulate(gaps[::-1])[::-1]
+        return missing
 
     def clears(self, closing: HandClosing, candidate: PoseCandidate, closure: Closure) -> bool:
         """Return whether a hand keeps clear of the table, from its approach until it has closed."""
@@ -196,7 +201,8 @@ class Ground:
         if float((closure.pose[:3, 3] - candidate.pose[:3, 3]) @ top.up) < -_PRESSED:
             return False
         return self._least(closing, candidate, closure) >= _LEAST * CLEAR and all(
-            self.gap(closing.table[0], top.moved(share * candidate.approach_from)) >= _LEAST * CLEAR
+            self.gap(closing.table[candidate.start], top.moved(share * candidate.approach_from))
+            >= _LEAST * CLEAR
             for share in _SHARES
         )
 
@@ -217,5 +223,5 @@ class Ground:
         """Return the least gap between a hand that closes and the table [m]."""
         top = self.top(candidate.pose, candidate.approach_from)
         steps = np.count_nonzero(closing.grid < closure.first)
-        there = [*closing.table[:steps], self._scene.posed(closure.u)]
+        there = [*closing.table[candidate.start : steps], self._scene.posed(closure.u)]
         return min(self.gap(at, top) for at in there)

@@ -59,11 +59,13 @@ class Place:
         intensity: The fingertips' spread fits the object at this intensity of the action.
         approach_from: From where the object can come, relative to the hand and free of contact: a
             vector ``(3,)`` [m] in the base frame; zero when every straight path is blocked.
+        preshape: Intensity to which the hand closes before the object comes.
     """
 
     pose: FloatArray
     intensity: float
     approach_from: FloatArray
+    preshape: float = 0.0
 
 
 def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:

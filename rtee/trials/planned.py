@@ -72,7 +72,7 @@ def check_plan(
         hand, options, thing, pose, down, settings.period, table, edge=plan.overhang > 0.0
     )
     trial = Trial(name, plan.elements, thing.name, plan.intensity, thing.mass)
-    place = Place(pose, plan.touch, np.array(plan.approach_from))
+    place = Place(pose, plan.touch, np.array(plan.approach_from), plan.preshape)
     headless = HeadlessHand(hand, library, settings, simulation)
     pressed = 0.0
 

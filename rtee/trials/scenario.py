@@ -147,6 +147,18 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
+class Preshape:
+    """Execute a goal before the hand comes, where nothing is in its way: half a metre above."""
+
+    goal: Goal
+
+    def __call__(self, scene: TrialScene) -> None:
+        """Do it."""
+        scene.jump(np.array([0.0, 0.0, 0.5]))
+        scene.headless.do(self.goal)
+
+
+@dataclass(frozen=True, slots=True)
 class ApproachStep:
     """Bring the hand to the object, from an offset ``(3,)`` [m] in the world, and more slowly then.
 

@@ -16,6 +16,7 @@ from rtee.trials.scenario import (
     ApproachStep,
     Grasp,
     Lift,
+    Preshape,
     Shake,
     Step,
     TrialScene,
@@ -100,7 +101,9 @@ class TrialRun:
     def _steps(self) -> tuple[Step, ...]:
         scene, trial = self.scene, self._trial
         what, to = Named(trial.action, trial.elements), Intensity(trial.intensity)
+        before = Intensity(self._place.preshape)
         return (
+            *((Preshape(Goal(what, before, goal_id="preshape")),) if before.share else ()),
             ApproachStep(scene.around.base_pose[:3, :3] @ self._place.approach_from),
             self._watch_height,
             Grasp(Goal(what, to, goal_id=f"trial-{self._number}")),

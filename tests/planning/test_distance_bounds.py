@@ -76,7 +76,7 @@ def test_what_touches_is_found_while_the_object_is_pushed_and_the_hand_closes(ob
         pose = _pose(draw)
         frames = scene.postures.frames(np.linspace(begin, end, 33))
         at = scene.postures.posed(frames[0])
-        near = DistanceBounds(scene, at, pose[None])
+        near = DistanceBounds(scene, [at], pose[None])
         for before, after in pairwise(frames[:9]):
             at = scene.postures.posed(after)
             near.closed(scene.postures.farthest_steps(np.stack([before, after]))[None])
@@ -100,7 +100,7 @@ def test_the_least_time_counts_how_fast_shapes_come() -> None:
     distances = _all(scene, at, pose)
     paces = draw.uniform(0.01, 0.1, len(distances))
     among = draw.random(len(distances)) < 0.5
-    near = DistanceBounds(scene, at, pose[None])
+    near = DistanceBounds(scene, [at], pose[None])
     paces, among = paces[None], among[None]
     (least,) = near.least(at, 1e3, paces=paces)
     assert least == pytest.approx(float((distances / paces[0]).min()))
@@ -120,8 +120,8 @@ def test_several_hands_are_looked_at_as_each_alone(obj: str) -> None:
     poses = np.array([_pose(draw) for _ in ends])
     at = scene.posed(begin)
     together, alone = (
-        DistanceBounds(scene, at, poses),
-        [DistanceBounds(scene, at, p[None]) for p in poses],
+        DistanceBounds(scene, [at] * len(poses), poses),
+        [DistanceBounds(scene, [at], p[None]) for p in poses],
     )
     moved = HandPoses(scene.postures, scene.postures.frames(np.tile(begin, (len(ends), 1))))
     ways = [scene.postures.frames(np.linspace(begin, end, 9)) for end in ends]
