@@ -634,6 +634,7 @@ class EventKind(StrEnum):
     THERMAL = "thermal"
     CONTACT = "contact"
     CONTACT_UNKNOWN = "contact_unknown"
+    SLOWED = "slowed"
     SLIP = "slip"
     GRASP_LOST = "grasp_lost"
     STREAM_PAUSED = "stream_paused"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import TYPE_CHECKING, Annotated, Any
 
 # Imported before a goal begins: a signal that arrives during an import would not cancel it.
@@ -30,7 +30,7 @@ from rtee.cli._common import (
 )
 from rtee.errors import RteeError
 from rtee.remote.words import sentence
-from rtee.types import Around, Outcome, Stage
+from rtee.types import Around, EventKind, Outcome, Stage
 
 if TYPE_CHECKING:
     from anyio.abc import TaskStatus
@@ -96,7 +96,7 @@ def do(
     async def execute(remote: RemoteHand) -> Result:
         options["effort"] = await effort_limits(remote, efforts)
         goal = action_goal(action, *chosen, **options)
-        return await follow(remote.start_goal(goal), label(action, chosen))
+        return await follow(remote, remote.start_goal(goal), label(action, chosen))
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
@@ -112,28 +112,40 @@ def open_(
     """Bring the hand to its rest posture, or do its action "open" if it has one."""
 
     async def execute(remote: RemoteHand) -> Result:
-        return await follow(remote.start("open"), "open")
+        return await follow(remote, remote.start("open"), "open")
 
     result = with_hand(hand, connect, "open", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result))
     raise typer.Exit(0 if result.succeeded else 1)
 
 
-async def follow(start: Awaitable[RunningGoal], title: str) -> Result:
+async def follow(remote: RemoteHand, start: Awaitable[RunningGoal], title: str) -> Result:
     """Start a goal and show its progress; Ctrl-C cancels it, a second Ctrl-C leaves it."""
+    events = remote.events()
     # Progress is for people; the output holds the result alone.
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         bars = _Bars(progress, title)
-        result = await _interruptible(start, bars.show)
+
+        async def tell_speed() -> None:
+            with contextlib.suppress(RteeError):  # the goal says it, too
+                async for event in events:
+                    if event.kind == EventKind.SLOWED:
+                        console.print(event.text)
+
+        result = await _interruptible(start, bars.show, tell_speed)
         # The last feedback may come from shortly before the end.
         if result.succeeded:
             bars.complete()
     return result
 
 
-async def _interruptible(start: Awaitable[RunningGoal], show: Callable[[Feedback], None]) -> Result:
+async def _interruptible(
+    start: Awaitable[RunningGoal],
+    show: Callable[[Feedback], None],
+    beside: Callable[[], Coroutine[Any, Any, None]],
+) -> Result:
     goals: list[RunningGoal] = []
     started = anyio.Event()
 
@@ -153,6 +165,7 @@ async def _interruptible(start: Awaitable[RunningGoal], show: Callable[[Feedback
     async with anyio.create_task_group() as group:
         # Started before the goal is sent, so that a signal never leaves the goal running.
         await group.start(cancel_on_signal)
+        group.start_soon(beside)
         try:
             goals.append(await start)
             started.set()
@@ -235,7 +248,7 @@ def grasp(
     asked = goal.to if isinstance(goal.to, Around) else Around(math.nan)
 
     async def execute(remote: RemoteHand) -> Result:
-        return await follow(remote.start_goal(goal), f"grasp {asked.width * 1e3:g} mm")
+        return await follow(remote, remote.start_goal(goal), f"grasp {asked.width * 1e3:g} mm")
 
     result = with_hand(hand, connect, "grasp", execute, wait=wait)
     if as_json:
@@ -276,7 +289,7 @@ def touch(
     goal = touch_goal(fingers=fingers, action=action, tip_speed=speed, timeout=timeout)
 
     async def execute(remote: RemoteHand) -> Result:
-        return await follow(remote.start_goal(goal), "touch")
+        return await follow(remote, remote.start_goal(goal), "touch")
 
     result = with_hand(hand, connect, "touch", execute, wait=wait)
     if as_json:

@@ -37,6 +37,7 @@ from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.motion import Limiter, MotionLimits
 from rtee.loop.plan import Plan
+from rtee.loop.planning import slowed
 from rtee.loop.profiles import Profile, make_profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
@@ -326,6 +327,9 @@ class Controller:
         if plan.force is not None:
             self._kept |= plan.involved
         self._reflexes.in_place = kept_efforts
+        if not kept_efforts and (text := slowed(plan, self.hand)):
+            who = ", ".join(plan.elements) or plan.action
+            self.outbox.items.append(Event("slowed", who, text, stamp))
         self._executor.start(plan, stamp, self._measured)
         self._set_efforts()
         if lost := [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]:

@@ -146,8 +146,9 @@ class Tare:
     """The efforts of actuators before they touch anything: what weight and friction take."""
 
     def __init__(self) -> None:
-        # For each actuator the mean now, at two times before, the older one first, and since when.
-        self._means: dict[int, tuple[float, float, float, float]] = {}
+        # For each actuator the mean now, at two times before, the older one first, since when, and
+        # how often it was put back.
+        self._means: dict[int, tuple[float, float, float, float, int]] = {}
 
     def forget(self, i: int) -> None:
         """Forget an actuator."""
@@ -157,16 +158,20 @@ class Tare:
         """Learn from an effort of the approach [N·m | N], and the time since the one before [s]."""
         if effort != effort:
             return
-        older, old, mean, passed = self._means.get(i, (effort, effort, effort, 0.0))
+        older, old, mean, passed, turns = self._means.get(i, (effort, effort, effort, 0.0, 0))
         mean += min(time / _TARE, 1.0) * (effort - mean)
         passed += min(time, _BEFORE)
         if passed >= _BEFORE:
-            older, old, passed = old, mean, 0.0
-        self._means[i] = older, old, mean, passed
+            older, old, passed, turns = old, mean, 0.0, turns + 1
+        self._means[i] = older, old, mean, passed, turns
 
     def of(self, i: int) -> float:
         """Return the effort [N·m | N]; ``NaN``: not known."""
         return self._means[i][0] if i in self._means else math.nan
+
+    def sure(self, i: int) -> bool:
+        """Return whether the effort was learned in motion, not only as it set out."""
+        return i in self._means and self._means[i][4] > 1
 
 
 class ForceEstimate:
@@ -174,6 +179,9 @@ class ForceEstimate:
 
     By efforts, each finger presses with the force that fits the efforts of its actuators best, and
     a side with the sum of its fingers. Both sides press equally; their mean is the force.
+
+    Attributes:
+        hunts: Whether servos integrate their error: what they press with is not in their lead.
     """
 
     def __init__(self, hand: Hand, grip: Grip, tare: Tare) -> None:
@@ -181,7 +189,7 @@ class ForceEstimate:
         closing = (math.copysign(1.0, t - r) for t, r in zip(grip.target, grip.rest, strict=True))
         self._closing = dict(zip(grip.indices, closing, strict=True))
         names = (hand.actuators[i].name for i in grip.indices)
-        self._hunts = any(d.ki for name in names if (d := hand.dynamics.get(name)) is not None)
+        self.hunts = any(d.ki for name in names if (d := hand.dynamics.get(name)) is not None)
 
     @property
     def weight(self) -> Callable[[int], float]:
@@ -212,7 +220,7 @@ class ForceEstimate:
         grip, touch, force = self._grip, measured.touch, self.of(measured)
         least = grip.tip_force(touch)
         if least != least:
-            return math.nan if self._hunts else ELSEWHERE * force
+            return math.nan if self.hunts else ELSEWHERE * force
         uneven = 0.0
         if not grip.around:
             one, other = (sum(touch[f] for f in side) for side in (grip.fingers, grip.others))

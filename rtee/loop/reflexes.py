@@ -9,11 +9,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from rtee.actions.openings import MARGIN
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import ContactMonitor
-from rtee.loop.grip import Grip
+from rtee.loop.grip import ELSEWHERE, Grip
 from rtee.loop.measured import Measured
 from rtee.loop.motion import Limiter
 from rtee.loop.plan import Plan
@@ -55,6 +56,7 @@ class _ApproachingActuator:
     target: float
     ahead: float
     tolerance: float
+    kept_up: float
     touched: bool = False
     felt: float = -math.inf
     limit: float = math.inf
@@ -83,6 +85,7 @@ class _LegReactions:
         predicted: Efforts for the force, by the levers [N·m | N].
         meeting: Speed of the opening at which the fingers meet an object [m/s].
         around: Whether the fingers are on the path around an object, which ends once one is felt.
+        widest: Opening beyond which they touch it elsewhere than with their tips [m].
     """
 
     watched: dict[int, _ApproachingActuator]
@@ -98,6 +101,18 @@ class _LegReactions:
     predicted: Mapping[int, float] = field(default_factory=dict)
     meeting: float = math.inf
     around: bool = False
+    widest: float = math.inf
+
+    def share(self, measured: Measured) -> float:
+        """Return the share of the force to press with.
+
+        Without sensors, the force on what is touched elsewhere than with the tips may exceed what
+        efforts say by `ELSEWHERE`: it must not exceed the one that was asked for.
+        """
+        grip = self.grip
+        if grip is None or grip.tip_force(measured.touch) == grip.tip_force(measured.touch):
+            return 1.0
+        return 1.0 / (1.0 + ELSEWHERE) if grip.opening(measured.position) > self.widest else 1.0
 
 
 class Reflexes:
@@ -240,11 +255,27 @@ class Reflexes:
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
                 ahead = 1.0 if target > here else -1.0
-                watched[i] = _ApproachingActuator(mode, target, ahead, tolerance[i])
+                watched[i] = _ApproachingActuator(mode, target, ahead, tolerance[i], stamp)
         if not watched:
             return
+        if leg == 0:
+            for i in watched:
+                self._tare.forget(i)
         if opens:
-            self._approach = _LegReactions(watched, first=True, around=True)
+            # What is met on this path, at any opening, is touched elsewhere than with the tips.
+            self._approach = _LegReactions(
+                watched,
+                first=True,
+                force=None if force is None else force.value,
+                grip=plan.grip,
+                together=together,
+                predicted=plan.effort,
+                around=True,
+                widest=-math.inf,
+            )
+            share = self._approach.share(measured)
+            if together is None and force is not None and share < 1.0:
+                self._allow({i: share * plan.effort[i] for i in watched if i in plan.effort})
             self.active = True
             return
         sides: tuple[frozenset[str], ...] = ()
@@ -276,6 +307,8 @@ class Reflexes:
             approach.together, approach.predicted = together, plan.effort
             at = plan.grip.intensity_at(plan.width or 0.0)
             approach.meeting = meeting_speed(wanted, plan.grip, at)
+        if isinstance(plan.to, Around):
+            approach.widest = plan.to.width + MARGIN
         self.active = True
         unknown = [
             self._hand.actuators[i].name for i in watched if self._contact.unknown(i, measured)
@@ -291,8 +324,6 @@ class Reflexes:
             self._go_on(approach, in_place, stamp)
             return
         if together is not None:
-            for i in watched:
-                self._tare.forget(i)
             self._contact.presses_now(watched, False)
             self._allow(ceilings(self._hand, dict(plan.effort), watched))
             return
@@ -329,7 +360,7 @@ class Reflexes:
             fingers.update(dict.fromkeys(self._hand.actuators[i].fingers))
         self.touched = tuple(fingers)
         if any(each.mode is OnContact.SQUEEZE for each in approach.watched.values()):
-            self._begin_squeeze(approach, stamp, efforts)
+            self._begin_squeeze(approach, stamp, 1.0, efforts)
             self.changed = True
 
     def _begin_lightly(self, i: int, each: _ApproachingActuator, here: float) -> None:
@@ -371,6 +402,7 @@ class Reflexes:
         sides = () if grip is not None and grip.around else approach.sides
         # Where some of the fingers press with all of the force, the others are not waited for.
         forced = grip is not None and force is not None and grip.tip_force(measured.touch) >= force
+        pressed = self._squeeze is None and self._pressed(approach, stamp, measured)
         for i, watched in approach.watched.items():
             if watched.touched and self._squeeze is None and not approach.first:
                 self._resume(i, watched, stamp, measured)
@@ -381,19 +413,18 @@ class Reflexes:
             velocity = self._profile.velocity[i]
             reference = self._limiter.position[i]
             if approach.around:
-                # Only what is felt: efforts show a blow once it is over.
-                if (
-                    rules.any_touch(self._contact.forces(i, measured), self._grasp.touch)
-                    is not True
-                ):
-                    continue
-            elif not self._contact.meets(
-                i, stamp, measured, reference, velocity, every=every and not forced, sides=sides
-            ):
+                # Only what is felt, or pressed on: efforts show a blow once it is over.
+                forces = self._contact.forces(i, measured)
+                touches = rules.any_touch(forces, self._grasp.touch) is True
+            else:
+                touches = self._contact.meets(
+                    i, stamp, measured, reference, velocity, every=every and not forced, sides=sides
+                )
+            if not (pressed or touches):
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
-                elif approach.together is not None and not self.touched:
-                    self._weigh(i, watched, passed, measured)
+                elif approach.together is not None:
+                    self._weigh(i, watched, stamp, passed, measured)
                 continue
             self._note(i, stamp, measured)
             if approach.first:
@@ -404,18 +435,43 @@ class Reflexes:
             if approach.together is not None:
                 self._stop_finger(i, approach, stamp, measured)
         if not approach.first and self._squeeze is None and self._enough(approach):
-            self._begin_squeeze(approach, stamp, pressing=measured.effort)
+            share = approach.share(measured)
+            self._begin_squeeze(approach, stamp, share, pressing=measured.effort)
         return not approach.around
 
+    def _pressed(self, approach: _LegReactions, stamp: float, measured: Measured) -> bool:
+        """Return whether efforts show that fingers press with the whole force on something.
+
+        What was met on the path around it is pressed on before its actuators set out.
+        """
+        grip, force, estimate = approach.grip, approach.force, approach.together
+        if grip is None or force is None or estimate is None:
+            return False
+        for i, each in approach.watched.items():
+            # It moves freely, or nobody knows what friction takes.
+            free = not stamp - each.kept_up >= _LOOKED_AT or not self._tare.sure(i)
+            if i in approach.predicted and not each.touched and free:
+                return False
+        felt = grip.tip_force(measured.touch)
+        now = estimate.by_efforts(measured.effort, measured.position)
+        return felt != felt and now >= approach.share(measured) * force
+
     def _weigh(
-        self, i: int, watched: _ApproachingActuator, passed: float, measured: Measured
+        self,
+        i: int,
+        watched: _ApproachingActuator,
+        stamp: float,
+        passed: float,
+        measured: Measured,
     ) -> None:
         """Learn what an approaching actuator takes while it keeps up with its reference."""
         here, reference = measured.position[i], self._limiter.position[i]
         moved, wanted = here - watched.was, reference - watched.reference
         # What falls behind may press on something already, however gently it came.
         if moved * watched.ahead >= _LAGS * wanted * watched.ahead > 0.0:
-            self._tare.learn(i, measured.effort[i], passed)
+            watched.kept_up = stamp
+            if not self.touched:
+                self._tare.learn(i, measured.effort[i], passed)
         watched.was, watched.reference = here, reference
 
     def _resume(
@@ -505,12 +561,13 @@ class Reflexes:
         several = len(self._hand.actuators[i].fingers) > 1
         if watched.mode is OnContact.SQUEEZE and several and not together:
             return  # it moves both sides: there is nothing to wait for
-        # At the measured position: the reference leads on into the object.
+        # The reference leads on into the object: only the part of its lead stays that presses.
         if self._start(i, stamp, True) is None:
             self._profile.go({}, brake=(i,))
         else:
-            self._profile.seed({i: here})
-            self._limiter.seed(i, here)
+            there = here + self._kept(i, measured) * (self._limiter.position[i] - here)
+            self._profile.seed({i: there})
+            self._limiter.seed(i, there)
         self.busy.add(i)
         holds = watched.mode is OnContact.HOLD
         self._contact.pin(i, stamp, here, grasping=holds)
@@ -519,6 +576,14 @@ class Reflexes:
         if watched.mode is not OnContact.STOP and math.isfinite(self._limit(i)):
             self.effort[i] = self._light(i, watched)
             self.changed = True
+
+    def _kept(self, i: int, measured: Measured) -> float:
+        """Return the share of an actuator's effort that presses, besides weight and friction."""
+        effort, weight = measured.effort[i], self._tare.of(i)
+        together = self._approach and self._approach.together
+        if not together or together.hunts or not effort or weight != weight:
+            return 0.0
+        return min(max(1.0 - weight / effort, 0.0), 1.0)
 
     def _light(self, i: int, watched: _ApproachingActuator) -> float:
         """Return the effort limit that overcomes friction and presses lightly [N·m | N]."""
@@ -545,6 +610,7 @@ class Reflexes:
         self,
         approach: _LegReactions,
         stamp: float,
+        share: float,
         efforts: Mapping[int, float] | None = None,
         pressing: Sequence[float] = (),
     ) -> None:
@@ -554,14 +620,14 @@ class Reflexes:
         with already, which would drop the object.
         """
         if approach.together is not None and approach.grip is not None:
-            self._press(approach, approach.grip, approach.together, stamp)
+            self._press(approach, approach.grip, approach.together, stamp, share)
             return
         held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
             if each.mode is not OnContact.SQUEEZE:
                 continue
-            full = self._limit(i)
+            full = share * self._limit(i)
             if math.isfinite(full) and full > 0.0:
                 begin = self._light(i, each) if efforts is None else efforts.get(i, full)
                 if pressing and abs(pressing[i]) > begin:
@@ -596,10 +662,15 @@ class Reflexes:
         squeeze.begin(stamp)
 
     def _press(
-        self, approach: _LegReactions, grip: Grip, estimate: ForceEstimate, stamp: float
+        self,
+        approach: _LegReactions,
+        grip: Grip,
+        estimate: ForceEstimate,
+        stamp: float,
+        share: float,
     ) -> None:
         """Begin to press with the fingers that touch; the others join when they do."""
-        predicted = dict(approach.predicted)
+        predicted = {i: share * effort for i, effort in approach.predicted.items()}
         most = [approach.most[i] / e for i, e in predicted.items() if e and i in approach.most]
         pressing = Pressing(
             self._hand,
@@ -610,7 +681,7 @@ class Reflexes:
             self._report,
             grip,
             estimate,
-            approach.force or math.nan,
+            share * (approach.force or math.nan),
             predicted,
             min(most, default=1.0),
             approach.meeting,

@@ -363,15 +363,17 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     plan = make_plan(grasp(0.03, 0.5), hand, library, settings)
     assert len(plan.effort) > 1, "of several joints"
     controller.accept(plan, time)
-    limits = []
+    time_began, limits = time, []
     while not any(isinstance(item, Result) for item in controller.outbox.items):
         tick()
         limits.append([controller.reference_effort[i] for i in plan.effort])
     allowed = ceilings(hand, dict(plan.effort), plan.effort)
     assert np.min(limits, axis=0) == pytest.approx([allowed[i] for i in plan.effort])
     assert all(allowed[i] < hand.actuators[i].effort for i in plan.effort)
-    # The way around the object has taught what free motion takes.
-    assert not [item for item in controller.outbox.items if isinstance(item, Event)]
+    # The way around has taught what free motion takes; only the speed is told, beforehand.
+    [told] = [item for item in controller.outbox.items if isinstance(item, Event)]
+    assert (told.kind, told.stamp) == ("slowed", time_began)
+    assert "meet the object at 7.79 mm/s instead of " in told.text
 
 
 class Stepping(Gripper):
