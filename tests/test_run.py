@@ -23,6 +23,7 @@ from rtee.log import read
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.measured import Measured
+from rtee.remote.directory import claimed
 from rtee.running import free_motion
 from rtee.running.event_lines import EventLines, Fields, entry, line
 from rtee.running.run import RunOptions, prepare, run_hands
@@ -254,6 +255,16 @@ async def test_mistakes_end_it_before_anything_moves(
     with pytest.raises(UserError, match=reason):
         await run_hands(names, options(folder, **more), serve=None, say=said.append)
     assert said == []
+    assert not any(files for *_, files in os.walk(folder / "logs"))
+
+
+async def test_a_hand_that_runs_already_keeps_its_devices_to_itself(
+    folder: Path, calls: Path
+) -> None:
+    more = options(folder, driver=f"{__name__}:Recalling")
+    with claimed("jaw"), pytest.raises(ConfigError, match="'jaw' runs already, in process"):
+        await run_hands(["jaw"], more, say=str)
+    assert calls.name not in os.listdir(folder)
 
 
 async def test_a_mistake_in_a_devices_options_has_file_and_line(folder: Path) -> None:

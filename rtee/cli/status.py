@@ -272,7 +272,8 @@ def _position(text: str) -> tuple[str, float]:
 
 
 def _show_info(description: HandInfo) -> None:
-    counts = f"{len(description.actuators)} actuators, {len(description.joints)} joints"
+    actuators, joints = len(description.actuators), len(description.joints)
+    counts = f"{actuators} actuator{'s' * (actuators != 1)}, {joints} joint{'s' * (joints != 1)}"
     print(f"{description.name}: {counts}; base frame {description.base}\n")
     columns = ("actuator", "kind", "lower", "upper", "velocity", "effort", "stiffness", "fingers")
     numbers = columns[2:7]

@@ -20,7 +20,7 @@ import numpy as np
 
 from rtee import monotonic
 from rtee.commands import CommandRecord
-from rtee.errors import LogError
+from rtee.errors import LogError, UserError
 from rtee.hand.config_schema import Recorded
 from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
 from rtee.hand.files import reason
@@ -245,13 +245,18 @@ class Recorder(Observer):
         self.open()
         return self
 
-    async def __aexit__(self, *_: object) -> None:
+    async def __aexit__(self, _: object, error: BaseException | None, __: object) -> None:
         import anyio
         import anyio.to_thread
 
+        sink = self._writer.sink
+        path = sink.path
         # Shielded, so that the queue is written although the run is being cancelled.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(self.close)
+        # What a mistake kept from starting is not the newest recording to look at.
+        if path is not None and isinstance(error, UserError) and not sink.written_ticks:
+            path.unlink(missing_ok=True)
 
     # --- observing the loop ------------------------------------------------------------------
 

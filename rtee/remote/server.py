@@ -45,7 +45,7 @@ from rtee.remote.call_queue import CallQueue, DelayQueue, LoopThread
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.connections import Connections
 from rtee.remote.counts import Counting
-from rtee.remote.directory import claimed
+from rtee.remote.directory import HandLock, claimed
 from rtee.remote.door import Door
 from rtee.remote.goal_records import GoalRecords
 from rtee.remote.identities import Identities
@@ -251,10 +251,12 @@ class Server:
         settings: RemoteSettings,
         recording: RecorderControl | None = None,
         profile: str = "",
+        place: HandLock | None = None,
     ) -> AsyncIterator[Self]:
         """Make a hand available on the network for as long as the context lasts.
 
         Its loop runs in the event loop of this task; the profile of its references is in words.
+        The place is that of the hand if it is `claimed` already.
         Raises `ConfigError` if the hand runs already, or an endpoint cannot be used.
         """
 
@@ -268,7 +270,7 @@ class Server:
         hand = loop.hand
         # Everything is closed in reverse order: first the announcement goes, last the session.
         async with contextlib.AsyncExitStack() as stack:
-            place = stack.enter_context(claimed(hand.name))
+            place = place or stack.enter_context(claimed(hand.name))
             protection = await in_thread(Protection, hand.name, settings)
             socket = place.socket
             if not fits(socket):  # too long a path: use a new folder that only this user may read

@@ -42,6 +42,7 @@ from rtee.loop.shutdown_signals import (
     receive_signals,
     wait_for_end,
 )
+from rtee.remote.directory import HandLock, claimed
 from rtee.remote.server import Server
 from rtee.remote.session import address_of
 from rtee.running import free_motion
@@ -58,7 +59,9 @@ CONNECT_WITHIN = 3.0
 most devices connect faster."""
 
 
-Serve = Callable[[HandLoop, RemoteSettings, Recorder, str], AbstractAsyncContextManager[Server]]
+Serve = Callable[
+    [HandLoop, RemoteSettings, Recorder, str, HandLock], AbstractAsyncContextManager[Server]
+]
 """Makes a hand available on the network for as long as the context lasts: see `Server.open`."""
 
 
@@ -124,6 +127,8 @@ async def run_hands(
         # Before devices are opened: a signal during that ends the run as configured, a moment
         # later.
         signals = stack.enter_context(receive_signals())
+        # Before devices are opened, too: a hand that runs already is using them.
+        places = {name: stack.enter_context(claimed(name)) for name in given if serve is not None}
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
         lines = stack.enter_context(event_lines(options.events)) if options.events else None
@@ -133,7 +138,8 @@ async def run_hands(
             if serve is not None:
                 config = hand.prepared.config
                 words = profile_words(config, hand.prepared.settings)
-                server = serve(hand.loop, config.remote, hand.recorder, words)
+                place = places[hand.loop.name]
+                server = serve(hand.loop, config.remote, hand.recorder, words, place)
                 hand.server = await stack.enter_async_context(server)
             network = "off" if hand.server is None else hand.server.endpoint
             say(start_line(hand.loop, _log_words(hand.recorder), network))
