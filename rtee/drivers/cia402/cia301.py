@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
@@ -23,8 +22,8 @@ NODES = 127
 """Largest node id; the smallest is 1."""
 FULL = 8
 """Data bytes of a full classic CAN frame, such as all SDO and emergency frames."""
-SPECIFIER = 5
-"""Number of bits below the command specifier in the first byte of an SDO frame."""
+UPLOAD = 0x40
+"""Command of a request to read a value, and of its answer, in the highest three bits."""
 DISABLED = 0x8000_0000
 """Bit of a PDO's COB-ID that disables the PDO."""
 
@@ -41,15 +40,6 @@ class NmtCommand(IntEnum):
     PRE_OPERATIONAL = 0x80
     RESET_NODE = 0x81
     RESET_COMMUNICATION = 0x82
-
-
-class Specifier(IntEnum):
-    """Command specifiers of SDO requests (CiA 301, SDO protocols)."""
-
-    DOWNLOAD = 1
-    UPLOAD = 2
-    UPLOAD_SEGMENT = 3
-    ABORT = 4
 
 
 class NmtState(IntEnum):
@@ -105,8 +95,6 @@ class Emergency(Packed):
 class Abort(IntEnum):
     """The reason why an SDO transfer is refused."""
 
-    TOGGLE = 0x0503_0000
-    COMMAND = 0x0504_0001
     UNSUPPORTED = 0x0601_0000
     READ_ONLY = 0x0601_0002
     NO_OBJECT = 0x0602_0000
@@ -115,7 +103,6 @@ class Abort(IntEnum):
     LENGTH = 0x0607_0010
     NO_SUBINDEX = 0x0609_0011
     RANGE = 0x0609_0030
-    GENERAL = 0x0800_0000
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,30 +133,9 @@ class Sdo(Packed):
     @classmethod
     def upload(cls, index: int, subindex: int = 0) -> Self:
         """Return the request that reads an object."""
-        return cls(Specifier.UPLOAD << SPECIFIER, index, subindex)
-
-    @classmethod
-    def download(cls, index: int, subindex: int, value: bytes) -> Self:
-        """Return the request that writes up to four bytes to an object."""
-        return cls(0x23 | (4 - len(value)) << 2, index, subindex, value)
-
-    @classmethod
-    def uploaded(cls, index: int, subindex: int, value: bytes) -> Self:
-        """Return the answer to a read of up to four bytes."""
-        return cls(0x43 | (4 - len(value)) << 2, index, subindex, value)
-
-    @classmethod
-    def downloaded(cls, index: int, subindex: int) -> Self:
-        """Return the answer to a write."""
-        return cls(0x60, index, subindex)
-
-    @classmethod
-    def aborted(cls, index: int, subindex: int, code: int) -> Self:
-        """Return a refusal."""
-        return cls(Specifier.ABORT << SPECIFIER, index, subindex, struct.pack("<I", code))
+        return cls(UPLOAD, index, subindex)
 
 
-# Error codes of CiA 301 and, from 2310h, of CiA 402.
 EMERGENCIES: dict[int, str] = {
     0x2310: "overcurrent",
     0x3210: "overvoltage",

@@ -6,6 +6,9 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import canopen
+from canopen.sdo import SdoServer
+
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.cia402 import cia301
 
@@ -31,10 +34,24 @@ class Entry:
     changed: Callable[[int], cia301.Abort | None] | None = None
 
 
-@dataclass(slots=True)
-class _Upload:
-    data: bytes
-    toggle: int = 0
+class _SdoServer(SdoServer):  # type: ignore[misc]
+    """The server of a node's objects: one answer to each request."""
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(cia301.SDO_REQUEST, cia301.SDO_ANSWER, node)
+        # As after a transfer, so that a request in the middle of none is answered.
+        self._index = self._subindex = 0
+        self._buffer = bytearray()
+
+    def answered(self, request: bytes) -> bytes:
+        """Return the answer to a request; empty if it has none."""
+        self._answer = b""
+        self.on_request(self.rx_cobid, request, None)
+        return self._answer
+
+    def send_response(self, response: bytes) -> None:
+        """Keep the answer, which is one frame."""
+        self._answer = bytes(response)
 
 
 @dataclass(slots=True)
@@ -56,10 +73,14 @@ class Node:
     on_reset: Callable[[], None] = lambda: None
     on_silence: Callable[[], None] = lambda: None
     inhibited: bool = False
-    _upload: _Upload | None = None
+    object_dictionary: canopen.ObjectDictionary = field(default_factory=canopen.ObjectDictionary)
+    _server: _SdoServer = field(init=False)
     _beat_at: float = 0.0
     _host_at: float | None = None
     _received: dict[int, bytes] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._server = _SdoServer(self)
 
     def add(self, index: int, subindex: int, form: str, value: int, **access: object) -> None:
         """Add a value of a struct format."""
@@ -116,7 +137,7 @@ class Node:
 
     def start(self, now: float) -> list[CanFrame]:
         """Boot into pre-operational; return the boot-up message."""
-        self._upload = None
+        self._server = _SdoServer(self)
         self._received.clear()
         self._host_at = None
         self.state = cia301.NmtState.PRE_OPERATIONAL
@@ -153,11 +174,8 @@ class Node:
             frame.id == cia301.SDO_REQUEST + self.number
             and self.state is not cia301.NmtState.STOPPED
         ):
-            try:
-                answer = self._serve(cia301.Sdo.from_bytes(frame.data), frame.data)
-            except cia301.CanopenFrameError:
-                return []
-            return [CanFrame(cia301.SDO_ANSWER + self.number, answer)]
+            answer = self._server.answered(frame.data) if len(frame.data) == cia301.FULL else b""
+            return [CanFrame(cia301.SDO_ANSWER + self.number, answer)] if answer else []
         if self.state is cia301.NmtState.OPERATIONAL:
             self._receive(frame)
         return []
@@ -178,61 +196,30 @@ class Node:
 
     # --- SDO -----------------------------------------------------------------------------------
 
-    def _serve(self, request: cia301.Sdo, raw: bytes) -> bytes:
-        key = (request.index, request.subindex)
-        kind = request.command >> cia301.SPECIFIER
-        if kind == cia301.Specifier.UPLOAD_SEGMENT:
-            return self._next_segment(request)
-        if kind == cia301.Specifier.ABORT:
-            self._upload = None
-            return cia301.Sdo.aborted(*key, cia301.Abort.GENERAL).to_bytes()
-        entry = self.objects.get(key)
-        if entry is None:
-            known = any(index == request.index for index, _ in self.objects)
-            return cia301.Sdo.aborted(
-                *key, cia301.Abort.NO_SUBINDEX if known else cia301.Abort.NO_OBJECT
-            ).to_bytes()
-        if kind == cia301.Specifier.UPLOAD:
-            return self._read(key, entry)
-        if kind == cia301.Specifier.DOWNLOAD:
-            return self._write(key, entry, request)
-        return cia301.Sdo.aborted(*key, cia301.Abort.COMMAND).to_bytes()
+    def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
+        """Return the bytes of a value to the SDO server; raises `SdoAbortedError`."""
+        return self._entry(index, subindex).value
 
-    def _read(self, key: tuple[int, int], entry: Entry) -> bytes:
-        if 0 < len(entry.value) <= 4:
-            return cia301.Sdo.uploaded(*key, entry.value).to_bytes()
-        self._upload = _Upload(entry.value)
-        return cia301.Sdo(0x41, *key, struct.pack("<I", len(entry.value))).to_bytes()
-
-    def _next_segment(self, request: cia301.Sdo) -> bytes:
-        upload = self._upload
-        if upload is None:
-            return cia301.Sdo.aborted(0, 0, cia301.Abort.COMMAND).to_bytes()
-        if request.command >> 4 & 0x1 != upload.toggle:
-            self._upload = None
-            return cia301.Sdo.aborted(0, 0, cia301.Abort.TOGGLE).to_bytes()
-        piece, upload.data = upload.data[:7], upload.data[7:]
-        last = not upload.data
-        command = upload.toggle << 4 | (7 - len(piece)) << 1 | last
-        upload.toggle ^= 1
-        if last:
-            self._upload = None
-        return bytes([command]) + piece.ljust(7, b"\x00")
-
-    def _write(self, key: tuple[int, int], entry: Entry, request: cia301.Sdo) -> bytes:
+    def set_data(
+        self, index: int, subindex: int, data: bytes, check_writable: bool = False
+    ) -> None:
+        """Set a value for the SDO server; raises `SdoAbortedError`."""
+        entry = self._entry(index, subindex)
         if not entry.writable:
-            return cia301.Sdo.aborted(*key, cia301.Abort.READ_ONLY).to_bytes()
-        if not request.command & 0x2:
-            return cia301.Sdo.aborted(*key, cia301.Abort.UNSUPPORTED).to_bytes()
-        if request.size != len(entry.value):
-            return cia301.Sdo.aborted(*key, cia301.Abort.LENGTH).to_bytes()
-        before, entry.value = entry.value, request.data[: request.size]
-        if entry.changed is not None:
-            refused = entry.changed(int.from_bytes(entry.value, "little"))
-            if refused is not None:
-                entry.value = before
-                return cia301.Sdo.aborted(*key, refused).to_bytes()
-        return cia301.Sdo.downloaded(*key).to_bytes()
+            raise canopen.SdoAbortedError(cia301.Abort.READ_ONLY)
+        if len(data) != len(entry.value):
+            raise canopen.SdoAbortedError(cia301.Abort.LENGTH)
+        before, entry.value = entry.value, bytes(data)
+        refused = entry.changed(int.from_bytes(data, "little")) if entry.changed else None
+        if refused is not None:
+            entry.value = before
+            raise canopen.SdoAbortedError(refused)
+
+    def _entry(self, index: int, subindex: int) -> Entry:
+        if (index, subindex) in self.objects:
+            return self.objects[index, subindex]
+        known = any(index == known for known, _ in self.objects)
+        raise canopen.SdoAbortedError(cia301.Abort.NO_SUBINDEX if known else cia301.Abort.NO_OBJECT)
 
     # --- PDO -----------------------------------------------------------------------------------
 

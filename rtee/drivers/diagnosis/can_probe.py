@@ -75,7 +75,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
         answer = heard.get(cia301.SDO_ANSWER + node)
         if answer is not None and len(answer) == cia301.FULL:
             # The low half of the device type is the number of the device profile.
-            uploaded = answer[0] >> cia301.SPECIFIER == cia301.Specifier.UPLOAD
+            uploaded = answer[0] & 0xE0 == cia301.UPLOAD
             drive = uploaded and int.from_bytes(answer[4:6], "little") == _DRIVES
             name, driver = ("CiA 402 drive", "cia402") if drive else ("CANopen node", "")
             found.append(Found(driver, f"{name} {node}", {**where, "id": node}))

@@ -45,15 +45,15 @@ def test_frames_are_those_of_the_sheet() -> None:
 @pytest.mark.parametrize(
     ("sheet", "sdo"),
     [
-        ("2B171000 64000000", Sdo.download(0x1017, 0, struct.pack("<H", 100))),
-        ("60171000 00000000", Sdo.downloaded(0x1017, 0)),
+        ("2B171000 64000000", Sdo(0x2B, 0x1017, 0, b"\x64\0\0\0")),
+        ("60171000 00000000", Sdo(0x60, 0x1017, 0)),
         ("40416000 00000000", Sdo.upload(0x6041)),
-        ("4B416000 40000000", Sdo.uploaded(0x6041, 0, struct.pack("<H", 0x40))),
-        ("2B406000 06000000", Sdo.download(0x6040, 0, struct.pack("<H", 6))),
-        ("2F606000 01000000", Sdo.download(0x6060, 0, b"\x01")),
-        ("237A6000 E8030000", Sdo.download(0x607A, 0, struct.pack("<i", 1000))),
+        ("4B416000 40000000", Sdo(0x4B, 0x6041, 0, b"\x40\0\0\0")),
+        ("2B406000 06000000", Sdo(0x2B, 0x6040, 0, b"\x06\0\0\0")),
+        ("2F606000 01000000", Sdo(0x2F, 0x6060, 0, b"\x01\0\0\0")),
+        ("237A6000 E8030000", Sdo(0x23, 0x607A, 0, b"\xe8\x03\0\0")),
         ("40996001 00000000", Sdo.upload(0x6099, 1)),
-        ("80996001 00000206", Sdo.aborted(0x6099, 1, Abort.NO_OBJECT)),
+        ("80996001 00000206", Sdo(0x80, 0x6099, 1, struct.pack("<I", Abort.NO_OBJECT))),
     ],
 )
 def test_sdo_frames_are_those_of_the_sheet(sheet: str, sdo: Sdo) -> None:
