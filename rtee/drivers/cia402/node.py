@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import canopen
-from canopen.sdo import SdoServer
+from canopen.sdo.server import SdoServer
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.cia402 import cia301
@@ -34,11 +34,11 @@ class Entry:
     changed: Callable[[int], cia301.Abort | None] | None = None
 
 
-class _SdoServer(SdoServer):  # type: ignore[misc]
+class _SdoServer(SdoServer):
     """The server of a node's objects: one answer to each request."""
 
     def __init__(self, node: Node) -> None:
-        super().__init__(cia301.SDO_REQUEST, cia301.SDO_ANSWER, node)
+        super().__init__(cia301.SDO_REQUEST, cia301.SDO_ANSWER, node)  # type: ignore[no-untyped-call]
         # As after a transfer, so that a request in the middle of none is answered.
         self._index = self._subindex = 0
         self._buffer = bytearray()
@@ -46,7 +46,7 @@ class _SdoServer(SdoServer):  # type: ignore[misc]
     def answered(self, request: bytes) -> bytes:
         """Return the answer to a request; empty if it has none."""
         self._answer = b""
-        self.on_request(self.rx_cobid, request, None)
+        self.on_request(self.rx_cobid, request, None)  # type: ignore[no-untyped-call]
         return self._answer
 
     def send_response(self, response: bytes) -> None:
