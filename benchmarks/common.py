@@ -30,6 +30,7 @@ HELP = {
     "nice": "priority of Chromium, 0 (as all others) to 19 (lowest)",
     "no_matrix": "leave the faults out",
     "no_throughput": "leave the throughput out",
+    "processor": "measure processor time of exchanges in simulated time",
     "only": "measure only what has this in its name",
     "pairs": "runs with each driver, by turns",
     "places": "number of places of the object for rtee try",

@@ -1,6 +1,7 @@
 """Measure every driver on its emulated wire: throughput beside the wire's limit, and faults.
 
     python benchmarks/drivers.py [--seconds 3] [--cycles 10000] [--only NAME] [--no-matrix]
+    python benchmarks/drivers.py --processor [--cycles 250] [--only NAME]
 
 Throughput: sense and move as fast as the driver can, on a real transport (pty, TCP port, virtual
 CAN) where bytes take the time they would take at the line's rate and the device takes its
@@ -25,6 +26,10 @@ Devices without a wire of that kind (networks, process data) have no such limit;
 device that sends by itself (Allegro) is its own pace. The next column is the rate that the driver
 itself names as its best, which the loop does not exceed.
 
+Processor: the processor time of one exchange, sense and move, of the driver and its emulated device
+together, in simulated time [µs]. Other programs disturb it little, so that versions can be compared
+by turns on a busy computer.
+
 Matrix: see `matrix`. The survival of the faults is tried several at a time, as emulated devices
 mostly wait; the lateness of another hand afterwards, one fault at a time and nothing beside.
 """
@@ -42,6 +47,7 @@ from devices import as_the_loop, cases, whole_hands
 from farend import ApartPool
 from matrix import matrix
 
+from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.loop.realtime import backend_options
 from rtee.testing import DeviceCase, Session
 from rtee.types import Reference
@@ -124,6 +130,20 @@ async def middling(session: Session, goals: list[Reference], used: Callable[[], 
     return statistics.median(needs)
 
 
+async def processor(case: DeviceCase, cycles: int) -> float:
+    """Return the processor time of an exchange in simulated time [µs]."""
+    async with Session(case) as session:
+        await session.start()
+        middle = [(a.lower + a.upper) / 2 for a in session.spec.actuators]
+        goals = [Reference.at([q + step for q in middle]) for step in (0.0, 0.001)]
+        for number in range(-20, cycles):
+            if number == 0:
+                begun = time.process_time()
+            await session.cycle(goals[number % 2])
+            await asyncio.sleep(0.002)
+        return (time.process_time() - begun) / cycles * 1e6
+
+
 async def _row(case: DeviceCase, seconds: float) -> list[object]:
     try:
         async with asyncio.timeout(60):
@@ -142,9 +162,18 @@ def main() -> None:
         only=str,
         no_matrix=False,
         no_throughput=False,
+        processor=False,
     ).parse_args()
     devices = cases(None)
     as_the_loop()
+    if arguments.processor:
+        table = Table("device", "µs", widths=(44, 6))
+        for name, case in devices.items():
+            if not arguments.only or arguments.only in name:
+                loop = SimulatedTimeLoop()
+                table.row(name, f"{loop.run_until_complete(processor(case, arguments.cycles)):.0f}")
+                loop.close()
+        return
     if not arguments.no_throughput:
         head = ("rate", "limit", "of it", "median", "end", "but for it", "driver", "failed")
         table = Table("device", *head, widths=(44, 5, 5, 6, 6, 4, 10, 6))

@@ -204,12 +204,13 @@ class Rh56Memory:
 
     def report(self) -> codec.Report:
         """Return its measurements."""
+        angles = self._set_points.angles
         return codec.Report(
             tuple(round(axis.measured) for axis in self.axes),
             tuple(round(self._force(i)) for i in range(codec.COUNT)),
             tuple(round(self._current(axis)) for axis in self.axes),
             tuple(self.errors),
-            tuple(self._state(i) for i in range(codec.COUNT)),
+            tuple(self._state(i, angle) for i, angle in enumerate(angles)),
             tuple(round(axis.temperature) for axis in self.axes),
         )
 
@@ -224,7 +225,7 @@ class Rh56Memory:
             return _RUNNING_MA
         return _STALL_MA * abs(axis.effort) / self.properties.most if axis.blocked else 0.0
 
-    def _state(self, i: int) -> codec.State:
+    def _state(self, i: int, angle: int) -> codec.State:
         axis, errors = self.axes[i], self.errors[i]
         if errors:
             if errors & codec.Error.LOCKED:
@@ -234,7 +235,7 @@ class Rh56Memory:
                 if errors & codec.Error.CURRENT
                 else codec.State.FAULT
             )
-        if self._set_points.angles[i] == codec.KEEP:
+        if angle == codec.KEEP:
             return codec.State.UNSET
         if axis.blocked and axis.obstacle is not None and abs(axis.effort) >= axis.max_effort:
             return codec.State.AT_FORCE
