@@ -1,4 +1,4 @@
-"""One hand as an agent has it: what it watches, and the gate that its motions pass."""
+"""One hand for an agent: its observed state, and the gate for its motions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Agent:
         self._moving = False
 
     async def run(self) -> None:
-        """Stay connected and note what happens, until cancelled."""
+        """Stay connected and record events, until cancelled."""
         while True:
             try:
                 async with connect(self.name, endpoint=self.endpoint, client=AGENT) as remote:
@@ -129,7 +129,7 @@ class Agent:
         return played
 
     async def _rehearsed(self, remote: RemoteHand, goal: Goal, obj: str) -> tuple[str, str]:
-        """Return what happens in simulation, and why the goal should not be done, in words."""
+        """Simulate the goal; return the result and the reason against the goal as texts."""
         with needing_extra("playing a motion in simulation", "sim"):
             from rtee.trials.rehearsal import rehearse
         position = (await remote.state()).positions

@@ -41,7 +41,7 @@ def outside(text: str) -> dict[str, str] | None:
 
 
 def number(value: float | None) -> float | None:
-    """Return a number that JSON has, rounded to what is measured; ``None``: not known."""
+    """Return a finite number rounded to the accuracy of measurements; ``None``: not known."""
     return None if value is None or not math.isfinite(value) else round(value, 6)
 
 

@@ -291,7 +291,7 @@ a range such as ``1..50``, or what stands for the value in the help."""
 
 
 def described(command: F) -> F:
-    """Give the parameters of a command what its docstring says of them.
+    """Give the parameters of a command the help texts of its docstring.
 
     As in a call, those before ``*`` are arguments and the others options, called like the parameter
     unless the entry names them.
@@ -364,7 +364,7 @@ _FILES = 64
 
 
 def check_files() -> None:
-    """Let this process open as many files as it may; with too few, the Zenoh library panics.
+    """Raise the limit of open files: with too few, the Zenoh library panics.
 
     Raises `ConfigError` if the limit is too low.
     """

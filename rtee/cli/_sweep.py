@@ -1,4 +1,4 @@
-"""What commands that run sweeps share: workers, progress, and results of an aborted sweep."""
+"""Shared parts of commands with sweeps: workers, progress, results of an aborted sweep."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def resolved(hand: str) -> str:
 
 
 def tell_of_meshes(objects: Iterable[str]) -> None:
-    """Print what is assumed about objects that are meshes, beside the results on stdout."""
+    """Print the assumptions about meshes on stderr."""
     from rtee.objects.shape import is_shape
 
     meshes = [text for text in dict.fromkeys(objects) if not is_shape(text)]
@@ -105,7 +105,7 @@ def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
 def followed(
     sweep: Sweep, keep: Callable[[], None], words: Callable[[], str]
 ) -> Iterator[tuple[str, Task, Answer]]:
-    """Run a sweep with its progress; when it is ended early, say in words what is kept.
+    """Run a sweep with its progress; after an early end, print which results are kept.
 
     Args:
         sweep: The sweep.

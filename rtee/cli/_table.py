@@ -169,7 +169,7 @@ class TextTable:
 
 
 class _Output:
-    """What the options of a command say of its output."""
+    """Options of a command about its output."""
 
     wide = False
 

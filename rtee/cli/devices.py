@@ -79,7 +79,7 @@ def _devices_of(
 
 
 def _finished(work: Coroutine[Any, Any, T], *, simulated: bool) -> T:
-    """Return what some work results in; emulated devices alone need not be waited for."""
+    """Run work and return its result, without real time for emulated devices."""
     from rtee.buses.simulated_time import SimulatedTimeLoop
 
     with asyncio.Runner(loop_factory=SimulatedTimeLoop if simulated else None) as runner:
@@ -236,11 +236,11 @@ async def _asked(name: str, only: str | None) -> dict[str, list[Check]]:
     if only is not None and only not in devices:
         raise ConfigError(f"hand '{name}' has no device '{only}'; {suggestion(only, devices)}")
     chosen = devices.values() if only is None else [devices[only]]
-    return {each.name: [_told(name, each)] for each in chosen}
+    return {each.name: [_status_check(name, each)] for each in chosen}
 
 
-def _told(hand: str, device: DeviceStatus) -> Check:
-    """Return a check of a device from what the running hand says of it."""
+def _status_check(hand: str, device: DeviceStatus) -> Check:
+    """Return a check of a device from the status of the running hand."""
     from rtee.types import Lifecycle
 
     text = f"{device.driver}, {device.lifecycle}, says the running hand"

@@ -193,7 +193,7 @@ def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
 
 
 def _shortage(error: Exception) -> str:
-    """Return a sentence about the resource that is used up; ``""`` for any other error."""
+    """Return a sentence about the exhausted resource; ``""`` for any other error."""
     # The dynamic linker reports a lack of memory as "failed to map segment".
     # Python reports a thread for whose stack there is none by a RuntimeError.
     words = ("failed to map segment", "can't start new thread")

@@ -1,4 +1,4 @@
-"""`rtee mcp`: a hand for language models; `rtee agent`: what a person answers them."""
+"""`rtee mcp`: a hand for language models; `rtee agent`: a person's answers to them."""
 
 from __future__ import annotations
 

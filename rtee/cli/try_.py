@@ -338,7 +338,7 @@ class _SavedResults:
 
 @dataclass(frozen=True, slots=True)
 class _Words:
-    """Says what is kept of a sweep that was ended."""
+    """Names the results kept after a sweep ended early."""
 
     total: int
     again: bool

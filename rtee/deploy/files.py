@@ -213,7 +213,7 @@ def _rules(needs: Needs) -> str:
 
 
 def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> list[str]:
-    """Return sentences about what the user has to do, or may do, after the installation.
+    """Return the steps that the user must or may do after the installation.
 
     ``program`` is the ``rtee`` given by the user, ``None`` that of this environment; the system is
     ``live`` if it is the running one.

@@ -324,7 +324,7 @@ def horner(coefficients: Sequence[float], variable: str = "x") -> str:
 
 
 def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str) -> Solved:
-    """Solve a closed linkage: how its joints follow one of them.
+    """Solve a closed linkage for the motion of its joints by one of them.
 
     Args:
         linkage: The linkage.
@@ -545,7 +545,7 @@ def _sums(springs: Sequence[LinearCoupling]) -> list[LinearCoupling]:
 def _supposed_motors(
     model: mujoco.MjModel, constraints: ModelConstraints, motion: ModelMotion
 ) -> list[Motor]:
-    """Return a motor for each joint that is free to move, where the model has none."""
+    """Return a motor for each free joint if the model has no motors."""
     motors = []
     for group in _groups(model, constraints, motion):
         free = len(group.joints)

@@ -9,6 +9,7 @@ import math
 import os
 import secrets
 import warnings
+from collections.abc import Iterator
 from functools import partial
 from html import escape
 from typing import Final
@@ -26,7 +27,7 @@ from rtee.gui.headset import Follow
 from rtee.gui.panels.approval import Approval
 from rtee.gui.session import HandSession
 from rtee.gui.visitors import Visitors
-from rtee.gui.watch import AGAIN, Watch, told
+from rtee.gui.watch import AGAIN, Watch, first_message
 from rtee.gui.wording import coloured, small
 from rtee.loop.memory import give_memory_back
 from rtee.remote.client import connect, stop_hand
@@ -39,7 +40,7 @@ _DRAW_PERIOD: Final = 1 / 30
 
 
 class Page:
-    """What one window shows: a hand, and once it has gone its last picture until it returns.
+    """One window with a hand; after the loss of the hand, its last picture until it returns.
 
     Attributes:
         session: The panels of the hand, or of the one that has gone.
@@ -80,7 +81,7 @@ class Page:
             self._scope.cancel()
 
     def offer(self, names: tuple[str, ...]) -> None:
-        """Offer the hands that run, and the one that is shown."""
+        """Offer the running hands and the shown one."""
         shown = self.watch.truth.hand
         # It stays in the list while it is away, since it is shown again when it returns.
         names = tuple(sorted({*names, *([shown] if shown else [])}))
@@ -100,7 +101,7 @@ class Page:
                     except RteeError:  # the bar says why
                         pass
                     except BaseExceptionGroup as errors:  # from the tasks of the session
-                        told(errors)
+                        first_message(errors)
                 if not self._scope.cancel_called:
                     await anyio.sleep(AGAIN)
             group.cancel_scope.cancel()
@@ -140,7 +141,7 @@ class Page:
             self.session.fold()
 
     async def close(self) -> None:
-        """Let go of the hand, and end once what was begun here has come to its end."""
+        """Release the hand, and end after the jobs of this window."""
         self._open = False
         if self.session is not None:
             await self.session.leave()
@@ -149,7 +150,7 @@ class Page:
 
 
 class App:
-    """The pages of all windows, the hands that they show, and what is true of these.
+    """The pages of all windows, their hands, and the states of these.
 
     Attributes:
         endpoint: Where the hand runs, if on another computer.
@@ -316,9 +317,9 @@ _LINKS: Final = {PageRole.OPERATOR: "GUI at", PageRole.OBSERVER: "to watch and s
 """Text before a printed address, by role."""
 
 
-def _announce(role: PageRole, link: str) -> None:
-    """Print the address for the next browser."""
-    print(f"rtee: for another browser: {_LINKS[role]} {link}", flush=True)  # noqa: T201
+def _announce(role: PageRole, link: str, prefix: str = "rtee: for another browser:") -> None:
+    """Print an address, by default that for the next browser."""
+    print(f"{prefix} {_LINKS[role]} {link}", flush=True)  # noqa: T201
 
 
 async def serve(
@@ -334,18 +335,6 @@ async def serve(
     If the port is in use, takes the next free one, or raises `ConfigError` where a proxy forwards
     to it. Raises `LoopError` if the access checks cannot be added to the installed viser.
     """
-    visitors = Visitors(access, follow)
-    server = visitors.open_server(port)
-    # viser takes the next free port, but the proxy would forward to the program on this one.
-    if access.behind_proxy and server.get_port() != port:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
-        raise ConfigError(
-            f"port {port} is not free, and the proxy leads there; give another one with --port, and"
-            " to the proxy, too"
-            if port
-            else "--behind-proxy needs a --port, to which the proxy leads"
-        )
     # Python collects fully once a quarter of all objects are new. Without the objects of the
     # imports, it does so every few minutes instead of hours, and has fewer to examine.
     gc.collect()
@@ -353,11 +342,28 @@ async def serve(
     # Work begun in a window continues after it has closed; its messages are discarded.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     give_memory_back()
-    for role, link in access.links(server.get_port()).items():
-        print(f"rtee: {_LINKS[role]} {link}", flush=True)  # noqa: T201
-    access.announce = _announce
-    try:
+    visitors = Visitors(access, follow)
+    with _opened(visitors, access, port) as server:
+        access.announce = _announce
         await App(server, hand, endpoint, visitors).run()
+
+
+@contextlib.contextmanager
+def _opened(visitors: Visitors, access: Access, port: int) -> Iterator[viser.ViserServer]:
+    """Run a server and print its addresses; raises `ConfigError` if a proxy needs a used port."""
+    server = visitors.open_server(port)
+    try:
+        # viser takes the next free port, but the proxy would forward to the program on this one.
+        if access.behind_proxy and server.get_port() != port:
+            raise ConfigError(
+                f"port {port} is not free, and the proxy leads there; give another one with --port,"
+                " and to the proxy, too"
+                if port
+                else "--behind-proxy needs a --port, to which the proxy leads"
+            )
+        for role, link in access.links(server.get_port()).items():
+            _announce(role, link, "rtee:")
+        yield server
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
@@ -397,7 +403,7 @@ class Cards:
         return {"run": self._run, "title": "rtee", "held": held, "doing": self._stopped, **rest}
 
     def press(self, button: str, key: str) -> None:
-        """Stop all hands, if that is the button; from any thread."""
+        """Stop all hands if the button is STOP; from any thread."""
         if button == "stop":
             self._bridge.call(self._stop, always=True)
 
@@ -423,7 +429,7 @@ class Cards:
         self._stopped = Words(f"{clock()} {'; '.join(said)}", Tone.BAD if bad else Tone.WARN)
 
     def draw(self, looks: list[Look]) -> None:
-        """Show what hands answered; hands that were not found any more lose their card."""
+        """Show the answers of hands, and remove the cards of hands that are gone."""
         places = [look.place for look in looks]
         for place in [known for known in self._folders if known not in places]:
             self._folders.pop(place).remove()
@@ -487,18 +493,10 @@ async def serve_chosen(
         ConfigError: if the port is in use and a proxy forwards to it.
     """
     visitors = Visitors(access)
-    server = visitors.open_server(port)
-    try:
+    with _opened(visitors, access, port) as server:
         taken = server.get_port()
-        if access.behind_proxy and taken != port:
-            raise ConfigError(f"port {port} is not free, and the proxy leads there")
-        for link in access.links(taken).values():
-            print(f"rtee: GUI at {link}", flush=True)  # noqa: T201
         async with following([endpoint] if endpoint else [], here=endpoint is None) as fleet:
             await fleet.known()
             visitors.desk = cards = Cards(server)
             place = await cards.run(fleet)
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
     await serve(place.hand, access=access, port=taken, endpoint=endpoint, follow=follow)

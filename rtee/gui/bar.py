@@ -1,4 +1,4 @@
-"""The bar above the page: what is true of the hand, and STOP, whatever the page below shows.
+"""The bar above the page, with the hand's present state and STOP.
 
 It is put into viser's page where that is served, and has a WebSocket of its own, so that neither a
 folded panel nor a dialog nor an end of viser's connection takes it away. Without messages, the page
@@ -39,7 +39,7 @@ _PARTS: Final = "".join(
 
 
 class Desk(Protocol):
-    """What the bar shows, and what its STOP does; called in the server's thread."""
+    """Text and buttons of the bar; called in the server's thread."""
 
     def words(self, key: str) -> dict[str, object]:
         """Return the text of the bar of the window with this key; it may have none yet."""
@@ -67,7 +67,7 @@ def put_into(response: Response) -> None:
 
 
 async def handle(connection: ServerConnection, desk: Desk) -> None:
-    """Tell a page what is true until it has gone; it sends its window's key or a button."""
+    """Send the state to a page until it is gone; receive its window's key and buttons."""
     key = ""
 
     async def listen() -> None:

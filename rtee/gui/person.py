@@ -1,4 +1,4 @@
-"""A person's hand beside a robot's, in the browser: what moves one, and how the other answers."""
+"""A person's hand beside a robot's in the browser: tracked points, and the robot's posture."""
 
 from __future__ import annotations
 

@@ -560,7 +560,7 @@ class HandScene:
         return size
 
     def _side(self, middle: FloatArray) -> FloatArray:
-        """Return the unit vector from the hand to where one sees what its fingers close on."""
+        """Return the unit vector from the hand to a camera that sees the grasp."""
         hand = self.hand
         tips = [finger.tip for finger in hand.fingers if finger.tip is not None]
         if len(tips) < 2:

@@ -218,7 +218,7 @@ class HandSession:
             self._bridge.notify(title, event.text, _COLOURS.get(event.severity, "blue"))
 
     def draw(self, now: float) -> None:
-        """Draw what is new; called about 30 times per second."""
+        """Draw changes; called about 30 times per second."""
         # In one message, which costs less and leaves no window with half a state.
         with self._bridge.stage.atomic():
             self._draw(now)

@@ -38,8 +38,8 @@ AGAIN: Final = 0.5
 """Time between two attempts to connect [s]: short enough to look immediate."""
 
 
-def told(errors: BaseExceptionGroup[BaseException]) -> str:
-    """Return the message of the first of several errors; raise them if there are others beside."""
+def first_message(errors: BaseExceptionGroup[BaseException]) -> str:
+    """Return the message of the first of several errors; raise them if others are among them."""
     known, others = errors.split(RteeError)
     if known is None or others is not None:
         raise errors
@@ -73,7 +73,7 @@ class Watch:
         self._connected = anyio.Event()
 
     async def model(self) -> Hand:
-        """Return the hand's model as soon as it is connected."""
+        """Wait for the connection and return the hand's model."""
         await self._connected.wait()
         assert self.hand is not None  # noqa: S101 - set before the event
         return self.hand
@@ -89,7 +89,7 @@ class Watch:
             except RteeError as error:
                 self.truth.on_gone(str(error))
             except BaseExceptionGroup as errors:  # from the tasks below
-                self.truth.on_gone(told(errors))
+                self.truth.on_gone(first_message(errors))
             self._connected = anyio.Event()
             await anyio.sleep(AGAIN)
 

@@ -68,13 +68,12 @@ RESULT = Codec(
     opening=_number("opening"),
     force=_number("force"),
     force_error=_number("force_error"),
-    # One byte, as the bool of earlier recordings.
     within=As(
         {"within": lambda within: -1 if within is None else int(within)},
         lambda number: None if number < 0 else number == 1,
     ),
     touched=field("touched", tuple),
-    # Recordings of before have none.
+    # Empty in recordings of goals without an aim.
     aim=As({"aim": str}, lambda text: _AIM.unpack(text or Aim.POSTURE)),
 )
 """Results of goals in CDR."""

@@ -1,4 +1,4 @@
-"""Names of what is observed of a hand as plain numbers, as policies that learn want it.
+"""Names of a hand's observed quantities as plain numbers, for learned policies.
 
 One place for both, so that a policy trained on a recording runs on the hand: the datasets made of
 recordings (`rtee.log.dataset`), and LeRobot's observations of a running hand.
@@ -16,7 +16,7 @@ from rtee.touch import TouchState
 
 
 class ObservedQuantity(StrEnum):
-    """A quantity that is observed, in the order of the vector of all of them.
+    """An observed quantity, in the order of the observation vector.
 
     Positions of the actuators [rad | m], of the joints that follow them, efforts of the actuators
     [N·m | N], the opening of the fingertips [m], the force on each fingertip [N], the sum over the

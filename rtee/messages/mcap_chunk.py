@@ -24,7 +24,7 @@ _SPARE = 1 << 20
 
 
 class DamagedChunkError(ValueError):
-    """A chunk that is damaged, or claims what no recording holds."""
+    """A damaged chunk, or one with impossible contents."""
 
 
 def decompressed(chunk: Chunk) -> bytes:

@@ -1,1 +1,1 @@
-"""The hand on the network: a server beside the loop, a client for everybody else."""
+"""The hand on the network: a server in the process of the loop, and its clients."""

@@ -158,7 +158,7 @@ def _rule(
 
 
 def _announcements(hand: str) -> Iterable[dict[str, Any]]:
-    """Return the rules for what the hand may send to all admitted clients."""
+    """Return the rules for messages of the hand to all admitted clients."""
     groups = sorted({request.group for request in REQUESTS.values()})
     yield _rule(
         "answer", "egress", ["reply", "declare_queryable"], hand, [f"{g}/*" for g in groups]
@@ -167,7 +167,7 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
 
 
 def _presence(hand: str) -> Iterable[dict[str, Any]]:
-    """Return the rules for what all admitted clients may do."""
+    """Return the rules for all admitted clients."""
     yield _rule("token", "ingress", ["liveliness_token"], hand, [f"{CLIENTS}/*"])
     # A router passes on only tokens that it was asked for.
     yield _rule("tokens", "egress", ["declare_liveliness_subscriber"], hand, [f"{CLIENTS}/*"])

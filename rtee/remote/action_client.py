@@ -223,7 +223,7 @@ class ActionClient:
         await self._link.ask("add", fields)
 
     async def store_action(self, name: str) -> None:
-        """Write an action that is only in memory to the hand's folder."""
+        """Store an action from memory in the hand's folder."""
         await self._link.ask("store", self._action(name))
 
     async def remove_action(self, name: str) -> None:

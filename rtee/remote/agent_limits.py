@@ -27,7 +27,7 @@ _WIDER: Final = tuple(Gate)
 
 @dataclass(frozen=True, slots=True)
 class AgentLimits:
-    """What an agent may do with one hand.
+    """Limits of an agent on one hand.
 
     Attributes:
         gate: What stands between agent and hand.
@@ -68,7 +68,7 @@ class AgentLimits:
         return not self.actions or normalise(action) in self.actions
 
     def check(self, goal: Goal) -> None:
-        """Refuse a goal that is beyond the limits, whatever the gate.
+        """Refuse a goal beyond the limits, for every gate.
 
         Raises:
             GoalRejected: if it is; the sentence names the limit.

@@ -31,7 +31,7 @@ def is_agent(client: str) -> bool:
 
 
 class Agents:
-    """Whether agents may move a hand; any thread may use it.
+    """Decides whether agents may move a hand; any thread may use it.
 
     What shuts them out is kept in a file beside the hand's own, so that it outlives the hand.
 
@@ -46,11 +46,11 @@ class Agents:
         self._met = False
 
     def meet(self, client: str) -> None:
-        """Record a client: `told` is empty until an agent has connected."""
+        """Record a client: `status_text` is empty until an agent has connected."""
         self._met |= is_agent(client)
 
     @property
-    def told(self) -> str:
+    def status_text(self) -> str:
         """The text in the status: `out` if an agent has connected since the hand started."""
         return self._out if self._met else ""
 
@@ -64,7 +64,7 @@ class Agents:
         self._out = foreign(why)[:_LONGEST] or "stopped"
 
     def keep(self) -> None:
-        """Write what shuts agents out to the file, unless it is there."""
+        """Write the reason for the exclusion of agents to the file, if there is none yet."""
         out = self._out
         if not out or self._kept:
             return

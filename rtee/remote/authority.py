@@ -127,7 +127,7 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
 
 
 def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
-    """Make a folder with what a hand needs to connect to the router of a site.
+    """Make a folder with the certificates with which a hand connects to the router of a site.
 
     Args:
         folder: The site's folder.

@@ -71,7 +71,7 @@ def _lingers_no_more(link: socket.socket) -> None:
 
 
 def raise_file_limit() -> int:
-    """Let this process open as many files as it may at all; return the number, -1: no limit."""
+    """Raise the limit of open files to the hard limit; return it, -1 for no limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != hard:
         # Refused where the system's own limit is lower than the hard one.

@@ -18,7 +18,7 @@ _BOUNDS: Final = (1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What has happened since a hand started; see ``rtee_msgs/Counts``.
+    """Counters of events since a hand started; see ``rtee_msgs/Counts``.
 
     Attributes:
         version: Version of rtee.

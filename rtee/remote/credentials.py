@@ -131,7 +131,7 @@ class Credentials:
             ) from None
 
     def _check_owner(self) -> None:
-        """Raise `ConfigError` if another user could have made the folder or what is in it.
+        """Raise `ConfigError` if another user could have made the folder or its files.
 
         Root may have made them for a service. The folder around this one matters, too: who can
         write there puts another folder in its place.

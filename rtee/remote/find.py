@@ -17,7 +17,7 @@ from rtee.hand.names import check_name
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running
-from rtee.remote.session import close_session, open_client, way_to
+from rtee.remote.session import access_path, close_session, open_client
 from rtee.remote.stopping import stop_path
 from rtee.units import TIME, quantity
 
@@ -107,14 +107,14 @@ async def open_here(there: Running, within: float | None = None) -> FoundSession
         ) from None
     # A server announces one endpoint here, its Unix socket.
     endpoint = there.endpoints[0]
-    return FoundSession(session, there.hand, way_to(endpoint), stop_path(endpoint))
+    return FoundSession(session, there.hand, access_path(endpoint), stop_path(endpoint))
 
 
 async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> FoundSession:
     session = await anyio.to_thread.run_sync(open_client, [endpoint], within)
     try:
         names = await anyio.to_thread.run_sync(alive, session)
-        return FoundSession(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
+        return FoundSession(session, _chosen(hand, names, f"at {endpoint}"), access_path(endpoint))
     except BaseException:  # cancellation, too, since an open session keeps threads
         close_session(session)
         raise

@@ -24,7 +24,7 @@ from rtee.remote.directory import Running
 from rtee.remote.find import FoundSession, alive, hands_running, open_here
 from rtee.remote.link import introduced
 from rtee.remote.monitoring import HandStatus, Monitoring
-from rtee.remote.session import close_session, open_client, way_to
+from rtee.remote.session import access_path, close_session, open_client
 from rtee.types import DeviceStatus, Lifecycle
 
 _SEARCH_EVERY = 2.0
@@ -50,7 +50,7 @@ class HandAddress:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a hand answered.
+    """A hand's answer to a status request.
 
     Attributes:
         place: The hand. Without a name: all at an endpoint that does not answer.
@@ -153,7 +153,7 @@ class Fleet:
                 try:
                     if session is None:
                         session = await anyio.to_thread.run_sync(open_client, [endpoint])
-                        path = way_to(endpoint)  # by the identity with which it was opened
+                        path = access_path(endpoint)  # by the identity with which it was opened
                     self._troubles[nowhere] = "no hand runs there"
                     for name in await anyio.to_thread.run_sync(alive, session):
                         self._troubles.pop(nowhere, None)

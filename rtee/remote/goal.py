@@ -134,7 +134,7 @@ class RunningGoal:
 
 
 class RunningGoals:
-    """The running goals of a client, by their identifiers; delivers what the hand says of them.
+    """The running goals of a client, by their identifiers; delivers their feedback and results.
 
     Args:
         link: The connection to the hand.

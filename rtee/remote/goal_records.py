@@ -1,4 +1,4 @@
-"""The goals that run and the results of those that ended, for clients that ask for them.
+"""Running goals and results of ended goals, for requests of clients.
 
 Results are published once. A client whose connection was congested, or which connects again, asks
 for a result by the goal's identifier.

@@ -160,7 +160,7 @@ def finite(value: object, what: str) -> float:
 
 
 def numbers(values: object, what: str) -> dict[str, float]:
-    """Return numbers by name; raises `GoalRejected` for anything else, naming what is wrong."""
+    """Return numbers by name; raises `GoalRejected` for other values and names the wrong one."""
     if not isinstance(values, Mapping):
         raise GoalRejected(
             f"each {what} is given by its name, as {{'thumb': 0.4}}, not {values!r:.100}"

@@ -51,78 +51,6 @@ from rtee.remote.session import EXPRESS, direct
 _CONNECT_WITHIN = 5.0
 """Time within which the hand must subscribe to samples [s]: as long as for an answer."""
 
-
-class Samples:
-    """Publishes samples of streams to one hand, and reports those that it refuses.
-
-    All methods must be called in the event loop's thread. ``access_path``: see
-    `rtee.messages.requests.HELLO`; ``call_soon`` calls a function in the event loop's thread, from
-    any thread.
-    """
-
-    def __init__(
-        self,
-        session: zenoh.Session,
-        hand: str,
-        client: str,
-        access_path: str,
-        signer: Signer,
-        call_soon: Callable[..., None],
-    ) -> None:
-        self._hand, self._signer, self._call_soon = hand, signer, call_soon
-        self._refusals: dict[str, Callable[[bytes], None]] = {}
-        self._connected = asyncio.Event()
-        self._publisher = session.declare_publisher(inbox_key(hand, access_path, client), **EXPRESS)
-        self._publisher.declare_matching_listener(direct(self._on_match))
-        self._answers = session.declare_subscriber(
-            network_key(hand, topic_for(access_path, f"{ANSWERS}/{client}")),
-            direct(self._on_answer),
-        )
-
-    def _on_match(self, status: zenoh.MatchingStatus) -> None:
-        if status.matching:
-            self._call_soon(self._connected.set)
-
-    async def connected(self) -> None:
-        """Wait until samples reach the hand; raises `NoHand`."""
-        try:
-            async with asyncio.timeout(_CONNECT_WITHIN):
-                await self._connected.wait()
-        except TimeoutError:
-            raise NoHand(f"the hand '{self._hand}' does not answer") from None
-
-    def put(self, question: bytes, label: str) -> None:
-        """Publish an encoded sample under a label; see `refusals`. Raises `NoHand`."""
-        attachment = self._signer.attachment(self._signer.number(label), SAMPLE, question)
-        try:
-            self._publisher.put(question, attachment=attachment)
-        except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
-
-    @contextlib.contextmanager
-    def refusals(self, label: str, refused: Callable[[bytes], None]) -> Iterator[None]:
-        """Call a function with the refusals under a label for as long as the context lasts."""
-        self._refusals[label] = refused
-        try:
-            yield
-        finally:
-            del self._refusals[label]
-
-    def _on_answer(self, sample: zenoh.Sample) -> None:
-        if sample.attachment is not None:
-            label = sample.attachment.to_string().partition(".")[2]
-            self._call_soon(self._refuse, label, sample.payload.to_bytes())
-
-    def _refuse(self, label: str, data: bytes) -> None:
-        if (refused := self._refusals.get(label)) is not None:
-            refused(data)
-
-    def close(self) -> None:
-        """Undeclare everything; blocks for a moment."""
-        self._publisher.undeclare()  # type: ignore[no-untyped-call]
-        self._answers.undeclare()  # type: ignore[no-untyped-call]
-
-
 _REPLY = message_type("rtee_msgs/msg/Reply")
 
 ANSWER_WITHIN = 5.0
@@ -157,17 +85,24 @@ class Link:
         self._subscribers: list[zenoh.Subscriber[None]] = []
         self._access_path = access_path
         self._signer = Signer(client)
-        self._samples = Samples(session, hand, client, access_path, self._signer, self._call_soon)
+        self._samples = session.declare_publisher(inbox_key(hand, access_path, client), **EXPRESS)
+        self._samples_wanted = asyncio.Event()
+        self._samples.declare_matching_listener(direct(self._on_match))
+        self._refusals: dict[str, Callable[[RemoteError], None]] = {}
         # The hand knows by this token that its client is alive. Nobody else knows the token's name,
         # so nobody else can declare it.
         self._token_name = prefix + secrets.token_hex(16)[len(prefix) :]
         key = network_key(hand, f"{CLIENTS}/{self._token_name}")
         self._token = session.liveliness().declare_token(key)
-        self._subscribers.append(
+        self._subscribers += [
             session.liveliness().declare_subscriber(
                 network_key(hand, ALIVE), direct(self._on_liveliness), history=True
-            )
-        )
+            ),
+            session.declare_subscriber(
+                network_key(hand, topic_for(access_path, f"{ANSWERS}/{client}")),
+                direct(self._on_answer),
+            ),
+        ]
 
     def _call_soon(self, function: Callable[..., object], *arguments: object) -> None:
         # Zenoh may still deliver messages when the event loop has ended.
@@ -185,7 +120,11 @@ class Link:
         # An unknown role, of a newer hand, counts as the highest: the hand itself refuses requests.
         self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)
         # Zenoh silently drops messages published before the hand has subscribed.
-        await self._samples.connected()
+        try:
+            async with asyncio.timeout(_CONNECT_WITHIN):
+                await self._samples_wanted.wait()
+        except TimeoutError:
+            raise NoHand(f"the hand '{self.hand}' does not answer") from None
 
     def on_gone(self, callback: Callable[[], object]) -> None:
         """Call a function when the hand goes."""
@@ -344,13 +283,33 @@ class Link:
         """Send a sample of a stream under a label; see `refusals`. Raises `NoHand`."""
         if self.gone:
             raise self.lost()
-        self._samples.put(question, label)
+        attachment = self._signer.attachment(self._signer.number(label), SAMPLE, question)
+        try:
+            self._samples.put(question, attachment=attachment)
+        except zenoh.ZError as error:
+            raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
+
+    def _on_match(self, status: zenoh.MatchingStatus) -> None:
+        if status.matching:
+            self._call_soon(self._samples_wanted.set)
 
     @contextlib.contextmanager
     def refusals(self, label: str, refused: Callable[[RemoteError], None]) -> Iterator[None]:
         """Call a function with the hand's refusals under a label, see `put`."""
-        with self._samples.refusals(label, lambda data: refused(self._refusal(data))):
+        self._refusals[label] = refused
+        try:
             yield
+        finally:
+            del self._refusals[label]
+
+    def _on_answer(self, sample: zenoh.Sample) -> None:
+        if sample.attachment is not None:
+            label = sample.attachment.to_string().partition(".")[2]
+            self._call_soon(self._refuse, label, sample.payload.to_bytes())
+
+    def _refuse(self, label: str, data: bytes) -> None:
+        if (refused := self._refusals.get(label)) is not None:
+            refused(self._refusal(data))
 
     def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
         """Complete the future of an answer; empty data of a refusal mean that none arrived."""
@@ -384,7 +343,7 @@ class Link:
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
-            self._samples.close()
+            self._samples.undeclare()  # type: ignore[no-untyped-call]
             # After the rest: when it goes, the hand drops this client's inbox and its lease.
             self._token.undeclare()  # type: ignore[no-untyped-call]
 

@@ -91,7 +91,7 @@ class OpeningRange(Value):
 
 @dataclass(frozen=True, slots=True)
 class GripLimits(Value):
-    """What goals may ask for with openings, over all actions of the hand that have one.
+    """Range of openings, forces and speeds for goals, over all actions with an opening.
 
     Attributes:
         width: Least and largest opening of the fingertips [m].

@@ -35,7 +35,7 @@ def credentials_of(hand: str, endpoints: RemoteSettings) -> Credentials | None:
 
 
 def exposed(endpoints: RemoteSettings) -> list[str]:
-    """Return the endpoints through which anybody can move the hand.
+    """Return the endpoints without access control.
 
     Raises `ConfigError` if there are any and hand.yaml does not allow it.
     """

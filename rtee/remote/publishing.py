@@ -49,8 +49,8 @@ from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 
-class Outlet:
-    """One topic; made by `Outlets.open`. Any thread may call its methods."""
+class TopicPublisher:
+    """One topic; made by `TopicPublishers.open`. Any thread may call its methods."""
 
     def __init__(
         self, session: zenoh.Session, hand: str, topic: str, watched: bool, options: dict[str, Any]
@@ -60,7 +60,7 @@ class Outlet:
         self._watched, self._options = watched, options
         self._changing = threading.Lock()
         # Replaced rather than changed, because the loop's thread reads it.
-        self._keys: dict[str, _Key] = {}
+        self._keys: dict[str, _KeyPublisher] = {}
 
     @property
     def wanted(self) -> bool:
@@ -84,16 +84,16 @@ class Outlet:
             if path not in self._keys:
                 key.close()
 
-    def _key(self, path: str) -> _Key:
+    def _key(self, path: str) -> _KeyPublisher:
         name = network_key(self._hand, topic_for(path, self.topic))
-        return _Key(self._session.declare_publisher(name, **self._options), self._watched)
+        return _KeyPublisher(self._session.declare_publisher(name, **self._options), self._watched)
 
     def close(self) -> None:
         """Stop publishing."""
         self.admit(())
 
 
-class _Key:
+class _KeyPublisher:
     """One key of a topic; wanted if it has subscribers, or they are not watched."""
 
     def __init__(self, publisher: zenoh.Publisher, watched: bool) -> None:
@@ -109,40 +109,40 @@ class _Key:
         self.publisher.undeclare()  # type: ignore[no-untyped-call]
 
 
-class Outlets:
+class TopicPublishers:
     """The topics of a hand, for people by the common names of their certificates."""
 
     def __init__(self, session: zenoh.Session, hand: str, people: Collection[str] = ()) -> None:
         self.hand = hand
         self._session = session
         self._changing = threading.Lock()
-        self._ways = (HERE, *people)
-        self._open: list[Outlet] = []
+        self._paths = (HERE, *people)
+        self._open: list[TopicPublisher] = []
 
-    def open(self, topic: str, *, watched: bool = False, **options: Any) -> Outlet:
+    def open(self, topic: str, *, watched: bool = False, **options: Any) -> TopicPublisher:
         """Return a new topic, with options of Zenoh's publishers.
 
         If watched, it is published only on keys that have subscribers. That saves time for frequent
         messages, but a subscriber may miss those of its first milliseconds.
         """
-        outlet = Outlet(self._session, self.hand, topic, watched, options)
+        publisher = TopicPublisher(self._session, self.hand, topic, watched, options)
         with self._changing:
-            outlet.admit(self._ways)
-            self._open.append(outlet)
-        return outlet
+            publisher.admit(self._paths)
+            self._open.append(publisher)
+        return publisher
 
-    def close(self, outlet: Outlet) -> None:
+    def close(self, publisher: TopicPublisher) -> None:
         """Stop publishing a topic."""
         with self._changing:
-            self._open.remove(outlet)
-        outlet.close()
+            self._open.remove(publisher)
+        publisher.close()
 
     def admit(self, people: Collection[str]) -> None:
         """Publish to clients with some certificates, and no longer to those with others."""
         with self._changing:
-            self._ways = (HERE, *people)
-            for outlet in self._open:
-                outlet.admit(self._ways)
+            self._paths = (HERE, *people)
+            for publisher in self._open:
+                publisher.admit(self._paths)
 
 
 MOST_STREAMS = 16
@@ -196,9 +196,9 @@ class StateMessages:
 
 @dataclass(frozen=True, slots=True)
 class PublishedStream:
-    """A message, encoded and published at an outlet every n ticks while it has subscribers."""
+    """A message, encoded and published every n ticks while it has subscribers."""
 
-    outlet: Outlet
+    publisher: TopicPublisher
     every: int
     encode: Callable[[TickRecord], bytes]
 
@@ -206,8 +206,10 @@ class PublishedStream:
 class Streams:
     """The streams of one hand, with rates of its loop and of topics for all clients [Hz]."""
 
-    def __init__(self, outlets: Outlets, hand: Hand, rate: float, state_rate: float) -> None:
-        self._outlets, self._rate = outlets, rate
+    def __init__(
+        self, publishers: TopicPublishers, hand: Hand, rate: float, state_rate: float
+    ) -> None:
+        self._publishers, self._rate = publishers, rate
         self.messages = StateMessages(hand)
         every = self._every(state_rate)
         self._fixed = (
@@ -218,19 +220,19 @@ class Streams:
         self._all: tuple[PublishedStream, ...] = self._fixed
         self._ticks = crc32(hand.name.encode())  # so that hands on one clock publish in turns
         self._worker = CallQueue(f"states {hand.name}", _MOST_WAITING)
-        self._touch = self._outlet(TOUCH)
+        self._touch = self._publisher(TOUCH)
         self._touch_every = every
         self._touch_encoder = TouchEncoder()
         self._felt: Mapping[str, TouchState] = {}
 
-    def _outlet(self, topic: str) -> Outlet:
+    def _publisher(self, topic: str) -> TopicPublisher:
         drop = zenoh.CongestionControl.DROP
-        return self._outlets.open(topic, watched=True, congestion_control=drop, express=True)
+        return self._publishers.open(topic, watched=True, congestion_control=drop, express=True)
 
     def _stream(
         self, topic: str, every: int, encode: Callable[[TickRecord], bytes]
     ) -> PublishedStream:
-        return PublishedStream(self._outlet(topic), every, encode)
+        return PublishedStream(self._publisher(topic), every, encode)
 
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
@@ -251,18 +253,18 @@ class Streams:
             streams = dict(self._asked)
             streams[every] = self._stream(f"{STATES}/{every}", every, self.messages.state)
             self._replace(streams)
-        return self._asked[every].outlet.topic
+        return self._asked[every].publisher.topic
 
     def _has_room(self) -> bool:
         """Return whether there is room for one more rate; closes an idle stream if needed."""
         if len(self._asked) < MOST_STREAMS:
             return True
-        idle = [every for every, stream in self._asked.items() if not stream.outlet.wanted]
+        idle = [every for every, stream in self._asked.items() if not stream.publisher.wanted]
         if not idle:
             return False
         stream = self._asked[idle[0]]
         self._replace({every: kept for every, kept in self._asked.items() if kept is not stream})
-        self._outlets.close(stream.outlet)
+        self._publishers.close(stream.publisher)
         return True
 
     def _replace(self, streams: dict[int, PublishedStream]) -> None:
@@ -271,7 +273,9 @@ class Streams:
     def publish(self, record: TickRecord) -> None:
         """Queue the messages that are due at a tick."""
         self._ticks += 1
-        due = [each for each in self._all if self._ticks % each.every == 0 and each.outlet.wanted]
+        due = [
+            each for each in self._all if self._ticks % each.every == 0 and each.publisher.wanted
+        ]
         if due:
             self._worker.put(partial(self._put, record, due))
         # Sensors measure less often than the loop ticks; the same mapping has no new readings.
@@ -288,22 +292,22 @@ class Streams:
     def _put(self, record: TickRecord, due: Sequence[PublishedStream]) -> None:
         state = b""
         for stream in due:
-            if not stream.outlet.wanted:  # its subscribers have left since
+            if not stream.publisher.wanted:  # its subscribers have left since
                 continue
             # Streams of several rates that are due at one tick share the message.
             if stream.encode == self.messages.state:
                 state = state or stream.encode(record)
-                stream.outlet.put(state)
+                stream.publisher.put(state)
             else:
-                stream.outlet.put(stream.encode(record))
+                stream.publisher.put(stream.encode(record))
 
     def close(self) -> None:
         """Stop publishing; waits until the queued messages are published."""
         streams, self._all = self._all, ()  # nothing more is queued from now on
         self._worker.close()
         for stream in streams:
-            self._outlets.close(stream.outlet)
-        self._outlets.close(self._touch)
+            self._publishers.close(stream.publisher)
+        self._publishers.close(self._touch)
 
 
 class Publisher(Observer):
@@ -314,14 +318,14 @@ class Publisher(Observer):
 
     def __init__(
         self,
-        outlets: Outlets,
+        publishers: TopicPublishers,
         streams: Streams,
         outbox: CallQueue,
         lease: Lease,
         goals: GoalRecords,
     ) -> None:
         self._streams, self._outbox, self._lease, self._goals = streams, outbox, lease, goals
-        self._topics = {topic: outlets.open(topic, **DELIVER) for topic in _TOPICS}
+        self._topics = {topic: publishers.open(topic, **DELIVER) for topic in _TOPICS}
 
     @property
     def dropped(self) -> int:

@@ -294,7 +294,7 @@ class QueryHandlers:
             "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
             "stream": asdict(stream),
-            "agents_out": self._agents.told,
+            "agents_out": self._agents.status_text,
             "counts": self._counts(),
         }
 

@@ -1,4 +1,4 @@
-"""What one client, certificate or user may use: connections, clients, requests and answers."""
+"""Limits per client, certificate and user: connections, clients, requests and answers."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _BURST_BYTES = 2e6
 
 
 class Ignored(Exception):
-    """A request that is not even answered."""
+    """A request without an answer."""
 
 
 class Rates:

@@ -1,4 +1,4 @@
-"""The server beside a hand's loop: it makes the hand available on the network.
+"""The server in the process of a hand's loop, which makes the hand available on the network.
 
 The path of a goal and its answer: Zenoh's thread calls `Server._on_control`; `handle_request`
 checks the query and calls `CommandHandlers.handle`, which queues the goal for the loop's next tick
@@ -62,7 +62,7 @@ from rtee.remote.incoming_request import (
 )
 from rtee.remote.lease import Lease
 from rtee.remote.protection import Protection
-from rtee.remote.publishing import Outlets, Publisher, Streams
+from rtee.remote.publishing import Publisher, Streams, TopicPublishers
 from rtee.remote.query_handlers import QueryHandlers, RecorderControl
 from rtee.remote.rates import EXCESS, Rates
 from rtee.remote.session import DELIVER, TLS, close_session, direct, fits, open_server
@@ -285,8 +285,8 @@ class Server:
             stack.push_async_callback(in_thread, partial(close_session, session))
             connections = Connections(session, str(socket))
             stack.push_async_callback(in_thread, connections.close)
-            outlets = Outlets(session, hand.name, protection.people)
-            streams = Streams(outlets, hand, loop.settings.rate, settings.state_rate)
+            publishers = TopicPublishers(session, hand.name, protection.people)
+            streams = Streams(publishers, hand, loop.settings.rate, settings.state_rate)
             stack.push_async_callback(in_thread, streams.close)
             lease, thread = Lease(), LoopThread()
             agents = await in_thread(Agents, place.path)
@@ -308,7 +308,7 @@ class Server:
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
-            publisher = Publisher(outlets, streams, server.outbox, lease, goals)
+            publisher = Publisher(publishers, streams, server.outbox, lease, goals)
             for observer in (publisher, tally):
                 loop.add_observer(observer)
                 stack.callback(loop.remove_observer, observer)
@@ -330,7 +330,7 @@ class Server:
                 stack.push_async_callback(in_thread, door.close)
 
             def admit(people: Collection[str], revoked: Collection[str]) -> None:
-                outlets.admit(people)
+                publishers.admit(people)
                 if door is not None:
                     door.admit(people)
                 # A client whose certificate was revoked must not keep the lease.

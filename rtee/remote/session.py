@@ -234,13 +234,13 @@ def listening(
 
 
 def most_sessions() -> int:
-    """Return the most connections that this process accepts, fewer where it may open few files."""
+    """Return the limit of connections of this process, lower if it may open few files."""
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     # RLIM_INFINITY is -1.
     return _MOST_SESSIONS if files < 0 else max(1, min(_MOST_SESSIONS, files - _RESERVED))
 
 
-def way_to(endpoint: str) -> str:
+def access_path(endpoint: str) -> str:
     """Return a client's access path through an endpoint; see `Found`."""
     if endpoint.startswith(TLS):
         return identity().name
@@ -275,7 +275,7 @@ def is_safe(endpoint: str) -> bool:
 
 
 def close_session(session: zenoh.Session) -> None:
-    """Close a session; blocks for some milliseconds, beside a process that is frozen for 10 s."""
+    """Close a session; blocks for some milliseconds, or 10 s if a peer is frozen."""
     try:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:

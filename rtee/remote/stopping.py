@@ -148,7 +148,7 @@ def _bound(path: Path) -> socket.socket:
 
 
 def _words(client: str, passed: Sequence[tuple[int, int, bytes]]) -> str:
-    """Describe the sender of a stop: by its own name, and by what the kernel knows."""
+    """Describe the sender of a stop by its own name and the kernel's data."""
     name = safe_name(client, "a client")
     for level, _, data in passed:
         if level == socket.SOL_SOCKET and len(data) >= _CREDENTIALS.size:

@@ -111,7 +111,7 @@ class Stream:
         self._refused = error
 
     def check_open(self) -> None:
-        """Raise what has ended the stream: the error of a refused sample, or the reason."""
+        """Raise the error of a refused sample, or the reason for the end of the stream."""
         if self.ended:
             self.check()
             raise RequestRejected(self.ended)

@@ -47,7 +47,7 @@ class Words(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """What last made older statements about the hand old.
+    """The last event that made earlier results obsolete.
 
     Attributes:
         why: When and what, in words.
@@ -59,7 +59,7 @@ class Turn(NamedTuple):
 
 
 class HeldObject(StrEnum):
-    """What is known of an object in the hand."""
+    """Knowledge about an object in the hand."""
 
     HOLDING = "holding"
     EMPTY = "empty"
@@ -88,9 +88,9 @@ class Truth:
         state: The newest state.
         status: The newest status.
         trouble: Why there is no connection, or an empty string.
-        grip: What is known of an object in the hand.
+        grip: Knowledge about an object in the hand.
         stopped: The last stop, until something moves again.
-        turn: What last made older statements old; another object each time.
+        turn: The last event that made earlier results obsolete; another object each time.
     """
 
     def __init__(self, hand: str = "") -> None:
@@ -177,7 +177,7 @@ class Truth:
                 self.stopped = Words(f"{clock()} {words}", tone)
 
     def on_gone(self, why: str) -> None:
-        """Mark the hand as unreachable; what was known of it is kept, as old."""
+        """Mark the hand as unreachable; its last state is kept, as old."""
         if not self.trouble:
             self._turn("not connected")
         self.trouble = why
@@ -204,7 +204,7 @@ class Truth:
 
     @property
     def stale(self) -> bool:
-        """Whether what is known is of the past."""
+        """Whether the last state is out of date."""
         return bool(self.trouble) or self.age > STALE_AFTER
 
     @property
@@ -215,7 +215,7 @@ class Truth:
 
     @property
     def busy(self) -> bool:
-        """Whether a goal or a stream moves the hand, or somebody holds it to move it."""
+        """Whether a goal or a stream moves the hand, or a client holds its lease."""
         status = self.status
         return self.moving or (status is not None and bool(status.holder or status.stream.stream))
 
@@ -227,7 +227,7 @@ class Truth:
 
     @property
     def homing(self) -> bool:
-        """Whether the devices that do not follow are at what they do before: mostly homing."""
+        """Whether the devices that do not follow are starting up, mostly homing."""
         ill = [] if self.status is None else [each for each in self.status.devices if problem(each)]
         return bool(ill) and all(
             each.message and f" is {each.message.split()[0]}" in self._busy.get(each.name, "")
@@ -235,7 +235,7 @@ class Truth:
         )
 
     def held(self) -> Words:
-        """Say whether something is held, how wide, with what force, and by what evidence."""
+        """Describe the held object: width, force and evidence."""
         if self.stale or self.state is None:
             return Words("no data", Tone.BAD)
         if self.homing:
@@ -286,7 +286,7 @@ class Truth:
         return Words(f"control: {who}", Tone.PLAIN if holder == own else Tone.WARN)
 
     def doing(self) -> Words:
-        """Describe what runs, what is recorded, what was stopped, and what limits the hand."""
+        """Describe the running action, the recording, the last stop, and restrictions."""
         status = self.status
         if status is None or self.stale:
             return self.stopped

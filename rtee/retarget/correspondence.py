@@ -88,7 +88,7 @@ class Pinch(Section, frozen=True):
 
 
 class Correspondence(Section, frozen=True):
-    """How a person's hand moves this one.
+    """Mapping from a person's hand to this one.
 
     Attributes:
         format: Version of the file.

@@ -1,4 +1,4 @@
-"""What 21 points of a human hand say: where the tips are, in the palm's own frame."""
+"""Features of 21 points of a human hand, such as fingertips in the palm's frame."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class Smoother:
         return self._at
 
     def restart(self) -> None:
-        """Forget what came before."""
+        """Forget earlier frames."""
         self._at = None
 
 

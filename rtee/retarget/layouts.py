@@ -27,7 +27,7 @@ class Side(StrEnum):
 
 @dataclass(frozen=True)
 class Layout:
-    """How a tracker orders and measures the points of a hand.
+    """Order and units of a tracker's points of a hand.
 
     The frame does not matter, as long as it is right-handed: the palm's own one is used.
 

@@ -1,4 +1,4 @@
-"""From 21 points of a human hand to the positions of a hand's actuators, frame by frame."""
+"""Convert 21 points of a human hand to actuator positions, frame by frame."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ class Solver:
         return self._met(u, [(pair, gap) for pair, gap, weight in wanted if weight == 1.0])
 
     def _met(self, u: FloatArray, wanted: list[tuple[tuple[str, str], float]]) -> FloatArray:
-        """Return the nearest positions at which gaps are as wide as they should be."""
+        """Return the nearest positions with the required gaps."""
         for _ in range(_CORRECTIONS if wanted else 0):
             self._tips.go(u)
             found = [self._tips.gap(pair) for pair, _ in wanted]
@@ -340,7 +340,7 @@ What the actuators can do of it is the loop's concern."""
 
 
 class TrackingError(ConfigError):
-    """Points that are not those of the expected hand: nothing moves by them."""
+    """Points that do not fit the expected hand; the robot does not follow them."""
 
 
 class Retargeter:
@@ -488,7 +488,7 @@ class Retargeter:
             )
 
     def beside(self, points: FloatArray) -> FloatArray:
-        """Return a person's points ``(21, 3)`` [m] beside the hand, turned and as large as it.
+        """Return a person's points ``(21, 3)`` [m], placed, turned and scaled beside the hand.
 
         In the hand's base frame, its palm's axes along the hand's own, to look at.
         """

@@ -71,7 +71,7 @@ Accept = Callable[[Any], Awaitable[Job]]
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A type under which a server offers its action, and what accepts or rejects its goals."""
+    """A type under which a server offers its action, with the function that accepts its goals."""
 
     type: ActionType
     accept: Accept

@@ -312,8 +312,8 @@ class Service:
         return made
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Log an error that is raised inside."""
+    def _errors_logged(self) -> Iterator[None]:
+        """Log errors of the context."""
         try:
             yield
         except RteeError as error:
@@ -373,9 +373,9 @@ class Service:
         # ROS 2 has no error responses, and its clients wait without end: they get an empty one.
         response = self._nothing
         try:
-            with self._told():
+            with self._errors_logged():
                 response = await self._handler(request)
-            with self._told():
+            with self._errors_logged():
                 # The handler may take any time, and the queryable may be gone by then.
                 if not self._closed:
                     self._reply(received, response)

@@ -207,7 +207,7 @@ class Gripper(ActionPart):
         return "" if allowed or not result.stalled else f"it stalled, and {ALLOW_STALLING} is off"
 
     def _check_unit(self, gap: float) -> None:
-        """Refuse what must be a joint's value; raises `GoalRejected`."""
+        """Raise `GoalRejected` for a joint position in place of an opening."""
         widest = max((known.widest for known in self._served.openings), default=math.inf)
         for actuator in self._served.model.actuators:
             if widest * (1.0 + _BEYOND) < gap <= actuator.upper:

@@ -1,4 +1,4 @@
-"""What happens to hands as lines of JSON on stdout, or as entries of systemd's journal.
+"""Events, goals and results of hands as JSON lines on stdout or entries of systemd's journal.
 
 Both are written in a thread of their own, since a pipe or the journal may be slow to read. Times
 are in UTC and, as in recordings and messages, on CLOCK_MONOTONIC.

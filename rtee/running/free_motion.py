@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _Stored:
-    """The content of a file: what is known of each actuator by name, by device."""
+    """The content of a file: estimates by device and name of the actuator."""
 
     devices: Mapping[str, Mapping[str, LearnedMotion]] = field(default_factory=dict)
 

@@ -170,7 +170,7 @@ async def run_hands(
 
 
 def _recalled(prepared: PreparedHand) -> PreparedHand:
-    """Return a hand that goes on from what it has learned of its free motion."""
+    """Return a hand with its stored estimates of free motion."""
     known = free_motion.recall(prepared.hand.name, prepared.devices)
     return replace(prepared, settings=structs.replace(prepared.settings, free_motion=known))
 
@@ -330,7 +330,7 @@ async def _rest(
 
 
 def _failure(error: Exception, hands: Sequence[_RunningHand]) -> RteeError:
-    """Log an error of the loop, write what was before to a file, and return the error to raise."""
+    """Log an error of the loop, write the flight recording, and return the error to raise."""
     # The task group wraps the error of a clock, which is worth more to the user by itself.
     while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         error = error.exceptions[0]

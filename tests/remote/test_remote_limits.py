@@ -357,7 +357,7 @@ async def test_many_rates_of_states_leave_some_for_others(
             subscribers.append(rude.declare_subscriber(f"rtee/small/{topic}"))
         streams = served.server._queries._streams
         await until(
-            lambda: sum(one.outlet.wanted for one in streams._asked.values()) == MOST_STREAMS
+            lambda: sum(one.publisher.wanted for one in streams._asked.values()) == MOST_STREAMS
         )
         async with rtee.connect("small") as other:
             assert await other._monitoring._stream(200.0 / 100) == "states/64"
