@@ -82,6 +82,22 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
     return pushes or blocked if felt is None else felt
 
 
+def presses(force: float, least: float, still: Iterable[bool]) -> bool:
+    """Return whether fingers that stand still press on something, by their efforts alone.
+
+    Args:
+        force: The force between them by their efforts, besides weight and friction [N].
+        least: The force to press with [N].
+        still: Whether each actuator that presses, and whose friction is known, stands still.
+    """
+    return force >= least and all(still)
+
+
+def pressing_share(effort: float, weight: float) -> float:
+    """Return the share of an effort that presses, besides weight and friction, all [N·m | N]."""
+    return min(max(1.0 - weight / effort, 0.0), 1.0) if effort and weight == weight else 0.0
+
+
 def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) -> bool:
     """Return whether an actuator that hardly moves does so as slowly as its reference.
 

@@ -447,14 +447,18 @@ class Reflexes:
         grip, force, estimate = approach.grip, approach.force, approach.together
         if grip is None or force is None or estimate is None:
             return False
-        for i, each in approach.watched.items():
-            # It moves freely, or nobody knows what friction takes.
-            free = not stamp - each.kept_up >= _LOOKED_AT or not self._tare.sure(i)
-            if i in approach.predicted and not each.touched and free:
-                return False
-        felt = grip.tip_force(measured.touch)
-        now = estimate.by_efforts(measured.effort, measured.position)
-        return felt != felt and now >= approach.share(measured) * force
+        if not math.isnan(grip.tip_force(measured.touch)):
+            return False  # sensors decide
+        return rules.presses(
+            estimate.by_efforts(measured.effort, measured.position),
+            approach.share(measured) * force,
+            # What friction takes must be known.
+            (
+                each.touched or (stamp - each.kept_up >= _LOOKED_AT and self._tare.sure(i))
+                for i, each in approach.watched.items()
+                if i in approach.predicted
+            ),
+        )
 
     def _weigh(
         self,
@@ -579,11 +583,10 @@ class Reflexes:
 
     def _kept(self, i: int, measured: Measured) -> float:
         """Return the share of an actuator's effort that presses, besides weight and friction."""
-        effort, weight = measured.effort[i], self._tare.of(i)
         together = self._approach and self._approach.together
-        if not together or together.hunts or not effort or weight != weight:
+        if not together or together.hunts:
             return 0.0
-        return min(max(1.0 - weight / effort, 0.0), 1.0)
+        return rules.pressing_share(measured.effort[i], self._tare.of(i))
 
     def _light(self, i: int, watched: _ApproachingActuator) -> float:
         """Return the effort limit that overcomes friction and presses lightly [N·m | N]."""

@@ -156,3 +156,27 @@ def test_enough_fingers_are_one_on_each_side_or_so_many() -> None:
     assert rules.enough_touch({"index"}, (), {"index"}, 2)
     assert rules.enough_touch({"claw"}, [frozenset({"jaw"}), frozenset({"claw"})], {"claw"}, 2)
     assert not rules.enough_touch(set(), (), everyone, 0)
+
+
+@pytest.mark.parametrize(
+    ("force", "still", "expected"),
+    [
+        (2.0, [True, True], True),
+        (1.9, [True, True], False),
+        (9.0, [True, False], False),  # it speeds up
+        (NAN, [True], False),
+    ],
+)
+def test_efforts_of_fingers_that_stand_still(
+    force: float, still: list[bool], expected: bool
+) -> None:
+    assert rules.presses(force, 2.0, still) is expected
+
+
+@pytest.mark.parametrize(
+    ("effort", "weight", "share"),
+    [(4.0, 1.0, 0.75), (-4.0, -1.0, 0.75), (1.0, 2.0, 0.0), (1.0, -1.0, 1.0), (0.0, 1.0, 0.0)],
+)
+def test_the_share_of_an_effort_that_presses(effort: float, weight: float, share: float) -> None:
+    assert rules.pressing_share(effort, weight) == share
+    assert rules.pressing_share(effort, NAN) == 0.0
