@@ -51,7 +51,7 @@ Some = Annotated[tuple[E, ...], Meta(min_length=1)]
 
 
 class OppositionEntry(Section, frozen=True):
-    """How well contact forces oppose each other; see `Opposition`."""
+    """Opposition of contact forces; see `Opposition`."""
 
     angles: Angles
     force_closure: bool

@@ -107,7 +107,7 @@ class Opening:
 
     @property
     def around(self) -> bool:
-        """Whether the tips close on a middle from more than two sides."""
+        """Whether the tips close on a centre from more than two sides."""
         return len(self.sides) > 2
 
     @property

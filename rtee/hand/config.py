@@ -1,4 +1,4 @@
-"""``hand.yaml``: everything about a hand that its URDF and SRDF do not say."""
+"""``hand.yaml``: the facts about a hand that its URDF and SRDF do not state."""
 
 from __future__ import annotations
 
@@ -87,13 +87,13 @@ class HandConfig(Section, frozen=True, kw_only=True):
     """Where the hand sits on an arm; with it, planned grasps and openings are also given for the
     arm's flange."""
     profile: ProfileSettings = ProfileSettings()
-    """How references move between set-points."""
+    """Motion of references between set-points."""
     loop: LoopSection = LoopSection()
     """The control loop."""
     realtime: RealtimeSettings = RealtimeSettings()
-    """What the operating system is asked for."""
+    """Requests to the operating system."""
     safety: SafetySettings = SafetySettings()
-    """What the hand does when something ends or breaks."""
+    """Behaviour of the hand when a program ends or a part fails."""
     thermal: ThermalSettings = ThermalSettings()
     """Temperatures of actuators."""
     log: LogSection = LogSection()

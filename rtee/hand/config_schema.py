@@ -1,4 +1,4 @@
-"""The sections of ``hand.yaml``: their settings, with defaults, bounds and what they mean.
+"""The sections of ``hand.yaml``: settings with defaults, bounds and meaning.
 
 The loop, the recorder and the server use them directly; what is read from a file is checked against
 their types and bounds, and `rtee.hand.schema` makes the JSON schema for editors of them.
@@ -35,7 +35,7 @@ Names = tuple[str, ...]
 
 
 class ProfileKind(StrEnum):
-    """How the reference gets from one set-point to the next."""
+    """Profiles of the reference between set-points."""
 
     JERK_LIMITED = "jerk_limited"
     S_CURVE = "s_curve"
@@ -44,7 +44,7 @@ class ProfileKind(StrEnum):
 
 
 class Behaviour(StrEnum):
-    """What the hand does when it is no longer driven."""
+    """Behaviours of the hand when it is no longer driven."""
 
     HOLD = "hold"
     """Keep the measured posture, powered."""
@@ -57,7 +57,7 @@ class Behaviour(StrEnum):
 
 
 class Outside(StrEnum):
-    """What becomes of the parts of a robot that are not its hand."""
+    """Treatment of the parts of a robot outside its hand."""
 
     ABSENT = "absent"
     """They are left out."""
@@ -66,7 +66,7 @@ class Outside(StrEnum):
 
 
 class PositionRange(StrEnum):
-    """Which position limits of a URDF hold."""
+    """Choice of the position limits in a URDF."""
 
     SOFT = "soft"
     """Those of ``<safety_controller>``, where it gives any."""
@@ -97,7 +97,7 @@ class ActuatorLimits(Section, frozen=True):
 
 
 class Following(StrEnum):
-    """How joints follow their actuator."""
+    """Ways in which joints follow their actuator."""
 
     RIGID = "rigid"
     """As geared."""
@@ -148,7 +148,7 @@ class ActuatorDynamics(Section, frozen=True):
 
 
 class ProfileSettings(Section, frozen=True):
-    """How references move between set-points."""
+    """Motion of references between set-points."""
 
     kind: ProfileKind = ProfileKind.JERK_LIMITED
     """``jerk_limited``: within velocity, acceleration and jerk limits, all actuators arriving
@@ -160,7 +160,7 @@ class ProfileSettings(Section, frozen=True):
 
 
 class StallSettings(Section, frozen=True):
-    """When an actuator counts as stalled."""
+    """Criteria for a stalled actuator."""
 
     time: Positive = 0.25
     """It has been slower than ``speed`` for this long while its reference is elsewhere [s]."""
@@ -169,7 +169,7 @@ class StallSettings(Section, frozen=True):
 
 
 class GraspSettings(Section, frozen=True):
-    """When a finger counts as holding something, and how hard it then holds."""
+    """Criteria for a finger that holds something, and its grip force."""
 
     effort: Fraction = 0.2
     """A stalled actuator above this share of its effort limit holds something."""
@@ -214,7 +214,7 @@ class LoopSection(Section, frozen=True):
     opening_tolerance: Positive = 0.0005
     """An opening is reached when it is off by no more than this [m]."""
     stall: StallSettings = StallSettings()
-    """When an actuator counts as stalled."""
+    """Criteria for a stalled actuator."""
     grasp: GraspSettings = GraspSettings()
     """When a finger counts as holding something."""
     stream: StreamSettings = StreamSettings()
@@ -230,7 +230,7 @@ class LoopSection(Section, frozen=True):
 
 
 class RealtimeSettings(Section, frozen=True):
-    """What the operating system is asked for."""
+    """Requests to the operating system."""
 
     enabled: bool = False
     """Ask for real-time scheduling (SCHED_FIFO)."""
@@ -246,7 +246,7 @@ class RealtimeSettings(Section, frozen=True):
 
 
 class SafetySettings(Section, frozen=True):
-    """What the hand does when something ends or breaks."""
+    """Behaviour of the hand when a program ends or a part fails."""
 
     on_exit: Behaviour = Behaviour.HOLD
     """When the loop ends: ``hold`` the pose, ``stop`` motion, ``open`` the hand, ``disable``
@@ -291,7 +291,7 @@ class ThermalSettings(Section, frozen=True):
 
 
 class Recorded(StrEnum):
-    """What a recording holds."""
+    """Content of a recording."""
 
     FULL = "full"
     """Every tick."""
@@ -302,7 +302,7 @@ class Recorded(StrEnum):
 
 
 class Layout(StrEnum):
-    """How the states and references of ticks are recorded."""
+    """Layouts of recorded states and references."""
 
     MESSAGES = "messages"
     """Three messages each, which any software reads."""
@@ -357,7 +357,7 @@ class LogSection(Section, frozen=True):
 
 
 class SecuritySettings(Section, frozen=True):
-    """Who may use the hand on a network."""
+    """Access to the hand over a network."""
 
     folder: Path | None = None
     """Folder with the certificates that ``rtee secure`` has made; unless given, where it makes
@@ -375,13 +375,13 @@ class RemoteSettings(Section, frozen=True):
     connect: Names = ()
     """Zenoh endpoints of routers to connect to, as ``rtee router`` is; they may come up later."""
     security: SecuritySettings = SecuritySettings()
-    """Who may use the hand on a network."""
+    """Access to the hand over a network."""
     state_rate: Positive = 100.0
     """Rate at which states are published [Hz]."""
 
 
 class Lines(StrEnum):
-    """Where lines about events go."""
+    """Destinations of log lines about events."""
 
     STDOUT = "stdout"
     """One JSON object per line."""
@@ -397,7 +397,7 @@ class MetricsSettings(Section, frozen=True):
 
 
 class Gate(StrEnum):
-    """What stands between an agent and the hand."""
+    """Gates between an agent and the hand."""
 
     WATCH = "watch"
     """It reads, and may stop the hand."""
@@ -410,7 +410,7 @@ class Gate(StrEnum):
 
 
 class AgentSettings(Section, frozen=True):
-    """What a language model may do with the hand by ``rtee mcp``.
+    """Permissions of a language model that uses the hand by ``rtee mcp``.
 
     Its command line may allow less than is given here, never more; what is not given here, the
     command line decides.
@@ -444,7 +444,7 @@ class Distro(StrEnum):
 
 
 class GripperUnit(StrEnum):
-    """What the positions of ``gripper_cmd`` are."""
+    """Units of the positions of ``gripper_cmd``."""
 
     METRES = "metres"
     MOVEIT = "moveit"
@@ -489,7 +489,7 @@ Cells = Annotated[int, Meta(ge=1, le=100)]
 
 
 class FlangeSection(Section, frozen=True):
-    """Where the hand sits on an arm: the pose of its base frame in that of the arm's flange."""
+    """Mounting of the hand on an arm: the pose of its base frame in the arm's flange frame."""
 
     frame: str = "flange"
     """The flange's frame, as the arm calls it, such as ``tool0``."""
@@ -507,7 +507,7 @@ class FlangeSection(Section, frozen=True):
 
 
 class TouchSection(Section, frozen=True):
-    """Where a touch sensor is on the hand, and what its values mean."""
+    """Location of a touch sensor on the hand, and the meaning of its values."""
 
     link: str | None = None
     """The link that it is on; unless given, its place is as the device's driver says."""

@@ -192,7 +192,7 @@ class _Node(NamedTuple):
 
     @property
     def constant(self) -> bool:
-        """Whether it does not depend on ``x``."""
+        """Whether the expression is independent of ``x``."""
         return self.terms is not None and self.terms.keys() == {0}
 
 

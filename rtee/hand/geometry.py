@@ -143,7 +143,7 @@ class Shape:
 
     @property
     def is_mesh(self) -> bool:
-        """Whether it is a mesh and not a solid primitive."""
+        """Whether the shape is a mesh and not a solid primitive."""
         return self.source.kind == "mesh"
 
     def at(self, link_pose: FloatArray) -> coal.Transform3s:

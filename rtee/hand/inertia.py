@@ -1,4 +1,4 @@
-"""The servo of an actuator of which hand.yaml says nothing: its gain, and its inertia.
+"""Default gain and inertia of an actuator's servo, for settings missing in hand.yaml.
 
 Derived from the effort limit, which every data sheet has, for a servo that reaches it at a small
 position error and follows with a usual bandwidth.

@@ -25,7 +25,7 @@ _SAME_AXIS: Final = 1e-4
 
 
 class Mover(NamedTuple):
-    """What moves a joint: the actuator, and the joint's motion per unit of it at mid-range."""
+    """The actuator of a joint, and the joint's motion per unit of it at mid-range."""
 
     actuator: str
     rate: float

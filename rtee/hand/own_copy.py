@@ -42,7 +42,7 @@ def is_own(folder: Path) -> bool:
 
 
 def own_place(folder: Path) -> Path:
-    """Return the folder for changes of a hand: its own, or that of the copy that `own` would make.
+    """Return the folder for changes of a hand: its own, or that of the copy made by `own`.
 
     The copy is made in the first of the folders for users' hands that can be written to.
 

@@ -264,7 +264,7 @@ class _GapSearch:
 
 
 def closed_rest_of(hand: Hand, *, narrow: bool = False) -> ClosedRest | None:
-    """Return the pinch of the rest posture; ``narrow``: or one that a wider posture would open.
+    """Return the pinch of the rest posture; with ``narrow`` also one that opening would release.
 
     See `closed_rest` and `widest_rest`.
 

@@ -18,7 +18,7 @@ from rtee.hand.xmlfile import Element
 
 @dataclass(frozen=True, slots=True)
 class Subtree:
-    """Which part of a robot is the hand.
+    """Selection of the hand in a robot.
 
     Attributes:
         root: The link in whose frame the hand is: its base.
@@ -75,7 +75,7 @@ class Subtree:
 
 
 def _fixed(element: Element, joint: UrdfJoint, *, turned: bool) -> Element:
-    """Return a joint fixed at 0; ``turned``: with parent and child exchanged."""
+    """Return a joint fixed at 0, with parent and child exchanged if ``turned``."""
     pose, ends = origin(joint.xyz, joint.rpy), (joint.parent, joint.child)
     if turned:
         pose, ends = np.asarray(np.linalg.inv(pose), dtype=np.float64), ends[::-1]

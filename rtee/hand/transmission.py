@@ -37,7 +37,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """How a joint follows an actuator.
+    """Coupling of a joint to an actuator.
 
     Attributes:
         actuator: Index of the actuator; ``None`` for a joint that does not move.

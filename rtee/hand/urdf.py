@@ -147,7 +147,7 @@ class UrdfJoint:
 
     @property
     def moving(self) -> bool:
-        """Whether it is not fixed."""
+        """Whether the joint is not fixed."""
         return self.kind != "fixed"
 
 

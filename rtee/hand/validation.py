@@ -41,7 +41,7 @@ Amount = Annotated[float, Meta(ge=0, le=_LARGEST)]
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True):
-    """A part of a file that people write: unknown keys are refused.
+    """A section of a file written by users: unknown keys are refused.
 
     Conditions on its values together are checked in ``__post_init__``, which raises a
     ``ValueError`` with the reason, or `Misfit`.
@@ -70,7 +70,7 @@ def fitting(*at: str | int) -> Iterator[None]:
 
 
 class Fault(Enum):
-    """What is wrong with a value."""
+    """A mistake in a value."""
 
     UNKNOWN = "its key is unknown"
     MISSING = "it is missing"

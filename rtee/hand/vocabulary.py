@@ -16,7 +16,7 @@ from rtee.hand.xmlfile import Element
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known of an element.
+    """The known attributes and children of an element.
 
     Attributes:
         attributes: Its attributes that are read or harmless.
@@ -29,7 +29,7 @@ class Known:
     foreign: bool = False
 
     def inside(self, tag: str) -> Known | None:
-        """Return the vocabulary of a child element; ``None``: it is not read."""
+        """Return the vocabulary of a child element; ``None`` if the element is not read."""
         # A prefix is a program's, such as drake:capsule for what URDF 1.1 calls capsule.
         plain = tag.rpartition(":")[2]
         return self.children.get(plain, _FOREIGN if self.foreign else None)

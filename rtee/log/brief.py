@@ -1,4 +1,4 @@
-"""What a closed recording says of itself at its end, read without its messages and NumPy."""
+"""Read the summary at the end of a closed recording, without its messages and without NumPy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NAMED = struct.pack("<I", len(DIGEST)) + DIGEST.encode()
 
 @dataclass(frozen=True, slots=True)
 class Brief:
-    """What a summary of a file needs.
+    """The content of a recording's summary.
 
     Attributes:
         size: Size of the file [bytes].
@@ -73,7 +73,7 @@ class Brief:
 
 
 def brief(path: Path) -> Brief | None:
-    """Read a file's end; ``None`` if rtee has not closed it: all of it must be read then."""
+    """Read the summary at a file's end; ``None`` if rtee has not closed the file."""
     try:
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:

@@ -100,7 +100,7 @@ class ReplayCheck:
 
     @property
     def note(self) -> str:
-        """Why references after a contact may differ on purpose, in words; empty: they may not."""
+        """The reason why references after a contact differ on purpose; empty if there is none."""
         if self.rules == contact_rules.VERSION:
             return ""
         return (

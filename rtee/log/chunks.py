@@ -118,7 +118,7 @@ def index_records(entries: Entries) -> tuple[bytes, dict[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class InColumns:
-    """How ticks are packed column by column.
+    """Settings for packing ticks column by column.
 
     Attributes:
         channel: Channel of their message.
@@ -130,7 +130,7 @@ class InColumns:
 
 
 class _Room:
-    """Memory of one size for chunk after chunk: buffers that grow bit by bit would fragment it."""
+    """Buffers of one size, reused for every chunk: buffers that grow would fragment the memory."""
 
     def __init__(self) -> None:
         self._memory = _memory(_LEAST_ROOM)

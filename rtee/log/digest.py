@@ -1,4 +1,4 @@
-"""The digest at the end of a recording: what `rtee.log.brief` reads."""
+"""The digest at the end of a recording, read by `rtee.log.brief`."""
 
 from __future__ import annotations
 

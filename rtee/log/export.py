@@ -360,7 +360,7 @@ def _commands(recording: Recording) -> Table:
 
 
 def _stream_samples(recording: Recording) -> Table:
-    """Return a table with a column for each name that any sample has; ``NaN``: it is not in it."""
+    """Return a table with a column for each name; ``NaN`` in the rows of samples without it."""
     samples = [entry.value.command for entry in recording.stream_samples]
     table = _times(recording.stream_samples)
     for name in ("stream", "stamp", "arrival"):

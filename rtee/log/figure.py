@@ -396,7 +396,7 @@ def figure(
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What a plot needs of goals and events, without the rest of them."""
+    """The parts of goals and events that are plotted."""
 
     goals: list[Entry[Goal]]
     plans: list[Entry[Plan]]

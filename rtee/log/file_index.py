@@ -315,7 +315,7 @@ class _Indexer:
 
     @property
     def _ours(self) -> bool:
-        """Whether rtee wrote the file, which knows all kinds of records in it."""
+        """Whether rtee wrote the file, so that all kinds of its records are known."""
         return self._library.startswith(_LIBRARY)
 
     def _lose(self, record: Record) -> None:

@@ -1,4 +1,4 @@
-"""Write what a first contact with a device found: a recording and one page."""
+"""Write the findings of a first contact with a device: a recording and one page."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class McapFile:
 
     @property
     def linked(self) -> bool:
-        """Whether the path still names this file, which somebody may have removed or replaced."""
+        """Whether the path still names this file: users may remove or replace it."""
         try:
             return os.path.samestat(self.path.stat(), os.fstat(self._descriptor))
         except FileNotFoundError:

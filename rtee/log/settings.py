@@ -9,7 +9,7 @@ from rtee.hand.config_schema import LogSection
 
 
 class RecorderSettings(LogSection, frozen=True):
-    """Settings of the recorder: the section of hand.yaml, and some that it does not have.
+    """Settings of the recorder: those of its section in hand.yaml, and some fixed ones.
 
     Attributes:
         flight_size: Largest memory of the flight recorder [bytes].

@@ -447,7 +447,7 @@ class LogWriter:
         self._flight_due = max(now, self._flight_done + self._settings.flight_recorder)
 
     def waiting(self) -> float | None:
-        """Return the time until `poll` is due [s]; ``None``: not before the next item."""
+        """Return the time until `poll` is due [s]; ``None`` if not before the next item."""
         times = [due for due in (self._due, self._flight_due) if due is not None]
         return max(0.0, min(times) - self._monotonic()) if times else None
 

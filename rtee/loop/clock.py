@@ -169,7 +169,7 @@ class Tick:
 
     @property
     def stamp(self) -> float:
-        """When it was due, CLOCK_MONOTONIC [s]."""
+        """The due time, CLOCK_MONOTONIC [s]."""
         return self.due_ns * 1e-9
 
     @property
@@ -286,7 +286,7 @@ class Clock:
 
 
 class ManualClock:
-    """A clock whose time is set by the program: for tests and replay, at any speed.
+    """A clock with its time set by the program: for tests and replay, at any speed.
 
     It ticks as fast as the loop takes the ticks; in between, every other task runs until it waits.
 

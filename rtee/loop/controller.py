@@ -263,7 +263,7 @@ class Controller:
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
-        """Values computed besides the reference, by channel; empty: none."""
+        """Values computed besides the reference, by channel."""
         found = {} if self.stream is None else dict(self.stream.channels)
         if self._reflexes.felt[0] == self._reflexes.felt[0]:
             found[GRIP_FORCE] = np.array(self._reflexes.felt)

@@ -164,7 +164,7 @@ class Devices:
         return frozenset().union(*(device.indices for device in active))
 
     def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
-        """Check that some actuators may be moved; ``movable``: the known result of `movable`.
+        """Check that some actuators may be moved; ``movable`` is the result of `movable` if known.
 
         Raises:
             GoalRejected: if one of them may not be moved.

@@ -107,7 +107,7 @@ class FreeMotion:
 
     @property
     def dry(self) -> float:
-        """Size of the effort that motion takes at any speed: friction, and what pulls [N·m | N]."""
+        """Size of the effort of motion at any speed: friction and constant pull [N·m | N]."""
         return abs(self._parameters[0])
 
     def expected(self, velocity: float, acceleration: float) -> float:
@@ -232,7 +232,7 @@ class LearnedMotion:
 
     @property
     def sound(self) -> bool:
-        """Whether it has all numbers, and they are finite: it may come from a file."""
+        """Whether the model, which may come from a file, is complete and finite."""
         sizes = (self.spread, self.rough, self.most, self.quantum)
         whole = len(self.parameters) == 3 and len(self.matrix) == 9 and min(sizes) >= 0.0
         return whole and all(map(math.isfinite, (*self.parameters, *self.matrix, *sizes)))
@@ -255,7 +255,7 @@ class Stretches:
 
     @property
     def count(self) -> float:
-        """Least change of the position [rad | m]: the device's count; 0: not known yet."""
+        """Resolution of the position [rad | m]: the device's count; 0 if not known yet."""
         return self._step if self._step < math.inf else 0.0
 
     def restart(self) -> None:

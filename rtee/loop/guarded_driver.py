@@ -1,4 +1,4 @@
-"""A driver as the loop calls it: whatever it returns, raises or ignores costs its device alone.
+"""Call a driver so that its faults affect only its own device.
 
 Drivers may be written by anybody. Their states are checked here, where they enter, and not later,
 where a wrong one would end the run of all devices. A driver that blocks the thread instead of
@@ -95,7 +95,7 @@ class GuardedDriver:
             return default
 
     def _moved(self) -> None:
-        """Forget where the device was: it may be limp, or move by itself."""
+        """Forget the device's last position: the device may be limp, or move by itself."""
         self._read(lambda: self._driver.standstill.forget(), None)
 
     # --- calls -----------------------------------------------------------------------------------

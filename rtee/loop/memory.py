@@ -49,7 +49,7 @@ def lock_memory() -> list[str]:
 
 
 def _lock_programs(library: ctypes.CDLL) -> None:
-    """Load all of the programs' files and lock them: the first use must not wait for a disk."""
+    """Load and lock all program files in memory: their first use must not wait for a disk."""
     library.mlock.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
     for access, first, size in _files():
         # Neither shared memory, which is not a program, nor writable memory, which would be copied.

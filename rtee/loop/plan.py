@@ -30,7 +30,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A goal that was checked, as numbers of the hand: neither its actions nor its files matter.
+    """A checked goal as numbers, independent of the hand's actions and files.
 
     Attributes:
         goal_id: The goal.

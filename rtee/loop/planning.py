@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class DeviceForces:
-    """Which efforts and forces the devices of a hand can limit; by default all efforts.
+    """Efforts and forces that the devices of a hand can limit; by default all efforts.
 
     Attributes:
         refused: Reason why a device takes no effort limit, in words or empty, by actuator index.

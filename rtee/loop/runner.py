@@ -1,4 +1,4 @@
-"""One long-lived task whose work begins at once, inside the call that starts it."""
+"""A long-lived task that begins its work inside the call that starts it."""
 
 from __future__ import annotations
 

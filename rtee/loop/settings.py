@@ -1,4 +1,4 @@
-"""The settings of a loop and its devices: those of hand.yaml, and some fixed ones."""
+"""Settings of a loop and its devices: those in hand.yaml, and some fixed ones."""
 
 from __future__ import annotations
 

@@ -399,7 +399,7 @@ class _EventLimit:
         self._left_out = 0
 
     def allow(self, now: float) -> int | None:
-        """Return the number of events suppressed before this one; ``None``: suppress it, too."""
+        """Return the number of events suppressed before this one; ``None`` to suppress it, too."""
         self._left = min(self._left + (now - self._then) * _EVENT_RATE, _BURST)
         self._then = now
         if self._left < 1.0:

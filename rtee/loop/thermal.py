@@ -33,7 +33,7 @@ object may not fall."""
 
 
 class ThermalLevel(IntEnum):
-    """How hot an actuator is."""
+    """Levels of an actuator's temperature."""
 
     OK = 0
     WARN = 1

@@ -38,7 +38,7 @@ class TipLevers:
         self._renewed = -math.inf
 
     def of(self, i: int, stamp: float, position: Sequence[float]) -> float:
-        """Return the lever of an actuator [m/rad | 1]; ``NaN``: it moves no fingertip.
+        """Return the lever of an actuator [m/rad | 1]; ``NaN`` if it moves no fingertip.
 
         Of several fingers, the one that moves farthest counts, since its force is the least. At
         most one lever is computed in a tick, for the sake of the tick's time.
@@ -65,7 +65,7 @@ def _at_rest(hand: Hand) -> list[float]:
 
 
 def _lever(hand: Hand, i: int, u: FloatArray) -> float:
-    """Return an actuator's lever at positions ``(n,)`` [m/rad | 1]; ``NaN``: no fingertip."""
+    """Return an actuator's lever at positions ``(n,)`` [m/rad | 1]; ``NaN`` without a fingertip."""
     names = hand.actuators[i].fingers
     fingers = [f for f in hand.fingers if f.name in names and f.tip is not None]
     levers = [_at(hand, finger, i, u) for finger in fingers]

@@ -33,7 +33,7 @@ END, DISCARD = "end", "discard"
 
 
 class EpisodeBoundary(StrEnum):
-    """How episodes are delimited."""
+    """Delimiters of episodes."""
 
     MARKS = "marks"
     GOALS = "goals"
@@ -100,7 +100,7 @@ _ROBOT: Final = "rtee_hand"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What of recordings becomes a dataset.
+    """Selection of the content of recordings for a dataset.
 
     Attributes:
         fps: Frames per second [Hz].
@@ -121,7 +121,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Made:
-    """What was made: episodes, frames, names by feature, and what was left out, in sentences."""
+    """A written dataset: episodes, frames, names by feature, and sentences on what was left out."""
 
     episodes: int
     frames: int

@@ -1,4 +1,4 @@
-"""What a recording knows at any time: only what was known by then, and nothing that is invented."""
+"""Signals of a recording at given times, from earlier measurements only, without interpolation."""
 
 from __future__ import annotations
 

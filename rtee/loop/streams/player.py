@@ -272,7 +272,7 @@ class StreamPlayer:
         return Event("stream_paused", self.name, text, now, "warning")
 
     def ended(self, why: str, now: float) -> Event:
-        """Return the event that reports the end of the stream; ``why``: the reason in words."""
+        """Return the event that reports the end of the stream, with the reason ``why``."""
         dropped = self._duplicates + self._out_of_order + self._outliers
         text = f"the stream ended: {why}; {self._samples} samples taken, {dropped} dropped"
         return Event(STREAM_ENDED, self.name, text, now)
