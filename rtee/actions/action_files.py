@@ -30,7 +30,7 @@ from rtee.actions.documents import (
     read_document,
     read_primitives,
 )
-from rtee.actions.index import Index
+from rtee.actions.index import ActionIndex
 from rtee.actions.naming import normalise
 from rtee.actions.types import Action, ActionKind, CustomAction, Primitive, kind_of
 from rtee.errors import ActionError
@@ -143,7 +143,7 @@ class ActionFiles:
         self._seen: dict[Path, int] = {}
         self._gone = False
 
-    def read(self, keep: Sequence[Action] = ()) -> Index:
+    def read(self, keep: Sequence[Action] = ()) -> ActionIndex:
         """Return the actions in the files, and those to keep, which exist only in memory.
 
         Raises:
@@ -151,7 +151,7 @@ class ActionFiles:
         """
         seen = stamps(self.folder)  # before reading, so that a concurrent change is noticed later
         actions = read_actions(self.hand, self.folder)
-        index = Index(self.hand, (*actions, *keep))
+        index = ActionIndex(self.hand, (*actions, *keep))
         self._stored = {normalise(a.name) for a in actions if not isinstance(a, Primitive)}
         self._seen = seen
         return index
@@ -175,7 +175,7 @@ class ActionFiles:
         """Return whether a file holds a composed, timed or generic action of this name."""
         return normalise(name) in self._stored
 
-    def write(self, index: Index, action: Action) -> None:
+    def write(self, index: ActionIndex, action: Action) -> None:
         """Write an action to its file; a primitive with all other primitives.
 
         Raises:
@@ -195,7 +195,7 @@ class ActionFiles:
                 )
         self._write_custom([action])
 
-    def write_all(self, index: Index) -> None:
+    def write_all(self, index: ActionIndex) -> None:
         """Write all actions to their files, or none; leave unchanged files untouched.
 
         Raises:
@@ -394,7 +394,7 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
     """
     named: dict[str, list[Primitive]] = {}
     # In the index's order, so that the same primitives give the same text.
-    for primitive in Index(hand, tuple(primitives)).primitives:
+    for primitive in ActionIndex(hand, tuple(primitives)).primitives:
         named.setdefault(primitive.name, []).append(primitive)
     changed: dict[Path, str] = {}
     kept = set()
@@ -496,7 +496,7 @@ class Builder:
     ) -> None:
         self.hand = hand
         self.definitions = definitions
-        self.primitives = Index(hand, primitives)
+        self.primitives = ActionIndex(hand, primitives)
         self.done: dict[str, Action] = {}
         self.under_way: list[str] = []
 

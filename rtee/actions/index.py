@@ -35,7 +35,7 @@ def _as_kind(kind: ActionKind | str | None) -> ActionKind | None:
         ) from None
 
 
-class Index:
+class ActionIndex:
     """Actions by name and elements, in the order of the hand's fingers and actuators.
 
     Raises:
@@ -235,7 +235,7 @@ class Index:
             a for a in self.ordered if isinstance(a, Primitive) or normalise(a.name) != wanted
         )
 
-    def rebuilt(self) -> Index:
+    def rebuilt(self) -> ActionIndex:
         """Return an index in which all composed and timed actions are rebuilt from their parts.
 
         Raises:
@@ -262,4 +262,4 @@ class Index:
 
         for action in self.custom.values():
             find(action.name, ())
-        return Index(self.hand, (*self.primitives, *fresh.values()))
+        return ActionIndex(self.hand, (*self.primitives, *fresh.values()))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, warnings_of
-from rtee.actions.index import Index
+from rtee.actions.index import ActionIndex
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
     Action,
@@ -57,7 +57,7 @@ class ActionLibrary:
     ) -> None:
         self.hand = hand
         self.version = 0
-        self._index = Index(hand, tuple(actions))
+        self._index = ActionIndex(hand, tuple(actions))
         self._stored = None if folder is None else _files_in(hand, folder)
         self._openings: tuple[int | None, Openings] | None = None
         # Report a missing part here instead of at the first goal that needs it.
@@ -222,7 +222,7 @@ class ActionLibrary:
             check_custom_name(action.name)
         # The new index is checked, written to files and assigned, in this order, so that an error
         # leaves the library unchanged.
-        index = Index(self.hand, (*others, action))
+        index = ActionIndex(self.hand, (*others, action))
         for use in action.uses:
             if normalise(use.action) == normalise(action.name):
                 raise ActionError(f"the action '{action.name}' would contain itself")
@@ -260,7 +260,7 @@ class ActionLibrary:
         if self._stored is not None:
             # The file first, since a file that cannot be deleted would bring the action back.
             self._stored.delete(action)
-        self._index = Index(self.hand, self._index.without(action))
+        self._index = ActionIndex(self.hand, self._index.without(action))
         self.version += 1
 
     def rename(self, name: str, new_name: str) -> None:
@@ -293,7 +293,7 @@ class ActionLibrary:
             else:
                 kept.append(other)
         # As in `add`: checked, written and assigned, in this order.
-        index = Index(self.hand, (*kept, *changed))
+        index = ActionIndex(self.hand, (*kept, *changed))
         if self._stored is not None:
             self._stored.rename(action, new_name, changed)
         self._index = index

@@ -19,7 +19,7 @@ from rtee.hand.files import temporary_folder
 
 if TYPE_CHECKING:
     from rtee.log.check import ReplayCheck
-    from rtee.log.info import Info
+    from rtee.log.info import RecordingInfo
     from rtee.log.recording import Recording
 
 app = Commands()
@@ -60,7 +60,7 @@ def info(
         _show(summary)
 
 
-def _show(summary: Info) -> None:
+def _show(summary: RecordingInfo) -> None:
     from rtee.log.info import iso
 
     for path, size in summary.files:
@@ -111,7 +111,7 @@ def _print_safely(line: str) -> None:
     print(foreign(line))
 
 
-def _show_topics(summary: Info) -> None:
+def _show_topics(summary: RecordingInfo) -> None:
     columns = (
         Column("topic"),
         Column("type"),
@@ -125,7 +125,7 @@ def _show_topics(summary: Info) -> None:
     TextTable(columns, tuple(topics)).show()
 
 
-def _show_goals(summary: Info) -> None:
+def _show_goals(summary: RecordingInfo) -> None:
     columns = (
         Column("at [s]", right=True, whole=True),
         Column("goal"),

@@ -16,7 +16,7 @@ from rtee.buses.wear import Wear
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.options import read_properties
 from rtee.errors import ConfigError
-from rtee.hand.validation import Fault, Invalid, validated
+from rtee.hand.validation import Invalid, MistakeKind, validated
 from rtee.types import DeviceSpec
 
 OPTION = "object"
@@ -244,7 +244,7 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
     try:
         return validated(Wear, {**structs.asdict(kind.WEAR), **state})
     except Invalid as error:
-        if error.first.fault is Fault.UNKNOWN:
+        if error.first.fault is MistakeKind.UNKNOWN:
             unknown = f"nothing wears by '{error.first.at[0]}'; {error.sentence}"
             raise ConfigError(unknown) from None
         what = ".".join(map(str, error.first.at))

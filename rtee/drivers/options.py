@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 from msgspec import Meta, field
 
 from rtee.errors import ConfigError
-from rtee.hand.validation import Fault, Invalid, Section, validated
+from rtee.hand.validation import Invalid, MistakeKind, Section, validated
 from rtee.types import DeviceSpec
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
@@ -71,10 +71,10 @@ def _told(error: Invalid, one: str, all_: str, of: str) -> tuple[str, str]:
     place = ".".join(map(str, error.first.at))
     what = f"{one} '{place}'{of}" if place else all_ + of
     match error.first.fault:
-        case Fault.UNKNOWN:
+        case MistakeKind.UNKNOWN:
             return place, f"unknown {what}; {error.sentence}"
-        case Fault.MISSING:
+        case MistakeKind.MISSING:
             return place, f"{what} is missing"
-        case Fault.UNFIT:
+        case MistakeKind.UNFIT:
             return place, f"{what}: input {error.sentence}"
     return place, f"{what}: {error.sentence}"

@@ -301,7 +301,7 @@ class Recorded(StrEnum):
     """The half minute before something fails, as the flight recorder writes it."""
 
 
-class Layout(StrEnum):
+class RecordingLayout(StrEnum):
     """Layouts of recorded states and references."""
 
     MESSAGES = "messages"
@@ -323,7 +323,7 @@ class LogSection(Section, frozen=True):
     """What is recorded: ``full``, every tick; ``goals``, from 5 s before a goal, command, stream or
     event to 5 s after it; ``faults``, only what ``flight_recorder`` keeps. Only ``full`` recordings
     can be recomputed."""
-    layout: Layout = Layout.MESSAGES
+    layout: RecordingLayout = RecordingLayout.MESSAGES
     """How ticks are recorded: ``messages``, which any software reads, or ``columns`` in a third of
     the room, of which other software reads ``tf_rate`` a second. Nothing is lost in either."""
     max_file_size: Positive = 1e9

@@ -69,7 +69,7 @@ def fitting(*at: str | int) -> Iterator[None]:
         raise Misfit(str(error), *at) from None
 
 
-class Fault(Enum):
+class MistakeKind(Enum):
     """A mistake in a value."""
 
     UNKNOWN = "its key is unknown"
@@ -88,7 +88,7 @@ class Mistake(NamedTuple):
         value: The value that is wrong.
     """
 
-    fault: Fault
+    fault: MistakeKind
     at: Location
     words: str
     value: Any = None
@@ -115,7 +115,7 @@ class Invalid(ValueError):
     def sentence(self) -> str:
         """What is wrong at the place of the first mistake; a union may have several."""
         words = " or ".join(each.words for each in self.mistakes if each.at == self.first.at)
-        unfit = self.first.fault is Fault.UNFIT
+        unfit = self.first.fault is MistakeKind.UNFIT
         return f"{words}, not {self.first.value!r:.80}" if unfit else words
 
 
@@ -155,9 +155,9 @@ def checked(
     except Invalid as error:
         found = [each._replace(at=(*at, *each.at)) for each in error.mistakes]
     # Keys that are missing come last: one of them may only be misspelled.
-    found.sort(key=lambda each: (each.fault is Fault.MISSING, document.line(each.at) or 0))
+    found.sort(key=lambda each: (each.fault is MistakeKind.MISSING, document.line(each.at) or 0))
     wrong = Invalid(found)
-    unknown = "unknown key; " if wrong.first.fault is Fault.UNKNOWN else ""
+    unknown = "unknown key; " if wrong.first.fault is MistakeKind.UNKNOWN else ""
     raise document.error(wrong.first.at, unknown + wrong.sentence, raised)
 
 
@@ -243,11 +243,11 @@ def _fields(kind: Any, value: Mapping[Any, Any], at: Location) -> Iterator[Itera
         if name in value:
             yield _mistakes(hints[name], value[name], (*at, name))
         elif name not in defaults(kind):
-            yield iter([Mistake(Fault.MISSING, (*at, name), "is missing", value)])
+            yield iter([Mistake(MistakeKind.MISSING, (*at, name), "is missing", value)])
     for name in value:
         if name not in names and issubclass(kind, Section):
             hint = suggestion(str(name), names)
-            yield iter([Mistake(Fault.UNKNOWN, (*at, name), hint, value[name])])
+            yield iter([Mistake(MistakeKind.UNKNOWN, (*at, name), hint, value[name])])
 
 
 _KINDS: Final[Mapping[Any, str]] = {
@@ -276,8 +276,8 @@ def _own(kind: Any, value: Any, at: Location, error: ValidationError) -> Mistake
     cause = error.__cause__
     if cause is not None and kind is not Path:
         inner = cause.at if isinstance(cause, Misfit) else ()
-        return Mistake(Fault.CONTRARY, (*at, *inner), str(cause), value)
-    return Mistake(Fault.UNFIT, at, _words(kind, value, str(error)), value)
+        return Mistake(MistakeKind.CONTRARY, (*at, *inner), str(cause), value)
+    return Mistake(MistakeKind.UNFIT, at, _words(kind, value, str(error)), value)
 
 
 def _words(kind: Any, value: Any, error: str) -> str:

@@ -46,7 +46,7 @@ class EventInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Info:
+class RecordingInfo:
     """Summary of a recording.
 
     Attributes:
@@ -109,7 +109,7 @@ def iso(wall_ns: int) -> str:
     return datetime.fromtimestamp(wall_ns / SECOND, UTC).isoformat(timespec="milliseconds")
 
 
-def info(paths: Sequence[Path], *, deep: bool = False) -> Info:
+def info(paths: Sequence[Path], *, deep: bool = False) -> RecordingInfo:
     """Return the summary of a recording's files.
 
     Of files that rtee has closed, only the end is read; with ``deep`` every record is, so that
@@ -135,7 +135,7 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> Info:
         duration,
     )
     loop = all_of("loop")
-    return Info(
+    return RecordingInfo(
         files=tuple((each.path, each.size) for each in files),
         hand=files[0].hand,
         library=files[0].library,

@@ -127,7 +127,7 @@ def _span(file_indexes: Sequence[FileIndex | Brief]) -> tuple[int, int]:
     )
 
 
-class _Channel(NamedTuple):
+class _Topic(NamedTuple):
     """A channel of a file: the name of its topic and the type of its messages."""
 
     name: str
@@ -172,7 +172,7 @@ class _Collector:
         self._skipped = 0
         self._told: set[int] = set()  # damaged chunks
 
-    def _channels(self, file: FileIndex) -> dict[int, _Channel]:
+    def _channels(self, file: FileIndex) -> dict[int, _Topic]:
         """Return the wanted channels of a file that have the types of rtee."""
         channels = {}
         for number, channel in file.channels.items():
@@ -184,7 +184,7 @@ class _Collector:
                 except MessageError as error:
                     self._notes.append(f"{file.path.name}: {channel.topic} is left out: {error}")
                 else:
-                    channels[number] = _Channel(name, kind)
+                    channels[number] = _Topic(name, kind)
         return channels
 
     def read(self) -> Recording:
@@ -222,7 +222,7 @@ class _Collector:
                     messages.clear()
 
     def _file(
-        self, file: FileIndex, channels: Mapping[int, _Channel], places: Sequence[ChunkPlace]
+        self, file: FileIndex, channels: Mapping[int, _Topic], places: Sequence[ChunkPlace]
     ) -> None:
         # Whatever is wanted of it: it is one if it has any topic of a hand.
         if not file.values and not any(c.topic in self._names for c in file.channels.values()):
@@ -242,7 +242,7 @@ class _Collector:
             raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
 
     def _chunk(
-        self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, _Channel]
+        self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, _Topic]
     ) -> None:
         found = column_reader.messages_of(place, stream, data, channels)
         for number in [k for k in found if channels[k].name == topics.TICKS]:

@@ -42,7 +42,7 @@ _BEGIN = re.compile(
 """The begin of a chunk: its opcode, and the name of a compression with its length in its place."""
 
 
-class _Layout(NamedTuple):
+class _RecordLayout(NamedTuple):
     """Layout of a content (MCAP specification, "Records").
 
     Attributes:
@@ -54,21 +54,21 @@ class _Layout(NamedTuple):
     rest: int = 0
 
 
-_LAYOUTS: dict[int, _Layout] = {
-    Opcode.HEADER: _Layout(((0, 4), (0, 4))),
-    Opcode.FOOTER: _Layout((), 20),
-    Opcode.SCHEMA: _Layout(((2, 4), (0, 4), (0, 4))),
-    Opcode.CHANNEL: _Layout(((4, 4), (0, 4), (0, 4))),
-    Opcode.CHUNK: _Layout(((_CHUNK.size, 4), (0, 8))),
-    Opcode.MESSAGE_INDEX: _Layout(((2, 4),)),
-    Opcode.CHUNK_INDEX: _Layout(((32, 4), (8, 4)), 16),
-    Opcode.ATTACHMENT: _Layout(((16, 4), (0, 4), (0, 8)), 4),
-    Opcode.ATTACHMENT_INDEX: _Layout(((40, 4), (0, 4))),
-    Opcode.STATISTICS: _Layout(((42, 4),)),
-    Opcode.METADATA: _Layout(((0, 4), (0, 4))),
-    Opcode.METADATA_INDEX: _Layout(((16, 4),)),
-    Opcode.SUMMARY_OFFSET: _Layout((), 17),
-    Opcode.DATA_END: _Layout((), 4),
+_LAYOUTS: dict[int, _RecordLayout] = {
+    Opcode.HEADER: _RecordLayout(((0, 4), (0, 4))),
+    Opcode.FOOTER: _RecordLayout((), 20),
+    Opcode.SCHEMA: _RecordLayout(((2, 4), (0, 4), (0, 4))),
+    Opcode.CHANNEL: _RecordLayout(((4, 4), (0, 4), (0, 4))),
+    Opcode.CHUNK: _RecordLayout(((_CHUNK.size, 4), (0, 8))),
+    Opcode.MESSAGE_INDEX: _RecordLayout(((2, 4),)),
+    Opcode.CHUNK_INDEX: _RecordLayout(((32, 4), (8, 4)), 16),
+    Opcode.ATTACHMENT: _RecordLayout(((16, 4), (0, 4), (0, 8)), 4),
+    Opcode.ATTACHMENT_INDEX: _RecordLayout(((40, 4), (0, 4))),
+    Opcode.STATISTICS: _RecordLayout(((42, 4),)),
+    Opcode.METADATA: _RecordLayout(((0, 4), (0, 4))),
+    Opcode.METADATA_INDEX: _RecordLayout(((16, 4),)),
+    Opcode.SUMMARY_OFFSET: _RecordLayout((), 17),
+    Opcode.DATA_END: _RecordLayout((), 4),
 }
 
 _CHECKED = (

@@ -16,7 +16,7 @@ from zlib import crc32
 import numpy as np
 
 from rtee.commands import CommandRecord, StreamSample
-from rtee.hand.config_schema import Layout, Recorded
+from rtee.hand.config_schema import Recorded, RecordingLayout
 from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Transmission
@@ -267,7 +267,7 @@ class LogWriter:
         )
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         columns = None
-        if settings.layout is Layout.COLUMNS:
+        if settings.layout is RecordingLayout.COLUMNS:
             rate = contents.rate / settings.decimation
             every = max(1, round(rate / settings.tf_rate)) if settings.tf_rate else _SELDOM
             columns = InColumns(CHANNELS[topics.TICKS], every)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from msgspec import Meta, field
 
-from rtee.hand.validation import Fault, Finite, Invalid, Misfit, Section, validated
+from rtee.hand.validation import Finite, Invalid, Misfit, MistakeKind, Section, validated
 
 
 class Colour(StrEnum):
@@ -126,9 +126,9 @@ def test_all_mistakes_are_told_and_all_that_a_union_may_be() -> None:
     with pytest.raises(Invalid) as told:
         validated(Whole, {"part": {"size": -1}, "word": 3, "x": 1, 2: 1})
     assert [(mistake.fault, mistake.at) for mistake in told.value.mistakes] == [
-        (Fault.UNFIT, ("part", "size")),
-        (Fault.UNFIT, ("word",)),
-        (Fault.UNFIT, ("word",)),
-        (Fault.UNKNOWN, ("x",)),
-        (Fault.UNKNOWN, (2,)),
+        (MistakeKind.UNFIT, ("part", "size")),
+        (MistakeKind.UNFIT, ("word",)),
+        (MistakeKind.UNFIT, ("word",)),
+        (MistakeKind.UNKNOWN, ("x",)),
+        (MistakeKind.UNKNOWN, (2,)),
     ]

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from log.samples import RATE, WALL, Log, recorded, settings, tick
 from rtee.drivers.replay.states import RecordedStates
 from rtee.errors import MessageError
-from rtee.hand.config_schema import Layout
+from rtee.hand.config_schema import RecordingLayout
 from rtee.hand.model import Hand
 from rtee.log import read
 from rtee.log.column_reader import messages_in
@@ -141,7 +141,7 @@ def test_no_chunk_is_longer_than_a_second(story: Path) -> None:
 
 
 def test_ticks_in_columns_are_the_same_ones(story: Path, claw: Hand, tmp_path: Path) -> None:
-    Log(claw, settings(tmp_path, layout=Layout.COLUMNS)).story()
+    Log(claw, settings(tmp_path, layout=RecordingLayout.COLUMNS)).story()
     (path,) = recorded(tmp_path)
     there, found = read(story), read(path)
     assert found.actuator_states == there.actuator_states
@@ -160,7 +160,7 @@ def test_ticks_in_columns_are_the_same_ones(story: Path, claw: Hand, tmp_path: P
     assert 100 <= topics.count("/claw/actuator_states") <= 105
     assert 4 <= topics.count("/claw/ticks") <= 6
     (tmp_path / "all").mkdir()
-    Log(claw, settings(tmp_path / "all", layout=Layout.COLUMNS, tf_rate=300.0)).story()
+    Log(claw, settings(tmp_path / "all", layout=RecordingLayout.COLUMNS, tf_rate=300.0)).story()
     with recorded(tmp_path / "all")[0].open("rb") as stream:
         counts = make_reader(stream).get_summary().statistics.channel_message_counts  # type: ignore[union-attr]
     assert counts[CHANNELS["actuator_states"]] == 200
