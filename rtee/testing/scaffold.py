@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import sys
 from importlib.resources import files
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def write_package(name: str, parent: Path) -> list[Path]:
         raise ConfigError(
             f"'{name}' cannot be a driver's name: letters, digits and _ in lower case"
         )
-    if keyword.iskeyword(name) or name in driver_names():
+    if keyword.iskeyword(name) or name in {*sys.stdlib_module_names, *driver_names()}:
         raise ConfigError(f"the name '{name}' is taken")
     folder = parent / name
     if folder.exists() and any(folder.iterdir()):

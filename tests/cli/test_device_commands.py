@@ -103,6 +103,7 @@ def test_a_driver_package_is_written(tmp_path: Path) -> None:
     text = rtee("new-driver", "my_gripper", "--in", str(tmp_path))
     assert str(tmp_path / "my_gripper" / "my_gripper" / "driver.py") in text
     assert "is not empty" in rtee("new-driver", "my_gripper", "--in", str(tmp_path), status=2)
+    assert "is taken" in rtee("new-driver", "json", "--in", str(tmp_path), status=2)
 
 
 @pytest.mark.parametrize("words", [["emulate", "robotik"], ["emulate", "robotiq_2f", "--set", "x"]])

@@ -31,7 +31,7 @@ from rtee.errors import LeaseHeld
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.access import Access
 from rtee.gui.access import PageRole as AccessRole
-from rtee.gui.app import App
+from rtee.gui.app import App, Page
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import StateHistory
 from rtee.gui.panels.action_editor import JogPanel
@@ -240,6 +240,21 @@ async def test_actions_made_elsewhere_come_and_go(
         await other.remove_action("nudge")
         await has(app, ActionKind.GENERIC, "nudge", there=False)
         group.cancel_scope.cancel()
+
+
+async def test_a_message_that_wakes_its_sender_as_it_leaves_ends_no_window() -> None:
+    drawn: list[float] = []
+
+    def draw(now: float) -> None:
+        drawn.append(now)
+        if len(drawn) == 1:
+            raise RuntimeError("deque mutated during iteration")
+        scope.cancel()
+
+    window = SimpleNamespace(session=SimpleNamespace(draw=draw), _open=True)
+    with anyio.CancelScope() as scope:
+        await Page._draw(cast("Page", window))
+    assert len(drawn) == 2
 
 
 async def test_names_of_files_are_text(server: viser.ViserServer, tmp_path: Path) -> None:
