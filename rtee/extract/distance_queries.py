@@ -126,10 +126,11 @@ class DistanceQueries:
         """Whether any of the shapes is an original mesh, which is slow."""
         return self._guided
 
-    def least(self, stamp: int) -> tuple[float, int]:
+    def least(self, stamp: int, convex: DistanceQueries | None = None) -> tuple[float, int]:
         """Return the least distance [m] and the number of its couple, at a placement of the joints.
 
-        The distance is negative if convex shapes overlap.
+        The distance is negative if convex shapes overlap. Couples of meshes whose convex parts are
+        known to be farther apart, by the queries of these, are not measured.
         """
         # Cached, since goal, constraints and checks request it at the same posture.
         if stamp != self._measured:
@@ -137,15 +138,29 @@ class DistanceQueries:
             if self._guided:
                 for request in self._distances:
                     _forget(request)
-            k = _measure(self._model, self._data)
+            if convex is None:
+                k = _measure(self._model, self._data)
+            else:
+                k = self._nearest([result.min_distance for result in convex.results])
             if self.results[k].min_distance < _FAILED:
                 k = self._measured_again()
             self._least = self.results[k].min_distance, k
             self._measured = self._placed = stamp
         return self._least
 
+    def _nearest(self, bounds: Sequence[float]) -> int:
+        """Return the number of the nearest couple, by lower bounds on all distances [m]."""
+        nearest = (np.inf, 0)
+        for bound, k in sorted((bound, k) for k, bound in enumerate(bounds)):
+            if bound - TOUCH > nearest[0]:
+                break
+            pin.computeDistance(self._model, self._data, k)
+            nearest = min(nearest, (self.results[k].min_distance, k))
+        return nearest[1]
+
     def _measured_again(self) -> int:
         """Return the number of the nearest couple after measuring failed depths less precisely."""
+        _measure(self._model, self._data)  # all couples, of which some may have been left out
         for k, request in enumerate(self._distances):
             precision = request.epa_tolerance
             # Only for this query, as the tolerance is restored below.

@@ -369,10 +369,11 @@ class Scene:
 
     def exact_distance(self, pair: LinkPair) -> float:
         """Return the distance of two links' original geometry, 0 in contact [m]."""
-        exact = self._queries(pair, self._exact)
+        exact, convex = self._queries(pair, self._exact), self._queries(pair, self._convex)
         if exact.measures_meshes:
             self.query_cost += _DISTANCE
-        least = exact.least(self._stamp)[0]
+        convex.least(self._stamp)
+        least = exact.least(self._stamp, convex)[0]
         return 0.0 if self.touching(pair, surfaces=least <= TOUCH) else max(0.0, least)
 
     def exact_witness(self, pair: LinkPair) -> Witness:
