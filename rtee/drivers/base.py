@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rtee.buses.bus import Bus
@@ -196,6 +197,10 @@ class Driver(ABC):
             BusError: if the bus fails.
         """
         return ""
+
+    def refine(self, **changes: Any) -> None:
+        """Change fields of `capabilities`, by what the device has said."""
+        self.capabilities = replace(self.capabilities, **changes)
 
     def fault(self, code: int, name: str, hint: str = "") -> DeviceFault:
         """Return a fault that the device reports; the driver is inactive from here on."""

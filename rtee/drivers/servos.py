@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntFlag
 from functools import partial
 from pathlib import Path
@@ -383,8 +383,7 @@ class ServoDriver(Driver, Generic[L]):
         refusal = self._refuses_effort()
         accepts = {"position", "max_velocity"} | (set() if refusal else {"max_effort"})
         rate, reading = self._described()
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             measures=frozenset(
                 {"position", "velocity", "temperature", *(name for name in known if known[name])}
             ),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -197,8 +196,7 @@ class AbilityHandDriver(Driver):
             reply = await self._read()
         best = self._best_rate(bus)
         self._pace.deadline = cycle_deadline(self.spec, best)
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             best_rate=best,
             identity={
                 "model": "PSYONIC Ability Hand",

@@ -252,8 +252,7 @@ class AllegroDriver(Driver):
         link.listen(self._receive)
         await link.set_periods(Periods(self._period(version)))
         await self._first_set()
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             best_rate=1000.0 / self._period(version),
             identity={
                 "model": f"Allegro Hand V{info.version}",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Collection
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -175,8 +174,7 @@ class Cia402Driver(Driver):
             )
             for drive in cycle.drives
         ]
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             identity={
                 "model": ", ".join(dict.fromkeys(model for model, _ in identities)),
                 "serial": ", ".join(serial for _, serial in identities),

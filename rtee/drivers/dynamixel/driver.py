@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from enum import IntFlag
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
@@ -137,8 +136,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         self._health: FloatArray = np.full((2, len(scales)), math.nan)
         self._sent: dict[table.Register, dict[int, int]] = {}
         self._limits_sent: tuple[list[int], list[float], list[float]] | None = None
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             best_rate=self._best_rate(fast=options.fast != "never"),
             watchdog=options.watchdog > 0.0,
         )

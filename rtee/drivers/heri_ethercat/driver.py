@@ -121,8 +121,7 @@ class HeriEthercatDriver(Driver):
         bus = await self.open(self.buses.ethercat, options.interface, lambda bus: bus)
         _identify(bus, self._boards, options, self.spec.name)
         self._echoes, self._echoing = [], set()
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             identity={
                 "model": f"HERI II, {self._boards} boards (unverified on hardware)",
                 "firmware": await _firmware(bus, self._boards),

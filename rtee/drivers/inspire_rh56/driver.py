@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -226,8 +225,7 @@ class InspireRh56Driver(Driver):
             await self._identify(link)
         best = self._best_rate(link)
         link.deadline = cycle_deadline(self.spec, best)
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             best_rate=best,
             identity={
                 "model": f"Inspire RH56{options.model.upper()}",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -200,9 +199,7 @@ class LinkerHandDriver(Driver):
             raise self.stranger(name, found, hint=check)
         best = 1.0 / link.cycle_time()
         link.deadline = cycle_deadline(self.spec, best)
-        self.capabilities = replace(
-            self.capabilities, best_rate=best, identity=self._identity(version)
-        )
+        self.refine(best_rate=best, identity=self._identity(version))
 
     def _identity(self, version: codec.Version | None) -> dict[str, str]:
         found = {"model": f"LinkerHand {self._model.name}", "address": f"unit {self.options.unit}"}

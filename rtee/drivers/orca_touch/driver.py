@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -120,8 +119,7 @@ class OrcaTouchDriver(Driver):
         taxels = (1,) * len(fingers) if single else self._counts
         full = codec.NEWTONS * 255
         sensors = tuple(TouchSensor(f, n, full=full) for f, n in zip(fingers, taxels, strict=True))
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             best_rate=self._best_rate(),
             identity={
                 "model": "ORCA touch board",

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Coroutine
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -226,8 +226,7 @@ class QbSoftHandDriver(Driver):
         self._adopt(limits(parameters))
         self._effort_per_ma = self._efforts(current_limit(parameters) or _CURRENT_LIMIT)
         self._active = await self._all_active()
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             identity={
                 "model": "qb SoftHand" if options.motors == 1 else "qb SoftHand 2",
                 "number": str(options.device),

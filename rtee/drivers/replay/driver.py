@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -92,7 +91,7 @@ class ReplayDriver(Driver):
         taxels = {name: sum(sensor.taxels for sensor in each) for name, each in sensors.items()}
         self._blank = {name: np.full(count, np.nan) for name, count in taxels.items()}
         together = tuple(sensor for each in sensors.values() for sensor in each)
-        self.capabilities = replace(self.capabilities, touch=together)
+        self.refine(touch=together)
         await self._rewind()
         self._begin = None
         self.ended = False

@@ -115,7 +115,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         await super().configure()
         weak, strong = MODELS[self.options.model].force
         grip = GripForce(self.scale.effort.si, (weak,), (strong,))
-        self.capabilities = replace(self.capabilities, grip={self.spec.actuators[0].name: grip})
+        self.refine(grip={self.spec.actuators[0].name: grip})
 
     async def _identify(self) -> None:
         await super()._identify()

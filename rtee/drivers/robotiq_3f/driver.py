@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
 from msgspec import field
@@ -120,7 +119,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
             for a, role in zip(self.spec.actuators, self.roles, strict=True)
             if role == "fingers"
         ]
-        self.capabilities = replace(self.capabilities, grip=dict.fromkeys(fingers, grip))
+        self.refine(grip=dict.fromkeys(fingers, grip))
 
     def _places(self) -> tuple[int, int, int]:
         network, base = self.options.port.startswith("tcp://"), self.options.register_base

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from operator import sub
 
 import numpy as np
@@ -200,8 +199,7 @@ class SchunkSvhDriver(Driver):
     def _adopt(self, firmware: codec.FirmwareInfo) -> None:
         self._table = self.options.applied_to(channels_for(firmware.version))
         used = zip(self.spec.actuators, self._used(), strict=True)
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             unlimited=frozenset(a.name for a, channel in used if channel.force_slope == 0.0),
             identity={
                 "model": "SCHUNK SVH",

@@ -190,8 +190,7 @@ class XBot2Driver(Driver):
                         await self._arrived.wait()
             except TimeoutError:
                 raise BusTimeout(bus.name, "no state") from None
-        self.capabilities = replace(
-            self.capabilities,
+        self.refine(
             identity={
                 "model": "XBot2",
                 "server": options.address,
