@@ -13,7 +13,9 @@ from rtee.hand.validation import validated
 T = TypeVar("T")
 
 
-def read_calibration_file(path: Path, device: str, kind: type[T], *, of: str = "") -> T:
+def read_calibration_file(
+    path: Path, device: str, kind: type[T], *, of: str = "", **made_with: object
+) -> T:
     """Return the content of a calibration file.
 
     Args:
@@ -21,18 +23,24 @@ def read_calibration_file(path: Path, device: str, kind: type[T], *, of: str = "
         device: The device's name, for the message.
         kind: The type of the content.
         of: What the calibration is of, for the message, such as `` of servos``.
+        made_with: Fields of it that must have these values: another device's is wrong here.
 
     Raises:
-        CalibrationError: if the file is missing, or not such a calibration.
+        CalibrationError: if the file is missing, not such a calibration, or that of another device.
     """
     try:
-        return validated(kind, json.loads(path.read_text("utf-8")))
+        found = validated(kind, json.loads(path.read_text("utf-8")))
     except FileNotFoundError:
         raise CalibrationError(
             device, f"there is no calibration at {path}; `rtee calibrate` makes one"
         ) from None
     except (OSError, ValueError) as error:
         raise CalibrationError(device, f"{path} is not a calibration{of}: {error}") from error
+    for name, now in made_with.items():
+        if (then := getattr(found, name)) != now:
+            text = f"{path} was made with {name} {then}, not {now}; calibrate again"
+            raise CalibrationError(device, text)
+    return found
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -61,17 +61,6 @@ class ForceZeros(Section, frozen=True):
         return "idle, " + ", ".join(f"{finger} reads {grams} g" for finger, grams in pairs)
 
 
-def read_zeros(path: Path, device: str, unit: int) -> tuple[int, ...]:
-    """Return the stored zeros of a hand [g]; raises `CalibrationError`."""
-    zeros = read_calibration_file(path, device, ForceZeros)
-    # Sensors differ from hand to hand, so the zeros of another hand are wrong here.
-    if zeros.unit != unit:
-        raise CalibrationError(
-            device, f"{path} was made with unit {zeros.unit}, not {unit}; calibrate again"
-        )
-    return zeros.grams
-
-
 async def calibrate(
     link: Rh56Link,
     measured: Callable[[], Awaitable[Report]],
@@ -207,7 +196,10 @@ class InspireRh56Driver(Driver):
         """Open the line, check that an RH56 answers, and choose how to read it; moves nothing."""
         options = self.options
         if options.calibration is not None:
-            self._zeros = read_zeros(options.calibration, self.spec.name, options.unit)
+            # Sensors differ from hand to hand, so the zeros of another hand are wrong here.
+            self._zeros = read_calibration_file(
+                options.calibration, self.spec.name, ForceZeros, unit=options.unit
+            ).grams
         link = await self._open()
         # The supply may have been cut, which restores the hand's initial limits.
         self._forces = self._speeds = None

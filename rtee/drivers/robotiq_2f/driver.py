@@ -110,7 +110,14 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         """Read the calibration, open the line, check that such a gripper answers."""
         options = self.options
         if options.calibration is not None:
-            stops = self._read_stops(options.calibration)
+            stops = read_calibration_file(
+                options.calibration,
+                self.spec.name,
+                EndStops,
+                model=options.model,
+                unit=options.unit,
+            )
+            self._checked(stops)
             self.scale = self._scaled(stops.open_count, stops.closed_count)
         await super().configure()
         weak, strong = MODELS[self.options.model].force
@@ -256,18 +263,6 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             await self._write(command.to_registers())
             await self._until(arrived)
         return self._status.position
-
-    def _read_stops(self, path: Path) -> EndStops:
-        """Return the stored calibration of this gripper; raises `CalibrationError`."""
-        device, model, unit = self.spec.name, self.options.model, self.options.unit
-        stops = read_calibration_file(path, device, EndStops)
-        if (stops.model, stops.unit) != (model, unit):
-            raise CalibrationError(
-                device,
-                f"{path} was made with a {stops.model}, unit {stops.unit}, not with this {model}, "
-                f"unit {unit}; calibrate again",
-            )
-        return self._checked(stops)
 
     def _checked(self, stops: EndStops) -> EndStops:
         """Return a calibration; raises `CalibrationError` if it does not cover the whole range."""
