@@ -87,12 +87,7 @@ def split_address(url: str, default_port: int | None = None) -> tuple[str, int]:
 
 
 async def open_link(
-    url: str,
-    line: Line,
-    protocol: LinkProtocol,
-    *,
-    timeout: float = 3.0,
-    name: str | None = None,
+    url: str, line: Line, protocol: LinkProtocol, *, timeout: float = 3.0, name: str | None = None
 ) -> tuple[asyncio.Transport, asyncio.Protocol]:
     """Open a byte link.
 

@@ -140,10 +140,7 @@ class DirectCan:
     """
 
     def __init__(
-        self,
-        simulation: SimulatedCan,
-        loop: SimulatedTimeLoop,
-        receive: Callable[[CanFrame], None],
+        self, simulation: SimulatedCan, loop: SimulatedTimeLoop, receive: Callable[[CanFrame], None]
     ) -> None:
         self._simulation = simulation
         self._loop = loop

@@ -157,10 +157,7 @@ class SimulatedHand(Observer):
         return self.execute(action_goal(action, *elements, **options))
 
     def open(
-        self,
-        *,
-        speed: float | str = 1.0,
-        effort: Mapping[str, float] | float | str | None = None,
+        self, *, speed: float | str = 1.0, effort: Mapping[str, float] | float | str | None = None
     ) -> Result:
         """Go to the rest posture; see `RemoteHand.open`."""
         return self.do("open", speed=speed, effort=effort)

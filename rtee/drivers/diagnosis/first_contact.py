@@ -75,11 +75,7 @@ class FirstContact:
     """
 
     def __init__(
-        self,
-        driver: Driver,
-        ask: Ask,
-        *,
-        unplug: Callable[[bool], None] | None = None,
+        self, driver: Driver, ask: Ask, *, unplug: Callable[[bool], None] | None = None
     ) -> None:
         self._driver = driver
         self._ask = ask
