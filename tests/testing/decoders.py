@@ -19,7 +19,7 @@ from rtee.drivers.feetech.table import FAMILIES
 from rtee.drivers.feetech.table import State as FeetechState
 from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
-from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
+from rtee.drivers.inspire_rh56.memory import Rh56Memory, Rh56Properties
 from rtee.drivers.linkerhand import codec as linkerhand
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.onrobot_rg import codec as rg
@@ -327,7 +327,7 @@ DECODERS = [
     ),
     Decoder(
         "RH56 report",
-        [Memory(Rh56Properties()).report().to_bytes()],
+        [Rh56Memory(Rh56Properties()).report().to_bytes()],
         decode=rh56.Report.from_bytes,
         errors=(rh56.Rh56FrameError,),
     ),
