@@ -24,12 +24,11 @@ from rtee.log.plots import write_png
 from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
-from rtee.trials.bench import TrialBench, bench
+from rtee.trials.bench import TrialBench, bench, recorder_for
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.planned import PRESSED
-from rtee.trials.recorded import recorder_for
 from rtee.trials.robust_places import robust_places
 from rtee.trials.trial import Trial, TrialResult, run_trial
 from rtee.types import Feedback

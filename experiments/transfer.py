@@ -23,6 +23,7 @@ from rtee.loop.planning import OPEN
 from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
+from rtee.planning.table import CLEAR
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import fingers_of
 from rtee.trials.headless import HeadlessHand
@@ -63,6 +64,9 @@ _LESSONS = 3
 
 _LOOKED_AT = 3
 """Places that are looked at for each one that is tried: in about a third the object is upright."""
+
+_RAISE = 2e-3
+"""By how much at a time the hand is raised until it clears the table [m]."""
 
 _SETTLE = 0.4
 """How long the scene comes to rest after each movement [s]."""
@@ -311,15 +315,23 @@ class _Bench:
         lands = stance.place[:3, 3] if stance.lands is None else stance.lands
         # The container is where the hand leaves the object, turned and carried as it will be.
         x, y, _ = _turned(transfer.turn) @ mount @ lands + np.array([*transfer.by, 0.0])
-        simulation = make_simulation(
-            hand,
-            options,
-            hand.actuator_names,
-            self._settings.period,
-            place=place,
-            mount=mount,
-            container=(float(x), float(y)) if transfer.container else None,
-        )
+        raised = mount.T @ np.array([0.0, 0.0, _RAISE])
+        while True:
+            simulation = make_simulation(
+                hand,
+                options,
+                hand.actuator_names,
+                self._settings.period,
+                place=place,
+                mount=mount,
+                container=(float(x), float(y)) if transfer.container else None,
+            )
+            # An arm that knows its hand and the table keeps it above, tilted or not.
+            simulation.surroundings.jump(np.array([0.0, 0.0, -CLEAR, 0.0, 0.0, 0.0]))
+            if not simulation.surroundings.pressing():
+                break
+            place = place.copy()
+            place[:3, 3] -= raised
         # Along the same line in the world, however the hand is tilted: a tilted one would begin or
         # end inside the table. Before the first step: a varied object may be inside the hand at the
         # end of the way.

@@ -164,8 +164,7 @@ def try_(
 
 
 def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:
-    from rtee.trials.bench import bench
-    from rtee.trials.recorded import recorder_for
+    from rtee.trials.bench import bench, recorder_for
     from rtee.trials.trial import run_trial
 
     ready = bench(name)

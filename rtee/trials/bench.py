@@ -9,6 +9,7 @@ from pathlib import Path
 from rtee.actions.library import ActionLibrary
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
+from rtee.log import Recorder, RecorderSettings
 from rtee.loop.settings import LoopSettings, loop_settings
 
 RATE = 250.0
@@ -36,3 +37,23 @@ def bench(name: str, rate: float = RATE) -> TrialBench:
     folder = hand_folder(name)[0]
     library = ActionLibrary.load(hand, folder / "actions")
     return TrialBench(hand, library, loop_settings(config, rate=rate), folder)
+
+
+def recorder_for(ready: TrialBench, folder: Path) -> Recorder:
+    """Return a recorder that drops nothing, however fast simulated time runs."""
+    files = {
+        file.relative_to(ready.folder).as_posix(): file.read_bytes()
+        for file in [
+            ready.folder / "hand.yaml",
+            *sorted((ready.folder / "actions").rglob("*.yaml")),
+        ]
+    }
+    return Recorder(
+        ready.hand,
+        RecorderSettings(folder, queue_time=1e6, sync=False, flight_recorder=0.0),
+        rate=ready.settings.rate,
+        loop=ready.settings,
+        attachments=files,
+        metadata={"drivers": "mujoco", "clock": "simulated"},
+        simulated=True,
+    )

@@ -26,9 +26,8 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.log import read
-from rtee.trials.bench import bench
+from rtee.trials.bench import bench, recorder_for
 from rtee.trials.pictures import Stills
-from rtee.trials.recorded import recorder_for
 from rtee.trials.trial import Trial, run_trial
 from tests.testing.browser import find_browser
 

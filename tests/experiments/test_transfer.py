@@ -15,8 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments.transfer import MOMENTS, OFF, SLIDE, Transfer, TransferResult, run_transfer
 from rtee.errors import UnknownAction
 from rtee.log import read
-from rtee.trials.bench import bench
-from rtee.trials.recorded import recorder_for
+from rtee.trials.bench import bench, recorder_for
 from rtee.trials.trial import Trial, run_trial
 
 GRIPPER = "robotiq_2f_85"

@@ -17,8 +17,7 @@ from rtee.drivers.replay.driver import ReplayDriver
 from rtee.gui.playback import Playback
 from rtee.hand.frames import pose_in_hand
 from rtee.log import read
-from rtee.trials.bench import bench
-from rtee.trials.recorded import recorder_for
+from rtee.trials.bench import bench, recorder_for
 from rtee.trials.recorded_pictures import moments, write_pictures
 from rtee.trials.result import Trial
 from rtee.trials.trial import run_trial

@@ -23,9 +23,8 @@ from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings, Recording, read
 from rtee.log.check import check
 from rtee.loop.settings import loop_settings
-from rtee.trials.bench import bench
+from rtee.trials.bench import bench, recorder_for
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.recorded import recorder_for
 from rtee.types import Around, DeviceSpec, Force, Goal, Intensity, Named, Reference
 
 pytestmark = pytest.mark.anyio

@@ -28,9 +28,8 @@ from rtee.loop.observer import Observer
 from rtee.planning.objects import read_object
 from rtee.trials import trial as trial_module
 from rtee.trials import variation as variation_module
-from rtee.trials.bench import bench
+from rtee.trials.bench import bench, recorder_for
 from rtee.trials.grasp_placement import Places
-from rtee.trials.recorded import recorder_for
 from rtee.trials.result import OBJECTS
 from rtee.trials.robust_places import robust_places
 from rtee.trials.store import (
