@@ -57,9 +57,9 @@ class Parameter:
         name: Name; dots separate groups.
         value: Value at the start, whose type never changes.
         description: Sentence about the parameter, with its unit.
-        lower: Least value of a number, or of each number of an array.
+        lower: Smallest value of a number, or of each number of an array; for an integer, both
+            bounds or none.
         upper: Largest value.
-        step: Values must differ from ``lower`` by multiples of this; 0: by any amount.
         read_only: Whether the parameter cannot be changed.
         change: Called with a new value before it is stored; raises `RteeError` to refuse it; may
             return an awaitable.
@@ -68,11 +68,15 @@ class Parameter:
     name: str
     value: Value
     description: str = ""
-    lower: float | None = None
-    upper: float | None = None
-    step: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
     read_only: bool = False
     change: Callable[[Any], Awaitable[None] | None] | None = None
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the value has a bound."""
+        return math.isfinite(self.lower) or math.isfinite(self.upper)
 
     @property
     def kind(self) -> int:
@@ -91,27 +95,13 @@ class Parameter:
             )
         numbers = value if isinstance(value, list) else [value]
         for number in numbers:
-            if isinstance(number, (int, float)) and not self._within(number):
-                lower, upper = (
-                    "-inf" if self.lower is None else f"{self.lower:g}",
-                    "inf" if self.upper is None else f"{self.upper:g}",
-                )
-                steps = f" in steps of {self.step:g}" if self.step else ""
-                return f"Parameter '{self.name}' is {number:g}, outside {lower} to {upper}{steps}"
+            if self.bounded and isinstance(number, (int, float)) and not self._within(number):
+                bounds = f"{self.lower:g} to {self.upper:g}"
+                return f"Parameter '{self.name}' is {number:g}, outside {bounds}"
         return ""
 
     def _within(self, number: float) -> bool:
-        if self.lower is None and self.upper is None:
-            return True
-        lower = -math.inf if self.lower is None else self.lower
-        upper = math.inf if self.upper is None else self.upper
-        if not (math.isfinite(number) and lower <= number <= upper):
-            return False
-        # The ends of a range are valid whatever its step, as in rclcpp.
-        if not self.step or number in {lower, upper}:
-            return True
-        steps = (number - lower) / self.step if math.isfinite(lower) else number / self.step
-        return math.isclose(steps, round(steps), rel_tol=0, abs_tol=1e-9 * max(1.0, abs(steps)))
+        return math.isfinite(number) and self.lower <= number <= self.upper
 
 
 def kind_of(value: Value) -> int:
@@ -201,25 +191,14 @@ class Parameters:
         if declared is not None:
             descriptor.type, descriptor.read_only = declared.kind, declared.read_only
             descriptor.description = declared.description
-            if declared.lower is not None or declared.upper is not None:
-                lower = -math.inf if declared.lower is None else declared.lower
-                upper = math.inf if declared.upper is None else declared.upper
-                if declared.kind in {_DOUBLE, _DOUBLES}:
-                    descriptor.floating_point_range = [
-                        self._message("FloatingPointRange")(
-                            from_value=lower, to_value=upper, step=declared.step
-                        )
-                    ]
-                else:
-                    # The fields are int64, which has no infinity.
-                    most = (1 << 63) - 1
-                    descriptor.integer_range = [
-                        self._message("IntegerRange")(
-                            from_value=int(max(lower, -most)) if math.isfinite(lower) else -most,
-                            to_value=int(upper) if math.isfinite(upper) else most,
-                            step=int(declared.step),
-                        )
-                    ]
+            if declared.bounded:
+                floating = declared.kind in {_DOUBLE, _DOUBLES}
+                number = float if floating else int
+                bounds = self._message("FloatingPointRange" if floating else "IntegerRange")(
+                    from_value=number(declared.lower), to_value=number(declared.upper)
+                )
+                field = "floating_point_range" if floating else "integer_range"
+                setattr(descriptor, field, [bounds])
         return descriptor
 
     async def _list(self, request: Any) -> dict[str, Any]:
