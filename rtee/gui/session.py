@@ -20,7 +20,7 @@ from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.action_editor import MakingPanel
 from rtee.gui.panels.actions import ActionsPanel, Card
-from rtee.gui.panels.header import Header
+from rtee.gui.panels.header import HeaderPanel
 from rtee.gui.panels.plots import PlotsPanel, TouchPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
@@ -103,7 +103,7 @@ class HandSession:
         self._playback: Playback | None = None
         self._known: list[Action] = []
         with top:
-            self._header = Header(bridge, remote)
+            self._header = HeaderPanel(bridge, remote)
         self._tabs = gui.add_tab_group()
         with self._tabs.add_tab("Actions"):
             self._actions = ActionsPanel(bridge, remote, self._show, partial(_remark, hand))

@@ -50,7 +50,7 @@ def admit_local(access_path: str) -> Admitted | None:
     return Admitted(Role.MAINTAINER) if access_path in (HERE, PLAIN) else None
 
 
-class Client:
+class IdentifiedClient:
     """A client that has said hello.
 
     Attributes:
@@ -104,11 +104,11 @@ class Identities:
         # One allowance for all: a stranger could change its name and so get a new one.
         self._strangers = Rates()
         self._shares: dict[tuple[str, int], Rates] = {}
-        self._there: dict[str, Client] = {}
-        self._by_token: dict[str, Client] = {}
-        self._gone: OrderedDict[str, Client] = OrderedDict()
+        self._there: dict[str, IdentifiedClient] = {}
+        self._by_token: dict[str, IdentifiedClient] = {}
+        self._gone: OrderedDict[str, IdentifiedClient] = OrderedDict()
         self._tokens: OrderedDict[str, None] = OrderedDict()
-        self._greeting: OrderedDict[str, tuple[Client, IncomingRequest]] = OrderedDict()
+        self._greeting: OrderedDict[str, tuple[IdentifiedClient, IncomingRequest]] = OrderedDict()
 
     def __contains__(self, name: str) -> bool:
         """Return whether a client of this name is present."""
@@ -138,7 +138,7 @@ class Identities:
             raise RequestRejected("a client's name has a dot after a certificate's person only")
         if _TOKEN.match(token) is None:
             raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
-        client = Client(
+        client = IdentifiedClient(
             name, admitted.role, access_path, token, user_of(token) if access_path == HERE else -1
         )
         with self._lock:
@@ -153,7 +153,7 @@ class Identities:
                 self._greeting[token] = client, request
                 _shorten(self._greeting)
 
-    def _admit(self, client: Client, request: IncomingRequest) -> None:
+    def _admit(self, client: IdentifiedClient, request: IncomingRequest) -> None:
         # A former client of this name must not come back beside the new one.
         self._gone = OrderedDict((k, v) for k, v in self._gone.items() if v.name != client.name)
         self._there[client.name] = self._by_token[client.token] = client
@@ -204,12 +204,16 @@ class Identities:
             self._strangers.refuse(client)
         return self.permit(client, request)
 
-    def signer(self, request: Request, attachment: bytes | None, question: bytes) -> Client | None:
+    def signer(
+        self, request: Request, attachment: bytes | None, question: bytes
+    ) -> IdentifiedClient | None:
         """Return the client that has signed a request; ``None``: no client, or a repeated one."""
         client = self._signed(request, attachment, question)
         return None if isinstance(client, str) else client
 
-    def _signed(self, request: Request, attachment: bytes | None, question: bytes) -> Client | str:
+    def _signed(
+        self, request: Request, attachment: bytes | None, question: bytes
+    ) -> IdentifiedClient | str:
         """Return the client that has signed a request, or in a sentence why none has."""
         claim = claim_of(attachment)
         # Cheap checks come first: requests of strangers cost no HMAC.
@@ -233,11 +237,11 @@ class Identities:
                 return client
         return f"the number of a '{request.name}' should be larger than those before, from 1 on"
 
-    def admits(self, client: Client) -> bool:
+    def admits(self, client: IdentifiedClient) -> bool:
         """Return whether a client's access path is still admitted."""
         return self._admitted(client.access_path) is not None
 
-    def permit(self, client: Client, request: Request) -> str:
+    def permit(self, client: IdentifiedClient, request: Request) -> str:
         """Return a client's name if it may send a request now; raises the errors of `check`."""
         # Looked up for each request: the certificate may have been revoked since hello.
         rates, admitted = client.rates, self._admitted(client.access_path)

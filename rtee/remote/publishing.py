@@ -310,7 +310,7 @@ class Streams:
         self._publishers.close(self._touch)
 
 
-class Publisher(Observer):
+class HandPublisher(Observer):
     """Publishes a loop's records: states in their streams, all other messages in order.
 
     Its methods are called in the loop's thread. Goals and streams hold the lease until they end.

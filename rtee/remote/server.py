@@ -62,7 +62,7 @@ from rtee.remote.incoming_request import (
 )
 from rtee.remote.lease import Lease
 from rtee.remote.protection import Protection
-from rtee.remote.publishing import Publisher, Streams, TopicPublishers
+from rtee.remote.publishing import HandPublisher, Streams, TopicPublishers
 from rtee.remote.query_handlers import QueryHandlers, RecorderControl
 from rtee.remote.rates import EXCESS, Rates
 from rtee.remote.session import DELIVER, TLS, close_session, direct, fits, open_server
@@ -308,7 +308,7 @@ class Server:
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
-            publisher = Publisher(publishers, streams, server.outbox, lease, goals)
+            publisher = HandPublisher(publishers, streams, server.outbox, lease, goals)
             for observer in (publisher, tally):
                 loop.add_observer(observer)
                 stack.callback(loop.remove_observer, observer)

@@ -31,7 +31,7 @@ from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.served_hand import Part, ServedHand
 from rtee.ros2.trajectory import (
-    Motion,
+    JointMotion,
     OldTrajectory,
     SetPoint,
     TimedPosture,
@@ -65,14 +65,14 @@ class Play:
         replaced: Called with the source of another motion that replaces this one.
     """
 
-    motion: Motion
+    motion: JointMotion
     source: str
     until: float
     failed: Callable[[str], None]
     replaced: Callable[[str], None] | None = None
 
 
-class Player:
+class MotionPlayer:
     """Streams motions to the hand; the newest replaces any other, whatever its source.
 
     Attributes:
@@ -252,7 +252,7 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
 class TrajectoryAction:
     """Serves the action; the player streams also the trajectories of topics to the hand."""
 
-    def __init__(self, served: ServedHand, player: Player) -> None:
+    def __init__(self, served: ServedHand, player: MotionPlayer) -> None:
         self.served, self.player = served, player
         self.type: Final = served.node.context.interfaces.action(
             "control_msgs/action/FollowJointTrajectory"
@@ -408,7 +408,7 @@ class _Following:
     def __init__(
         self,
         action: TrajectoryAction,
-        motion: Motion,
+        motion: JointMotion,
         names: Sequence[str],
         limits: _Limits,
         times: Sequence[float],
@@ -594,7 +594,7 @@ class Setpoints(Part):
 
     def __init__(self, served: ServedHand) -> None:
         self._served = served
-        self._player = Player(served)
+        self._player = MotionPlayer(served)
         self._action = TrajectoryAction(served, self._player)
         self._refused: dict[str, tuple[float, int]] = {}
         for topic, kind, read in (
@@ -624,7 +624,7 @@ class Setpoints(Part):
 
     # --- messages of the topics
 
-    def _take(self, topic: str, read: Callable[[Any], Motion], message: Any) -> None:
+    def _take(self, topic: str, read: Callable[[Any], JointMotion], message: Any) -> None:
         try:
             motion = read(message)
         except MessageError as error:
@@ -648,7 +648,7 @@ class Setpoints(Part):
         log.warning("a message on %s is refused: %s%s", name, reason, more)
         self._refused[topic] = now, 0
 
-    def _commands(self, message: Any) -> Motion:
+    def _commands(self, message: Any) -> JointMotion:
         actuators = self._served.actuators
         values = [float(value) for value in message.data]
         if len(values) != len(actuators):
@@ -665,11 +665,11 @@ class Setpoints(Part):
             monotonic.now(),
         )
 
-    def _trajectory(self, message: Any) -> Motion:
+    def _trajectory(self, message: Any) -> JointMotion:
         now, ros_now = monotonic.now(), time.time()
         return trajectory_of(message, self._player.joints, self._player.where, now, ros_now)
 
-    def _jog(self, message: Any) -> Motion:
+    def _jog(self, message: Any) -> JointMotion:
         now = monotonic.now()
 
         def where(name: str) -> float:

@@ -48,7 +48,7 @@ class SetPoint(NamedTuple):
     velocity: Mapping[str, float]
 
 
-class Motion(Protocol):
+class JointMotion(Protocol):
     """Set-points over time."""
 
     @property

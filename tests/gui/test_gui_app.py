@@ -36,7 +36,7 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.history import StateHistory
 from rtee.gui.panels.action_editor import JogPanel
 from rtee.gui.panels.execution import Execution
-from rtee.gui.panels.header import Header
+from rtee.gui.panels.header import HeaderPanel
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.session import HandSession
@@ -308,7 +308,7 @@ async def test_recover_is_offered_wherever_a_device_does_not_follow_and_asks_fir
         recovered.append("all")
 
     hand = SimpleNamespace(open=recover, cancel=recover, admit_agents=recover, recover=recover)
-    header = Header(Bridge(server), cast("RemoteHand", hand))
+    header = HeaderPanel(Bridge(server), cast("RemoteHand", hand))
     truth = Truth("svh")
     for lifecycle, offered in ((Lifecycle.INACTIVE, True), (Lifecycle.ACTIVE, False)):
         line = dataclasses.replace(ACTIVE, lifecycle=lifecycle, message="it was unplugged")

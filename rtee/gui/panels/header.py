@@ -37,7 +37,7 @@ def device_line(device: DeviceStatus) -> str:
     return f'<span style="color:{colour}">{sign}</span> ' + " · ".join(words)
 
 
-class Header:
+class HeaderPanel:
     """Open, Cancel, Recover, and the devices."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
