@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,7 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> RecordingInfo:
 
     def all_of(kind: str) -> list[list[Any]]:
         told = (entry for each in files for entry in each.of(kind))
-        return [[(wall - start) / SECOND, *rest] for wall, *rest in sorted(told, key=_time)]
+        return [[(wall - start) / SECOND, *rest] for wall, *rest in sorted(told, key=itemgetter(0))]
 
     counts: dict[tuple[str, str], int] = {}
     for each in files:
@@ -154,10 +155,6 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> RecordingInfo:
         loop=loop[-1][1] if loop else None,
         notes=tuple(note for each in files for note in each.notes),
     )
-
-
-def _time(told: Sequence[Any]) -> int:
-    return int(told[0])
 
 
 def _whole(path: Path) -> Brief:

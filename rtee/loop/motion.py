@@ -175,7 +175,7 @@ class Limiter:
         """
         # True for NaN and for both infinities, in one comparison.
         if position - position != 0.0:
-            raise ValueError("a reference starts at a finite position")
+            raise ValueError("a reference must start at a finite position")
         self.position[index] = position
         self.velocity[index] = 0.0
         self.limited[index] = False

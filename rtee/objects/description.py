@@ -41,10 +41,6 @@ MOST_TRIANGLES: Final = 20_000
 """Most triangles of a part: a message of 0.5 MB. A mesh with more is described by its hull."""
 
 
-def _none() -> NDArray[np.uint32]:
-    return np.zeros((0, 3), np.uint32)
-
-
 @dataclass(frozen=True, slots=True)
 class ObjectPart(Value):
     """A rigid part of an object.
@@ -64,7 +60,7 @@ class ObjectPart(Value):
     size: tuple[float, ...]
     pose: FloatArray
     vertices: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    faces: NDArray[np.uint32] = field(default_factory=_none)
+    faces: NDArray[np.uint32] = field(default_factory=lambda: np.zeros((0, 3), np.uint32))
 
     def __post_init__(self) -> None:
         """Check the part, since descriptions arrive over the network and from files."""

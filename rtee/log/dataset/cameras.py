@@ -176,7 +176,7 @@ def _reading(path: Path) -> Iterator[Any]:
             yield make_reader(stream)
     except McapError as error:
         raise LogError(
-            "is damaged, or was never closed: take what rtee log recover makes of it", path=path
+            "is damaged, or was never closed: run `rtee log recover` first", path=path
         ) from error
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
@@ -190,7 +190,7 @@ def _image(schema: Schema, content: bytes) -> tuple[str, bytes]:
     try:
         fields = _cdr(schema.name).decode(content)
     except MessageError as error:
-        raise LogError(f"an image makes no sense: {error}") from None
+        raise LogError(f"an image cannot be decoded: {error}") from None
     return str(fields["format"]), bytes(fields["data"])
 
 
