@@ -43,10 +43,7 @@ if CPU.exists() and "avx512f" not in CPU.read_text():
 
 OFFLINE = [
     *(p for p in (ROOT / "rtee" / "extract").glob("*.py") if not p.name.startswith("report")),
-    *(
-        ROOT / "rtee" / "hand" / f"{n}.py"
-        for n in ("geometry", "halton", "kinematics", "linalg", "allowed_collisions")
-    ),
+    *(ROOT / "rtee" / "hand" / f"{n}.py" for n in ("geometry", "halton", "kinematics", "linalg")),
 ]
 """What decides which primitives are found, and what is written about them."""
 
