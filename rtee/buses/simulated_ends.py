@@ -12,7 +12,7 @@ import tempfile
 import termios
 from pathlib import Path
 
-from rtee.errors import BusBroken
+from rtee.errors import BusBroken, ConfigError
 
 _TCGETS2 = 0x802C542A
 """The ioctl that reads the settings of a tty with an arbitrary baud rate, see ioctl_tty(2); the
@@ -58,7 +58,7 @@ class Pty:
         return self.open and not self._deserted
 
     def plug(self) -> None:
-        """Create the port; raises `BusBroken`."""
+        """Create the port; raises `ConfigError` if the link to it cannot be made."""
         import pty
         import tty
 
@@ -84,7 +84,8 @@ class Pty:
             self._link.symlink_to(self._name)
         except OSError as error:
             self.unplug()
-            raise BusBroken(str(self._link), f"cannot make this link: {error.strerror}") from error
+            words = f"cannot make this link: {error.strerror}"
+            raise ConfigError(words, path=self._link) from error
 
     def unplug(self) -> None:
         """Remove the port."""

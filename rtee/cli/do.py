@@ -297,6 +297,6 @@ def touch(
     else:
         print(sentence(result, result.elements))
         # A goal that was ended has an outcome of its own, and touched nothing all the same.
-        if not result.touched and result.outcome is not Outcome.EMPTY:
+        if not result.touched and result.outcome not in (Outcome.EMPTY, Outcome.UNKNOWN):
             print("nothing was touched")
     raise typer.Exit(0 if result.succeeded else 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -224,7 +225,13 @@ def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
         emulator = make()
     else:
         fitting = kind.fitting({**options, "emulator": properties})
-        emulator = make(read_properties(kind.PROPERTIES, {**fitting, **properties}))
+        found = read_properties(kind.PROPERTIES, {**fitting, **properties})
+        try:
+            emulator = make(found)
+        except (ArithmeticError, ValueError, struct.error) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(f"no device of these properties is possible: {error}") from error
     if state != IDEAL_STATE:
         wear_down(emulator, _wear_of(kind, state))
     if given is not None:

@@ -11,7 +11,7 @@ from rtee.units import grip_words
 _WORDS: Final = {
     Outcome.HELD: "held",
     Outcome.WRONG_WIDTH: "something of another width is held",
-    Outcome.UNKNOWN: "closed on something thin, or on nothing: that cannot be told",
+    Outcome.UNKNOWN: "closed on something thin or on nothing (unknown which)",
     Outcome.TOUCHED: "touched",
     Outcome.REACHED: "reached",
     Outcome.STALLED: "stalled",

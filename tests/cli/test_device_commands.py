@@ -106,6 +106,14 @@ def test_a_driver_package_is_written(tmp_path: Path) -> None:
     assert "is taken" in rtee("new-driver", "json", "--in", str(tmp_path), status=2)
 
 
-@pytest.mark.parametrize("words", [["emulate", "robotik"], ["emulate", "robotiq_2f", "--set", "x"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["emulate", "robotik"],
+        ["emulate", "robotiq_2f", "--set", "x"],
+        ["emulate", "dynamixel", "--set", "ids=[300]"],
+        ["emulate", "robotiq_2f", "--link", "/nonexistent/port"],
+    ],
+)
 def test_mistakes_are_one_sentence(words: list[str]) -> None:
     assert rtee(*words, status=2).count("\n") == 1
