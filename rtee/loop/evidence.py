@@ -457,9 +457,7 @@ class ContactMonitor:
             word=own_report,
             denied=measured.grasped[i] == 0,
             away=away,
-            # Half of the tolerance: what grips from the start on moves no further.
-            moved=(measured.position[i] - watched.start) * ahead > 0.5 * watched.tolerance
-            or self._grips[i] is not None,
+            moved=self._has_moved(i, watched, measured, ahead) or self._grips[i] is not None,
             effort=abs(measured.effort[i]),
             least=self._pressing(i, limit),
         ):
@@ -467,6 +465,22 @@ class ContactMonitor:
             watched.own_report = own_report
             watched.hold_position = measured.position[i]
             self._grips[i] = _Grip(ahead, measured.position[i])
+
+    def _has_moved(
+        self, i: int, watched: _WatchedActuator, measured: Measured, ahead: float
+    ) -> bool:
+        # Half of the tolerance: what grips from the start on moves no further. As long as nobody
+        # knows what friction takes, gears that yield to it move as far.
+        least = (0.5 if self._free[i].known else 1.0) * watched.tolerance
+        return (measured.position[i] - watched.start) * ahead > least
+
+    def moved(self, i: int, measured: Measured) -> bool:
+        """Return whether a watched actuator has moved towards its target, not only its gears."""
+        watched = self._watched.get(i)
+        if watched is None:
+            return False
+        ahead = math.copysign(1.0, watched.target - watched.start)
+        return self._has_moved(i, watched, measured, ahead)
 
     def _pressing(self, i: int, limit: float) -> float:
         """Return the effort from which on an actuator may press on something [N·m | N].

@@ -171,10 +171,10 @@ _STOPPING: Final = 0.0013
 90 mm/s strikes with 140 N (1.5 ms), an SVH at 52 mm/s with 2.6 N (1.1 ms). Rubber pads take longer,
 and the blow is then softer."""
 
-_YIELDING: Final = 3.0
+_YIELDING: Final = 6.0
 """Fingers that bend, of whose mass nothing is known, go around an object, and on once they met it,
 at this multiple of the speed at which they meet it: with less, light things fall before a SoftHand
-presses; with more, a 3-Finger strikes with its middles."""
+presses; with more, a 3-Finger strikes harder with its middles."""
 
 _SLOWEST: Final = 0.002
 """Least closing speed by the moving mass [m/s]: the margin around an object takes five seconds."""

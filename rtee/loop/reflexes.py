@@ -275,7 +275,10 @@ class Reflexes:
             )
             share = self._approach.share(measured)
             if together is None and force is not None and share < 1.0:
-                self._allow({i: share * plan.effort[i] for i in watched if i in plan.effort})
+                for i, each in watched.items():
+                    if i in plan.effort:
+                        each.limit = share * plan.effort[i]
+                self._allow({i: each.limit for i, each in watched.items() if i in plan.effort})
             self.active = True
             return
         sides: tuple[frozenset[str], ...] = ()
@@ -421,6 +424,8 @@ class Reflexes:
                     i, stamp, measured, reference, velocity, every=every and not forced, sides=sides
                 )
             if not (pressed or touches):
+                if approach.around and self._contact.moved(i, measured):
+                    watched.limit = math.inf  # friction is overcome; what stops it now is met
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
                 elif approach.together is not None:

@@ -115,7 +115,7 @@ def test_what_falls_out_is_not_said_to_be_held(thing: CaseObject) -> None:
     assert (truth.said, truth.held) == (False, False)
 
 
-@pytest.mark.parametrize("numb", [False, True])
-def test_a_force_that_does_not_move_the_fingers_grasps_nothing(numb: bool) -> None:
-    truth = try_case(bench("robotiq_2f_85", RATE), Case(CaseObject.NONE, 0.04, 2.0, None, numb))
+@pytest.mark.parametrize(("force", "numb"), [(2.0, False), (2.0, True), (1.5, True), (0.5, True)])
+def test_a_force_that_hardly_moves_the_fingers_grasps_nothing(force: float, numb: bool) -> None:
+    truth = try_case(bench("robotiq_2f_85", RATE), Case(CaseObject.NONE, 0.04, force, None, numb))
     assert not truth.said
