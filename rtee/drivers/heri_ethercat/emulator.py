@@ -10,6 +10,9 @@ missing frames are not public: here they are properties, or missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
+
+from msgspec import Meta
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, SlaveState
@@ -40,7 +43,7 @@ class BoardProperties(Section, frozen=True):
         upper: Upper mechanical stop [rad].
     """
 
-    boards: int = 2
+    boards: Annotated[int, Meta(ge=1, le=65_535)] = 2  # as many as EtherCAT has addresses
     vendor: int = 0
     product: int = 0x0013
     firmware: str = "emulated"
