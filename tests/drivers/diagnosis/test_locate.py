@@ -77,7 +77,7 @@ async def test_end_stops_are_found_stored_and_used(tmp_path: Path) -> None:
         ("{", "is not a calibration"),
         (
             '{"model": "2f_140", "unit": 9, "open_count": 3, "closed_count": 230}',
-            "made with a 2f_140",
+            "made with model 2f_140, not 2f_85",
         ),
         ('{"model": "2f_85", "unit": 9, "open_count": 100, "closed_count": 150}', "it moved 50"),
     ],
