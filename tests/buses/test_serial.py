@@ -78,7 +78,8 @@ async def test_an_answer_that_is_not_accepted_is_a_stray(pool: BusPool, url: str
     bus = await bus_in(pool, url)
     with pytest.raises(FrameError):
         await bus.transact(frame_of(b"a"), StarParser(), 0.03, accept=lambda frame: frame == b"B")
-    assert bus.counters.strays == 2
+    # In real time, a busy computer may leave none for the second attempt.
+    assert bus.counters.strays == 1 + bus.counters.retries
 
 
 async def test_transactions_wait_for_each_other(pool: BusPool, url: str) -> None:

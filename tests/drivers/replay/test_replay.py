@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,9 +107,11 @@ class Player:
     async def sense(self) -> ActuatorState:
         """Return what is to be shown now, once it has been read."""
         state = await self.driver.sense()
+        fresh = state.fresh  # a block's last state is shown while the next block is still read
         while self.driver.behind:
             state = await self.driver.sense()
-        return state
+            fresh = fresh or state.fresh
+        return replace(state, fresh=fresh)
 
 
 async def test_states_come_by_name_at_their_time(recording: Path) -> None:
