@@ -37,6 +37,7 @@ from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.openings import opening_fields
 from rtee.remote.publishing import Streams
+from rtee.sample import TickRecord
 from rtee.types import Event
 
 _WAITING: Final = 4
@@ -148,6 +149,12 @@ _MOST_ACTIONS = 256
 """Number of actions, not counting primitives, at which clients may add no more: each prolongs the
 reading of the files by 0.3 ms."""
 
+_FIRST_TICK = 2.0
+"""Longest time from when a hand is found to its first tick [s]: a busy computer takes a tenth."""
+
+_LOOK_EVERY = 0.005
+"""Interval at which the first tick is looked for [s]: that of a slow loop."""
+
 _MOST_KEPT = 64
 """Cached answers: more than user interfaces request; each takes up to some hundred kilobytes."""
 
@@ -213,7 +220,7 @@ class QueryHandlers:
         self._handlers: dict[str, Callable[[Fields], Fields]] = {
             "stream": lambda fields: accepted(streams.ask(fields["rate"])),
             "goal": lambda fields: goals.status(fields["goal_id"]),
-            "touch": lambda _: reply_fields(loop.snapshot()),
+            "touch": lambda _: reply_fields(self._last_tick()),
             "status": self._status,
             "object_description": self._object_description,
             "info": self._info,
@@ -239,7 +246,7 @@ class QueryHandlers:
         """
         name, fields = request.request.name, request.fields
         if name == "state":
-            return self._streams.messages.state(self._loop.snapshot())
+            return self._streams.messages.state(self._last_tick())
         if name in ("grasp_plan", "reach"):
             self._plans.handle(request, self._library.folder)
             return None
@@ -256,6 +263,20 @@ class QueryHandlers:
     def close(self) -> None:
         """End the plan under way; blocks for a moment."""
         self._plans.close()
+
+    def _last_tick(self) -> TickRecord:
+        """Return the record of the last tick; of a hand that has just started, wait for the first.
+
+        Raises `RteeError` if there is none in time.
+        """
+        end = monotonic.now() + _FIRST_TICK
+        while True:
+            try:
+                return self._loop.snapshot()
+            except RteeError:
+                if monotonic.now() >= end:
+                    raise
+            monotonic.sleep(_LOOK_EVERY)
 
     def _cached(self, request: IncomingRequest) -> bytes:
         """Return an answer that is cached for each question until the actions change.

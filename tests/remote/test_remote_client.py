@@ -11,11 +11,12 @@ import zenoh
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, GoalRejected, LeaseHeld, NoHand, RequestRejected
+from rtee.errors import ConfigError, GoalRejected, LeaseHeld, NoHand, RequestRejected, RteeError
 from rtee.hand.model import Hand
 from rtee.messages import EVENT
 from rtee.remote.server import Server
 from rtee.remote.session import direct
+from rtee.sample import TickRecord
 from rtee.types import Event, Feedback, Intensity, Lifecycle, Stage
 
 from .serving import (
@@ -332,6 +333,21 @@ async def test_what_nobody_takes_does_not_pile_up(hand: Hand, library: ActionLib
             await until(lambda: taken[-1:] == [b"299"])
             watched.undeclare()
     assert len(taken) <= 20
+
+
+async def test_a_hand_is_found_before_its_first_tick(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        found, refused = served.loop.snapshot, iter([RteeError("the loop has not ticked yet")] * 3)
+
+        def snapshot() -> TickRecord:
+            for error in refused:
+                raise error
+            return found()
+
+        monkeypatch.setattr(served.loop, "snapshot", snapshot)
+        assert len((await remote.state()).position) == len(hand.actuators)
 
 
 async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
