@@ -31,13 +31,13 @@ from rtee.commands import (
 )
 from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
+from rtee.loop.closing import slowed
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.executor import Executor
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.motion import Limiter, MotionLimits
 from rtee.loop.plan import Plan
-from rtee.loop.planning import slowed
 from rtee.loop.profiles import Profile, make_profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings

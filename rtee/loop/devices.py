@@ -15,7 +15,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import GripForce
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.model import Hand
-from rtee.loop.planning import DeviceForces
+from rtee.loop.forces import DeviceForces
 from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator, TouchGatherer
 from rtee.loop.supervisor import Supervisor

@@ -12,11 +12,11 @@ from rtee.drivers.plausibility import Plausibility
 from rtee.hand.config_schema import Following
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
+from rtee.loop.closing import leg_speed
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import DEVICE, ELSEWHERE, TIPS
 from rtee.loop.measured import Measured
 from rtee.loop.plan import Leg, Plan
-from rtee.loop.planning import leg_speed
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings

@@ -13,12 +13,12 @@ from rtee.actions.openings import MARGIN
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
+from rtee.loop.closing import leg_speed, meeting_speed
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import ELSEWHERE, Grip
 from rtee.loop.measured import Measured
 from rtee.loop.motion import Limiter
 from rtee.loop.plan import Plan
-from rtee.loop.planning import leg_speed, meeting_speed
 from rtee.loop.pressing import ForceEstimate, Pressing, Tare, ceilings
 from rtee.loop.profiles import Profile
 from rtee.loop.squeeze import Held, Squeeze

@@ -14,8 +14,8 @@ from rtee.actions.openings import Opening, meeting
 from rtee.actions.types import Action
 from rtee.errors import ActionError
 from rtee.loop.devices import device_forces
+from rtee.loop.forces import DeviceForces, unlimited
 from rtee.loop.grip import Grip
-from rtee.loop.planning import DeviceForces, unlimited
 from rtee.loop.supervisor import Supervisor
 from rtee.remote.hand_info import HandInfo
 from rtee.sample import FloatArray

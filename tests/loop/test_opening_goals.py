@@ -17,11 +17,12 @@ from rtee.errors import ActionError, GoalRejected
 from rtee.hand.load import load_configured
 from rtee.log.plans import encode_plan, plan_of
 from rtee.loop.clock import ManualClock
+from rtee.loop.forces import DeviceForces
 from rtee.loop.grip import EFFORT, LIMIT, TIPS, Grip
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.plan import Plan
-from rtee.loop.planning import DeviceForces, make_plan
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import loop_settings
 from rtee.messages.goals import goal_of
 from rtee.messages.schema import message_type

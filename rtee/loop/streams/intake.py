@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rtee.commands import BeginStream, Command, EndStream, StreamSample, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import LONGEST_DEADLINE
-from rtee.loop.planning import effort_limits
+from rtee.loop.forces import effort_limits
 from rtee.loop.streams.targets import Targets
 
 if TYPE_CHECKING:

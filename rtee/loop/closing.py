@@ -1,0 +1,157 @@
+"""How fast fingers go around an object, and meet it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from rtee.actions.openings import MARGIN
+from rtee.errors import GoalRejected
+from rtee.hand.model import Hand
+from rtee.loop.grip import Grip
+from rtee.loop.plan import Plan
+from rtee.types import Around
+
+_CONTACT_SPEED: Final = 0.01
+"""Least closing speed of the opening for a goal with a force [m/s]: that of a touch, which crosses
+the margin within a second."""
+
+_SPEED_PER_FORCE: Final = 2e-3
+"""Speed of the opening at which the fingers meet an object, per requested newton [m/s/N]. In MuJoCo
+a 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
+
+_AROUND_SPEED: Final = 0.15
+"""Largest speed of the opening of fingers of several actuators on their path around an object
+[m/s]: servos that integrate their error overshoot by some 20 ms of their motion, less than the
+margin."""
+
+_BLOW: Final = 0.8
+"""Share of the requested force that the blow of the closing fingers may have: the force itself is
+built up later."""
+
+_MOST_BLOW: Final = 1.3
+"""The same where they should not meet the object yet, on the path around it: what lies askew, or
+deep in the hand, is met there."""
+
+_LEAST_BLOW: Final = 1.0
+"""A blow may be as large as this in any case, or exceed the force by it on the path around [N]."""
+
+_STOPPING: Final = 0.0013
+"""Time in which an object stops what moves with the fingers [s]: in MuJoCo, an EGU that closes at
+90 mm/s strikes with 140 N (1.5 ms), an SVH at 52 mm/s with 2.6 N (1.1 ms). Rubber pads take longer,
+and the blow is then softer."""
+
+_YIELDING: Final = 6.0
+"""Fingers that bend, of whose mass nothing is known, go around an object, and on once they met it,
+at this multiple of the speed at which they meet it: with less, light things fall before a SoftHand
+presses; with more, a 3-Finger strikes harder with its middles."""
+
+_SLOWEST: Final = 0.002
+"""Least closing speed by the moving mass [m/s]: the margin around an object takes five seconds."""
+
+
+def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float) -> float:
+    """Return the share of the velocity limits at which the opening changes at a speed [m/s].
+
+    Above 1 if the action is slower than that, at an intensity ``at``.
+    """
+    slope = grip.slope_at(at)  # of the opening [m per unit of intensity]
+    # The slowest actuator sets the time; all arrive together.
+    most = max(
+        abs(target - rest) / hand.actuators[i].velocity
+        for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
+    )
+    return speed * most / slope
+
+
+def checked_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) -> float:
+    """Return `tip_speed_share`, at most 1; raises `GoalRejected` if the action is slower."""
+    share = tip_speed_share(speed, hand, grip, at)
+    # Rounding must not refuse the very speed that the refusal suggests.
+    if share > 1.0 + 1e-9:
+        raise GoalRejected(
+            f"{name} opens and closes at {1e3 * speed / share:.3g} mm/s at most there, "
+            f"not {1e3 * speed:g} mm/s"
+        )
+    return min(share, 1.0)
+
+
+def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
+    """Return the share of the velocity limits for a leg of a plan.
+
+    Around an object, fingers of several actuators are slower, since what is thrown past its place
+    there strikes the object. On the path, they strike with no more than a grasp may.
+    As they close on it, the force of the impact, before any reflex acts, comes from the inertia of
+    the motors and grows with the speed: the smaller the requested force, the slower the fingers
+    meet the object.
+    """
+    grip, force = plan.grip, plan.force
+    if not isinstance(plan.to, Around) or force is None or grip is None:
+        return plan.speed
+    if leg + 1 == len(plan.legs):
+        at = grip.intensity_at(plan.to.width)
+        speed = meeting_speed(force.value, grip, at)
+    else:
+        at = grip.intensity_at(plan.to.width + MARGIN)
+        speed = around_speed(force.value, grip, at)
+    return min(plan.speed, tip_speed_share(speed, hand, grip, at))
+
+
+def slowed(plan: Plan, hand: Hand) -> str:
+    """Return the speed at which the fingers meet the object, in words; empty: as asked for."""
+    share, grip = leg_speed(plan, len(plan.legs) - 1, hand), plan.grip
+    if grip is None or plan.width is None or not share < plan.speed:
+        return ""
+    full = 1e3 / tip_speed_share(1.0, hand, grip, grip.intensity_at(plan.width))
+    return (
+        f"the fingers meet the object at {share * full:.3g} mm/s instead of "
+        f"{plan.speed * full:.3g} mm/s: faster, their blow may exceed the force"
+    )
+
+
+def around_speed(force: float, grip: Grip, at: float) -> float:
+    """Return the largest speed of the opening on the path around an object [m/s].
+
+    Args:
+        force: The requested force [N].
+        grip: The grip.
+        at: Intensity at which the path ends.
+    """
+    most = math.inf if len(grip.squeezing(at)) < 2 else _AROUND_SPEED
+    if math.isnan(grip.moving_mass(at)):
+        return min(most, _YIELDING * meeting_speed(force, grip, at))
+    blow = _BLOW * max(_MOST_BLOW * force, force + _LEAST_BLOW)
+    return max(_SLOWEST, min(most, _struck(blow, grip, at)))
+
+
+def _struck(blow: float, grip: Grip, at: float) -> float:
+    """Return the speed of the opening at which what moves strikes with a force [m/s].
+
+    What moves with the fingers, of mass ``m`` at the opening, is stopped within a time ``t`` by
+    ``m v / t``; infinite if the mass is not known.
+    """
+    mass = grip.moving_mass(at)
+    return math.inf if mass != mass else blow * _STOPPING / mass
+
+
+def meeting_speed(force: float, grip: Grip, at: float) -> float:
+    """Return the closing speed of the opening at which the blow is not above a force [m/s].
+
+    It is in proportion to the force, and less where the mass that moves with the fingers is known
+    and would strike with more than `_BLOW` of it.
+
+    Args:
+        force: The requested force [N].
+        grip: The grip.
+        at: Intensity at which the fingers meet the object.
+    """
+    by_mass = _struck(max(_BLOW * force, _LEAST_BLOW), grip, at)
+    return max(_SLOWEST, min(by_mass, max(_CONTACT_SPEED, _SPEED_PER_FORCE * force)))
+
+
+def closing_time(to: Around, force: float, grip: Grip) -> float:
+    """Return the additional time of a goal that closes slowly on its object [s]."""
+    at = grip.intensity_at(to.width)
+    # What is met on the way around is closed on from there.
+    way = max(grip.width[0], to.width + MARGIN)
+    return way / meeting_speed(force, grip, at) + way / around_speed(force, grip, at)
