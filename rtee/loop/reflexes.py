@@ -424,9 +424,12 @@ class Reflexes:
                     i, stamp, measured, reference, velocity, every=every and not forced, sides=sides
                 )
             if not (pressed or touches):
-                if approach.around and self._contact.moved(i, measured):
-                    watched.limit = math.inf  # friction is overcome; what stops it now is met
-                if watched.limit < math.inf:
+                strengthened = watched.limit < math.inf
+                if strengthened and approach.around and self._contact.moved(i, measured):
+                    # Friction is overcome: what stops it from now on is met.
+                    self._allow({i: watched.limit})
+                    watched.limit = math.inf
+                elif strengthened:
                     self._strengthen(i, watched, stamp, measured)
                 elif approach.together is not None:
                     self._weigh(i, watched, stamp, passed, measured)
