@@ -6,6 +6,7 @@ Usage: dora_peer.py PREFIX SESSION NAME TASK ARGUMENTS…
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -82,7 +83,7 @@ def publish(node: Any, qos: Any, topic: str, kind: str, fields: str) -> None:
 
 def call(node: Any, qos: Any, service: str, kind: str, fields: str) -> None:
     client = node.create_service_client(service, kind, qos)
-    say(response=client.call(array_of(fields), 20.0).to_pylist()[0])
+    say(response=client.call(array_of(fields), 5.0).to_pylist()[0])
 
 
 def serve(node: Any, qos: Any, service: str, kind: str, fields: str) -> None:
@@ -147,5 +148,5 @@ if __name__ == "__main__":
             TASKS[task](node, qos, place, kind, *words)
             break
         except RuntimeError as error:
-            if "readiness timed out" not in str(error) or not left:
+            if not re.search("(readiness|request) timed out", str(error)) or not left:
                 raise
