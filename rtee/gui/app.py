@@ -110,13 +110,7 @@ class Page:
         while True:
             await anyio.sleep(_DRAW_PERIOD)
             if self.session is not None and self._open:
-                try:
-                    self.session.draw(monotonic.now())
-                except RuntimeError as error:
-                    # viser 1.1 sets an event of its own thread from this one, which that may be
-                    # leaving. The message is in its queue; the rest is drawn next time.
-                    if "mutated" not in str(error):
-                        raise
+                self.session.draw(monotonic.now())
 
     async def _show(self, watch: Watch) -> None:
         await watch.model()

@@ -3,22 +3,29 @@
 viser 1.1 has no option for origins, hosts, tokens or TLS, but the function that it calls,
 `websockets.asyncio.server.serve`, has them. While viser starts its server, a wrapper that adds them
 replaces that function; `open_server` fails if viser did not call the wrapper.
+
+viser also sets the event of its sender from any thread, which fails while the sender leaves it. Its
+buffers therefore have an event that only viser's own thread sets, as viser has it do right after.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import contextvars
+import dataclasses
 import io
 import itertools
 import logging
 import math
+import threading
 from collections.abc import Awaitable, Callable
 from typing import Any, Final, cast
 
 import msgspec.msgpack
 import viser
 import websockets.asyncio.server
+from viser.infra import _infra
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 from websockets.protocol import State
@@ -54,6 +61,28 @@ _WATCHING: Final = """<style>
 .mantine-Paper-root :is(button, input, label, .mantine-Slider-root, .mantine-Input-wrapper)
   { pointer-events: none; opacity: 0.5; }
 </style><div role="note" style="padding:0.25em 0.75em">View only. STOP works.</div>"""
+
+
+class _Event(asyncio.Event):
+    """An event that only the thread in which it was made can set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._thread = threading.get_ident()
+
+    def set(self) -> None:
+        if threading.get_ident() == self._thread:
+            super().set()
+
+
+@dataclasses.dataclass
+class Buffer(_infra.AsyncMessageBuffer):  # type: ignore[misc]
+    """Messages on their way to a page; any thread may push one."""
+
+    message_event: asyncio.Event = dataclasses.field(default_factory=_Event)
+
+
+_infra.AsyncMessageBuffer = Buffer
 
 _visitor: contextvars.ContextVar[Visitor] = contextvars.ContextVar("visitor")
 

@@ -63,13 +63,13 @@ def recover(
 
     Args:
         path: The recording.
-        output: Path of the whole file. Unless given, it is ``NAME_recovered.mcap`` beside the
-            recording, and not written if the recording is whole already.
+        output: Path of the whole file, which must not exist. Unless given, it is
+            ``NAME_recovered.mcap`` beside the recording, and not written if that is whole already.
         in_place: Replace the recording instead.
 
     Raises:
         LogError: if the file is being written, cannot be read, is not an MCAP file or has messages
-            outside chunks, or if the repaired file cannot be written.
+            outside chunks, or if the repaired file exists or cannot be written.
     """
     path = Path(path)
     if being_written(path):
@@ -81,11 +81,13 @@ def recover(
     try:
         with path.open("rb") as stream:
             damaged = sum(1 for chunk in content.chunks if not _sound(chunk, stream))
-            if content.finished and not damaged and not content.repairable:
-                if output is None:
-                    target = path
-                elif target != path:
-                    shutil.copyfile(path, target)
+            whole = content.finished and not damaged and not content.repairable
+            if whole and output is None:
+                return _report(content, path, 0, untouched=True)
+            if target.exists() and not in_place:
+                raise LogError("exists, and is not overwritten; --out names another", path=target)
+            if whole:
+                shutil.copyfile(path, target)
                 return _report(content, target, 0, untouched=True)
             if content.loose:
                 raise LogError(

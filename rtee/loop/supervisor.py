@@ -329,14 +329,16 @@ class DeviceConnection:
 
     async def _not_connected(self, error: Exception) -> None:
         """Schedule the next attempt to connect; report each reason once."""
-        self.tried.set()
         if isinstance(error, UserError):
             self.mistake = error
+        # `ready` raises a mistake of the first attempt: it need not be said twice.
+        told = self.mistake is not None and not self.tried.is_set()
+        self.tried.set()
         self._next_at = self._now() + self._backoff
         # Doubled: quick after a loose plug, quiet with a device that stays off.
         self._backoff = min(2 * self._backoff, BACKOFF[1])
         text = _words(error)
-        if text != self._reported:
+        if text != self._reported and not told:
             self._report("device_unreachable", f"cannot be reached: {text}", "warning")
         self._reported = self.message = self.trouble = text
         await self.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
 import io
@@ -31,7 +32,7 @@ from rtee.errors import LeaseHeld
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.access import Access
 from rtee.gui.access import PageRole as AccessRole
-from rtee.gui.app import App, Page
+from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import StateHistory
 from rtee.gui.panels.action_editor import JogPanel
@@ -40,7 +41,7 @@ from rtee.gui.panels.header import HeaderPanel
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.session import HandSession
-from rtee.gui.visitors import Visitors
+from rtee.gui.visitors import Buffer, Visitors
 from rtee.gui.wording import NOTHING, Angles, number, units
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
@@ -242,19 +243,17 @@ async def test_actions_made_elsewhere_come_and_go(
         group.cancel_scope.cancel()
 
 
-async def test_a_message_that_wakes_its_sender_as_it_leaves_ends_no_window() -> None:
-    drawn: list[float] = []
-
-    def draw(now: float) -> None:
-        drawn.append(now)
-        if len(drawn) == 1:
-            raise RuntimeError("deque mutated during iteration")
-        scope.cancel()
-
-    window = SimpleNamespace(session=SimpleNamespace(draw=draw), _open=True)
-    with anyio.CancelScope() as scope:
-        await Page._draw(cast("Page", window))
-    assert len(drawn) == 2
+async def test_a_message_of_another_thread_wakes_the_sender_in_its_own(
+    server: viser.ViserServer,
+) -> None:
+    assert isinstance(server._websock_server._broadcast_buffer, Buffer)
+    buffer = Buffer(asyncio.get_running_loop(), persistent_messages=True)
+    sender = asyncio.create_task(buffer.message_event.wait())
+    await asyncio.sleep(0)
+    await anyio.to_thread.run_sync(buffer.message_event.set)
+    assert not buffer.message_event.is_set()
+    await anyio.to_thread.run_sync(buffer.push, viser._messages.GuiRemoveMessage("it"))
+    assert await sender
 
 
 async def test_names_of_files_are_text(server: viser.ViserServer, tmp_path: Path) -> None:

@@ -61,6 +61,8 @@ def test_a_whole_file_is_left_as_it_is(story: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     assert recover(path, copy).path == copy
     assert copy.read_bytes() == story.read_bytes()
+    with pytest.raises(LogError, match=r"copy.mcap: exists, and is not overwritten"):
+        recover(path, copy)
 
 
 def test_a_damaged_chunk_is_left_out_and_the_rest_kept(story: Path, tmp_path: Path) -> None:

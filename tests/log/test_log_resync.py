@@ -164,8 +164,7 @@ def test_random_damage_never_makes_measurements(story: Path, tmp_path: Path) -> 
         recording = read(path)
         _same_rows(recording, whole)
         found = recording.actuator_states.tick.tolist()
-        recover(path, tmp_path / "whole.mcap")
-        again = read(tmp_path / "whole.mcap")
+        again = read(recover(path, tmp_path / f"whole_{case}.mcap").path)
         assert again.notes == ()
         assert again.actuator_states.tick.tolist() == found
         ticks += len(found)

@@ -29,7 +29,7 @@ from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
 from rtee.types import DeviceStatus, Goal, Lifecycle, Named, Reference
 
-from .hands import Rig, device, make_library, running
+from .hands import Rig, Watcher, device, make_library, running
 
 pytestmark = pytest.mark.anyio
 INDEX = ("index_base", "index_tip")
@@ -228,12 +228,16 @@ async def test_a_device_that_is_not_there_at_first_is_activated_when_it_comes(ha
         assert (await rig.do("fist")).reached
 
 
-async def test_a_users_mistake_is_raised_at_the_start(hand: Hand) -> None:
+async def test_a_users_mistake_is_raised_at_the_start_and_not_said_before(hand: Hand) -> None:
     settings, driver = trouble(hand)
     driver.refuse = [ConfigError("no such baud rate")]
-    with pytest.raises(ConfigError, match="baud rate"):
-        async with running(hand, None, [(settings, driver)]):
-            raise AssertionError
+    watcher = Watcher()
+    loop = HandLoop(hand, make_library(hand), LoopSettings(), [(settings, driver)])
+    loop.add_observer(watcher)
+    async with loop:
+        with pytest.raises(ConfigError, match="baud rate"):
+            await loop.ready()
+    assert watcher.events == []
 
 
 async def test_a_fault_is_named_and_recovered_without_a_jump(hand: Hand) -> None:
