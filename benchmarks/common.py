@@ -45,6 +45,7 @@ HELP = {
     "times": "number of extractions of each hand",
     "every": "print every pinch, not only those that differ",
     "rounds": "number of rounds, in which all cases are measured by turns",
+    "sample": "take every n-th pinch only",
     "seconds": "length of each measurement [s]",
     "slow": "additional time of a flush to the disk in an overload [s]",
     "still": "least motion that counts [rad | m]",
