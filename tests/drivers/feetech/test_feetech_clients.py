@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -18,9 +16,11 @@ from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
 from rtee.drivers.feetech.table import FamilyName
 from tests.drivers.peers.running import environment
 
-_LATE = -6  # the SDK's word for no answer in time
 OPEN = {n: math.radians(-35.0 if n % 2 else 35.0) for n in range(1, 9)}
 """The AmazingHand's open pose [rad], by id."""
+
+_PATIENT = 2500.0
+"""Half of the time that the vendor's SDK waits for an answer [ms]; 16 of its own."""
 
 
 def servos(family: FamilyName, ids: tuple[int, ...], **more: Any) -> FeetechEmulator:
@@ -33,17 +33,6 @@ def settle(line: SimulatedLine, seconds: float = 2.0) -> None:
         assert isinstance(emulator, FeetechEmulator)
         for servo in emulator.ordered:
             line.call(lambda servo=servo: servo.axis.advance(seconds))
-
-
-def heard(ask: Callable[[], tuple[int, ...]]) -> tuple[int, ...]:
-    """Return an answer of the SDK, asked again where a busy computer kept it waiting too long."""
-    for _ in range(10):
-        # Where nothing came, the SDK looks for bytes in what is empty.
-        with contextlib.suppress(IndexError):
-            found = ask()
-            if _LATE not in found:
-                return found
-    return ask()
 
 
 def test_the_amazing_hands_own_client_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,21 +77,22 @@ def test_the_vendors_sdk_finds_reads_and_moves_servos(
         assert port.openPort()
         port.setBaudRate(1_000_000)
         packets = sdk.PacketHandler(end)
-        assert heard(lambda: packets.ping(port, 1)) == (model, 0, 0)
         assert packets.ping(port, 3)[1] != 0
-        assert heard(lambda: packets.read2ByteTxRx(port, 2, 56)) == (center, 0, 0)
-        assert heard(lambda: packets.write1ByteTxRx(port, 1, 40, 1)) == (0, 0)
-        assert heard(lambda: packets.write2ByteTxRx(port, 1, 42, center + 100)) == (0, 0)
+        # It takes a late answer for that to its next request: no answer may come too late.
+        monkeypatch.setattr(sdk.port_handler, "LATENCY_TIMER", _PATIENT)
+        assert packets.ping(port, 1) == (model, 0, 0)
+        assert packets.read2ByteTxRx(port, 2, 56) == (center, 0, 0)
+        assert packets.write1ByteTxRx(port, 1, 40, 1) == (0, 0)
+        assert packets.write2ByteTxRx(port, 1, 42, center + 100) == (0, 0)
         settle(line)
-        position = lambda: heard(lambda: packets.read2ByteTxRx(port, 1, 56))  # noqa: E731
+        position = lambda: packets.read2ByteTxRx(port, 1, 56)  # noqa: E731
         assert position()[0] == center + 100
         made.inject("overload")
-        while position()[2] != 0x20:
-            pass  # the SDK takes a late answer to its request before for this one's
+        assert position()[2] == 0x20
         if family == "sts":
             group = sdk.GroupSyncRead(port, packets, 56, 4)
             assert group.addParam(1)
             assert group.addParam(2)
-            assert heard(lambda: (group.txRxPacket(), 0)) == (0, 0)
+            assert group.txRxPacket() == 0
             assert [group.getData(n, 56, 2) for n in (1, 2)] == [center + 100, center]
         port.closePort()
