@@ -10,6 +10,10 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 F = TypeVar("F")
 
 
+class CodecError(ValueError):
+    """Bytes that a codec cannot read, or values that it cannot write."""
+
+
 class Parser(Protocol[F]):
     """Finds frames in a stream of bytes; does no I/O and never raises, whatever the bytes.
 
@@ -43,7 +47,6 @@ class Framing:
         extra: Bytes that the length counts beside the body.
         size: Bytes of the length, 1 or 2, the low one first.
         tail: Bytes of the check.
-        error: Raised for bytes that are not a frame.
         head: Bytes before the body.
         around: Bytes of a frame that its length does not count.
     """
@@ -56,7 +59,6 @@ class Framing:
     extra: int = 0
     size: int = 1
     tail: int = 1
-    error: type[ValueError] = ValueError
 
     head: int = field(init=False)
     around: int = field(init=False)
@@ -74,7 +76,7 @@ class Framing:
         return length + self.around if self.least <= length <= self.most else 0
 
     def sealed(self, fields: Sequence[int], body: bytes) -> bytes:
-        """Return a frame as sent; raises `error` for one that is too long or short."""
+        """Return a frame as sent; raises `CodecError` for one that is too long or short."""
         length = len(body) + self.extra
         counted = (length,) if self.size == 1 else (length & 0xFF, length >> 8)
         try:
@@ -82,20 +84,20 @@ class Framing:
         except ValueError:  # more than a byte
             length = -1
         if not self.least <= length <= self.most:
-            raise self.error(f"no frame can carry {len(body)} bytes with {list(fields)}")
+            raise CodecError(f"no frame can carry {len(body)} bytes with {list(fields)}")
         return raw + self.check(raw)
 
     def opened(self, raw: bytes) -> tuple[bytes, bytes]:
-        """Return the fields and the body of a frame; raises `error`."""
+        """Return the fields and the body of a frame; raises `CodecError`."""
         if len(raw) < self.head + self.tail or not raw.startswith(self.header):
             start = self.header.hex(" ").upper()
-            raise self.error(f"a frame begins with {start} and has at least {self.around} bytes")
+            raise CodecError(f"a frame begins with {start} and has at least {self.around} bytes")
         if len(raw) != self.length(raw):
             length = raw[self.head - self.size : self.head].hex(" ")
-            raise self.error(f"a length of {length} does not fit {len(raw)} bytes")
+            raise CodecError(f"a length of {length} does not fit {len(raw)} bytes")
         sealed, tail = raw[: -self.tail], raw[-self.tail :]
         if self.check(sealed) != tail:
-            raise self.error("the checksum does not match")
+            raise CodecError("the checksum does not match")
         return raw[len(self.header) : self.head - self.size], sealed[self.head :]
 
 

@@ -207,10 +207,9 @@ class Axis:
             lower, upper = self._bounds()
             goal = min(max(self._followed, lower), upper)
             error = goal - self.position
-            change = min(max(error * share, -limit), limit)
-            if abs(error) <= self.resolution:
-                # An exponential never arrives, so the last bit is covered at once.
-                change = error
+            # An exponential never arrives, so the last bit is covered at once.
+            near = abs(error) <= self.resolution
+            change = error if near else min(max(error * share, -limit), limit)
             self.position += change
             self.velocity = change / dt
         else:
@@ -230,19 +229,19 @@ class Axis:
         if not self.enabled:
             self.effort = 0.0
             return
-        error = self._followed - self.position
-        if error == 0.0:
-            pull = self._contact()
-            direction = 1.0 if self.obstacle is None else self.obstacle.closing
-            if pull == 0.0 and self.velocity != 0.0:  # it has arrived in this step
-                direction = math.copysign(1.0, self.velocity)
-        else:
+        error, contact = self._followed - self.position, self._contact()
+        if error != 0.0:
             direction = math.copysign(1.0, error)
-            pull = 0.0 if math.isinf(self.gain) else self.gain * abs(error)
-            # An infinitely stiff servo that is blocked exerts its effort limit.
-            if math.isinf(self.gain) and (self.velocity == 0.0 or self.stuck):
-                pull = self.max_effort
+        elif contact == 0.0 and self.velocity != 0.0:  # it has arrived in this step
+            direction = math.copysign(1.0, self.velocity)
+        else:
+            direction = 1.0 if self.obstacle is None else self.obstacle.closing
         if self.velocity != 0.0:
             # In motion, the motor only overcomes friction and the object.
-            pull = max(self.friction, self._contact())
+            pull = max(self.friction, contact)
+        elif error == 0.0:
+            pull = contact
+        else:
+            # An infinitely stiff servo that is blocked exerts its effort limit.
+            pull = self.max_effort if math.isinf(self.gain) else self.gain * abs(error)
         self.effort = direction * min(pull, self.max_effort)

@@ -9,6 +9,8 @@ from functools import cache
 from operator import attrgetter, itemgetter
 from typing import Any, ClassVar, NamedTuple, Self
 
+from rtee.buses.parser import CodecError
+
 
 def text(raw: bytes) -> str:
     """Return ASCII text that ends at the first zero byte."""
@@ -77,14 +79,12 @@ class Packed:
 
     Attributes:
         WHAT: Its name in messages, with its article, such as ``a report of an RH56``.
-        ERROR: What is raised for bytes that it cannot hold.
         LONGER: Whether further bytes may follow, which are ignored.
     """
 
     __slots__ = ()
 
     WHAT: ClassVar[str]
-    ERROR: ClassVar[type[ValueError]]
     LONGER: ClassVar[bool] = False
 
     def to_bytes(self) -> bytes:
@@ -103,18 +103,18 @@ class Packed:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read it; raises `ERROR` for what it cannot hold."""
+        """Read it; raises `CodecError` for what it cannot hold."""
         layout = _layout(cls)
         form, getters = layout.form, layout.getters
         if len(data) != form.size and (len(data) < form.size or not cls.LONGER):
-            raise cls.ERROR(f"{len(data)} bytes are not {cls.WHAT}")
+            raise CodecError(f"{len(data)} bytes are not {cls.WHAT}")
         values = form.unpack_from(data)
         if getters is None:
             return cls(*values)
         try:
             return cls(*[get(values) for get in getters])
         except ValueError as error:
-            raise cls.ERROR(f"not {cls.WHAT}: {data.hex(' ')} ({error})") from None
+            raise CodecError(f"not {cls.WHAT}: {data.hex(' ')} ({error})") from None
 
 
 class _Layout(NamedTuple):

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Generic, Self, TypeVar
 
+from rtee.buses.parser import CodecError
+
 MOTORS = ("index", "middle", "ring", "pinky", "thumb_flexor", "thumb_rotator")
 """The six motors, in the order of every frame."""
 COUNT = len(MOTORS)
@@ -61,10 +63,6 @@ TORQUES = tuple(gear * _TORQUE for gear in GEARS)
 """Torque of a joint per ampere [N·m/A], without the gear's losses."""
 
 
-class AbilityFrameError(ValueError):
-    """Bytes that are not a frame of an Ability Hand, or not a possible reply."""
-
-
 F = TypeVar("F")
 
 
@@ -96,7 +94,7 @@ def stuffed(frame: bytes) -> bytes:
 
 
 def unstuffed(run: bytes) -> bytes:
-    """Return the frame between two flags; raises `AbilityFrameError` after an escape at its end."""
+    """Return the frame between two flags; raises `CodecError` after an escape at its end."""
     if _ESCAPE not in run:
         return run
     out, flip = bytearray(), 0
@@ -107,7 +105,7 @@ def unstuffed(run: bytes) -> bytes:
             out.append(byte ^ flip)
             flip = 0
     if flip:
-        raise AbilityFrameError("a frame ends with an escape byte")
+        raise CodecError("a frame ends with an escape byte")
     return bytes(out)
 
 
@@ -142,22 +140,22 @@ class _Parser(ABC, Generic[F]):
                 continue
             try:
                 frames.append(self._decode(self._checked(run)))
-            except AbilityFrameError:
+            except CodecError:
                 self.errors += 1
         # One byte more than a frame can have is enough to know that this is none.
         self._run += rest[: self.LIMIT + 1 - len(self._run)]
         return frames
 
     def _checked(self, run: bytes) -> bytes:
-        """Return the frame without its checksum; raises `AbilityFrameError`."""
+        """Return the frame without its checksum; raises `CodecError`."""
         frame = unstuffed(run) if len(run) <= self.LIMIT else b""
         if len(frame) <= _LEAST or sum(frame) & 0xFF:
-            raise AbilityFrameError("wrong length or checksum")
+            raise CodecError("wrong length or checksum")
         return frame[:-1]
 
     @abstractmethod
     def _decode(self, frame: bytes) -> F:
-        """Read a frame without its checksum; raises `AbilityFrameError`."""
+        """Read a frame without its checksum; raises `CodecError`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,13 +181,13 @@ class Command:
 
     @classmethod
     def from_frame(cls, frame: bytes) -> Self:
-        """Read it from a frame without its checksum; raises `AbilityFrameError`."""
+        """Read it from a frame without its checksum; raises `CodecError`."""
         if len(frame) < _LEAST:
-            raise AbilityFrameError(f"{len(frame)} bytes are not a command")
+            raise CodecError(f"{len(frame)} bytes are not a command")
         words: tuple[int, ...] = ()
         if frame[1] & 0xF0 in SET_POINTS:
             if len(frame) != 2 + _WORDS.size:
-                raise AbilityFrameError(f"{len(frame)} bytes are not set-points")
+                raise CodecError(f"{len(frame)} bytes are not set-points")
             words = _WORDS.unpack_from(frame, 2)
         return cls(frame[0], frame[1], words)
 
@@ -224,17 +222,17 @@ class Reply:
 
     @classmethod
     def from_frame(cls, frame: bytes) -> Self:
-        """Read it from a frame without its checksum; raises `AbilityFrameError`."""
+        """Read it from a frame without its checksum; raises `CodecError`."""
         variant = (frame[0] & 0x0F) + 1 if frame else 0
         with_touch = 1 <= variant < NO_TOUCH
         size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)
         # The echoed class is documented for positions only, so any is accepted.
         if not 1 <= variant <= NO_TOUCH or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
-            raise AbilityFrameError(f"no header of a reply: {frame[:1].hex()}")
+            raise CodecError(f"no header of a reply: {frame[:1].hex()}")
         if len(frame) != size:
-            raise AbilityFrameError(f"{len(frame)} bytes are not a reply of variant {variant}")
+            raise CodecError(f"{len(frame)} bytes are not a reply of variant {variant}")
         if frame[-1] & 0xC0:
-            raise AbilityFrameError(f"no status of six motors: {frame[-1]:#04x}")
+            raise CodecError(f"no status of six motors: {frame[-1]:#04x}")
         pairs = _PAIRS.unpack_from(frame, 1)
         second, rest = pairs[1::2], frame[1 + _PAIRS.size : -1]
         return cls(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from rtee.buses.emulator import CanFrame
+from rtee.buses.parser import CodecError
 from rtee.drivers.packed import Packed, part
 
 BITRATE = 1_000_000  # of the bus [bit/s]; the hand has no other
@@ -17,10 +18,6 @@ PER_FINGER = 4  # joints of each finger
 JOINTS = FINGERS * PER_FINGER
 
 _INT16 = struct.Struct("<4h")
-
-
-class AllegroFrameError(ValueError):
-    """A frame whose data does not fit its command."""
 
 
 class Command(IntEnum):
@@ -62,7 +59,6 @@ class Periods(Packed):
     """Periods at which the hand sends data by itself [ms]; 0: never."""
 
     WHAT = "periods"
-    ERROR = AllegroFrameError
 
     joints: int = part("H", default=0)
     imu: int = part("H", default=0)
@@ -94,7 +90,6 @@ class HandInfo(Packed):
     """
 
     WHAT = "hand information"
-    ERROR = AllegroFrameError
     LONGER = True
 
     hardware: int = part("H")
@@ -128,9 +123,9 @@ def pack_counts(values: Sequence[float]) -> bytes:
 
 
 def read_counts(data: bytes) -> tuple[int, int, int, int]:
-    """Return four joints' counts; raises `AllegroFrameError`."""
+    """Return four joints' counts; raises `CodecError`."""
     if len(data) != _INT16.size:
-        raise AllegroFrameError(f"four joints are eight bytes, not {len(data)}")
+        raise CodecError(f"four joints are eight bytes, not {len(data)}")
     first, second, third, fourth = _INT16.unpack(data)
     return first, second, third, fourth
 

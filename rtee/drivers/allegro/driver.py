@@ -15,6 +15,7 @@ from msgspec import Meta, field
 from rtee import monotonic
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.allegro import codec
@@ -112,7 +113,7 @@ def _reader(finger: int, on_positions: OnPositions) -> Callable[[CanFrame], None
             return
         try:
             counts = codec.read_counts(frame.data)
-        except codec.AllegroFrameError:
+        except CodecError:
             return
         on_positions(finger, counts, frame.stamp)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.parser import CodecError
 from rtee.drivers.allegro import codec
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.objects import Closing, Grasps
@@ -218,7 +219,7 @@ class AllegroEmulator(Emulator, Grasps):
             return self._report(command)
         try:
             self._obey(command, frame.data, now)
-        except codec.AllegroFrameError:
+        except CodecError:
             return []
         return []
 

@@ -7,6 +7,7 @@ from enum import IntEnum, IntFlag
 from typing import Self
 
 from rtee.buses.emulator import CanFrame
+from rtee.buses.parser import CodecError
 from rtee.drivers.packed import Packed, part
 
 # Identifiers of the predefined connection set, to which the node id is added (CiA 301, 7.3.3).
@@ -26,10 +27,6 @@ UPLOAD = 0x40
 """Command of a request to read a value, and of its answer, in the highest three bits."""
 DISABLED = 0x8000_0000
 """Bit of a PDO's COB-ID that disables the PDO."""
-
-
-class CanopenFrameError(ValueError):
-    """A frame with invalid data."""
 
 
 class NmtCommand(IntEnum):
@@ -62,12 +59,12 @@ def heartbeat(node: int, state: NmtState) -> CanFrame:
 
 
 def read_heartbeat(data: bytes) -> NmtState:
-    """Return the state in a heartbeat; raises `CanopenFrameError`."""
+    """Return the state in a heartbeat; raises `CodecError`."""
     try:
         # The top bit is no part of the state: it toggles in the older node guarding.
         return NmtState(data[0] & 0x7F)
     except (IndexError, ValueError) as error:
-        raise CanopenFrameError("this is not a heartbeat") from error
+        raise CodecError("this is not a heartbeat") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +78,6 @@ class Emergency(Packed):
     """
 
     WHAT = "an emergency message"
-    ERROR = CanopenFrameError
 
     code: int = part("H")
     register: int = part("B", default=0)
@@ -117,7 +113,6 @@ class Sdo(Packed):
     """
 
     WHAT = "an SDO frame"
-    ERROR = CanopenFrameError
 
     command: int = part("B")
     index: int = part("H")

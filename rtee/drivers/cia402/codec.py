@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
 from typing import ClassVar
 
-from rtee.drivers.cia402.cia301 import CanopenFrameError
 from rtee.drivers.packed import Packed, part
 
 DEVICE_TYPE = 402  # the low word of object 1000h
@@ -142,7 +141,6 @@ class Pdo(Packed):
     __slots__ = ()
 
     WHAT = "the data of a PDO"
-    ERROR = CanopenFrameError
     MAP: ClassVar[tuple[int, ...]]
 
 

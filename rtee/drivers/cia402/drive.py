@@ -11,8 +11,9 @@ from typing import Any
 from rtee import monotonic
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
+from rtee.buses.parser import CodecError
 from rtee.drivers.cia402 import cia301, codec
-from rtee.drivers.cia402.cia301 import RPDO, TPDO, CanopenFrameError, Emergency, NmtState
+from rtee.drivers.cia402.cia301 import RPDO, TPDO, Emergency, NmtState
 from rtee.drivers.cia402.codec import Command, Limits, Mode, Motion, Object, State, Status
 from rtee.drivers.cia402.options import NodeOptions
 from rtee.errors import BusBroken, BusTimeout, DriverError
@@ -283,19 +284,19 @@ class DriveLink:
     def _receive_status(self, frame: CanFrame) -> None:
         try:
             self.status = Status.from_bytes(frame.data)
-        except CanopenFrameError:
+        except CodecError:
             return
         self.stamp = frame.stamp or monotonic.now()
         self._notify()
 
     def _receive_motion(self, frame: CanFrame) -> None:
-        with contextlib.suppress(CanopenFrameError):
+        with contextlib.suppress(CodecError):
             self.motion = Motion.from_bytes(frame.data)
 
     def _receive_heartbeat(self, frame: CanFrame) -> None:
         try:
             self.nmt = cia301.read_heartbeat(frame.data)
-        except CanopenFrameError:
+        except CodecError:
             return
         if self.nmt is NmtState.BOOT:
             self.booted = True
@@ -304,7 +305,7 @@ class DriveLink:
     def _receive_emergency(self, frame: CanFrame) -> None:
         try:
             emergency = Emergency.from_bytes(frame.data)
-        except CanopenFrameError:
+        except CodecError:
             return
         # Code 0 means that the error is over.
         self.emergency = emergency if emergency.code else None

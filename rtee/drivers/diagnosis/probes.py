@@ -9,6 +9,7 @@ from typing import TypeVar
 from rtee.buses.bus import Bus
 from rtee.buses.dynamixel import DynamixelBus
 from rtee.buses.modbus import ModbusBus
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.serial import SerialBus
 from rtee.drivers.diagnosis.slaves import ANSWER, Found, slave
@@ -207,13 +208,13 @@ def rh56(units: Sequence[int]) -> Probe:
 
 def wsg50() -> Probe:
     """Return a probe for the WSG 50, at its own port of a host or behind a socket."""
-    from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info, WsgFrameError
+    from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info
     from rtee.drivers.wsg50.link import WsgLink
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         try:
             info = Info.from_bytes((await WsgLink(bus, 0.3).ask(Frame(Command.INFO))).payload[2:])
-        except (BusError, WsgFrameError):
+        except (BusError, CodecError):
             return []
         what = f"WSG 50, serial {info.serial}, firmware {info.version}"
         return [Found("wsg50", what, {"port": address})]
@@ -249,7 +250,7 @@ def orca_touch() -> Probe:
                 asked.to_bytes(), codec.AnswerParser(), ANSWER, 1, accept=answers
             )
             tips = codec.connected(reply.data) if isinstance(reply, codec.Reply) else ()
-        except (BusTimeout, FrameError, codec.OrcaFrameError):
+        except (BusTimeout, FrameError, CodecError):
             return []
         what = f"ORCA touch board, fingertips {', '.join(tips) or 'none'}, {baudrate} baud"
         return [Found("orca_touch", what, {"port": address, "baudrate": baudrate})]

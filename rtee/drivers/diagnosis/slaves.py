@@ -8,6 +8,7 @@ from typing import Any
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING, READ_INPUT
+from rtee.buses.parser import CodecError
 from rtee.errors import BusTimeout, FrameError
 
 _ROBOTIQ = 9
@@ -87,14 +88,14 @@ async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Fou
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
     """Return an RH56 if the slave has its angles, states and temperatures."""
-    from rtee.drivers.inspire_rh56.codec import GAP, REPORT, WORDS, Register, Report, Rh56FrameError
+    from rtee.drivers.inspire_rh56.codec import GAP, REPORT, WORDS, Register, Report
     from rtee.drivers.inspire_rh56.link import ModbusLink
 
     link = ModbusLink(bus, unit, ANSWER, 0)
     try:
         angles = await link.read(Register.ANGLE, WORDS)
         report = Report.from_bytes(angles + GAP + await link.read(Register.FORCE, REPORT))
-    except (BusTimeout, FrameError, ModbusRefusal, Rh56FrameError):
+    except (BusTimeout, FrameError, ModbusRefusal, CodecError):
         return None
     # Registers full of zeros would pass for a report, but no motor is at 0 °C.
     if not all(report.temperatures):

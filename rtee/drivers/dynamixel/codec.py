@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
 
-from rtee.buses.parser import FramedParser, Framing
+from rtee.buses.parser import CodecError, FramedParser, Framing
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE  # the id that all servos listen to
@@ -21,10 +21,6 @@ LONGEST = 1024
 _STUFFED = b"\xff\xff\xfd"
 _POLYNOMIAL = 0x8005
 """Polynomial of the CRC-16 (Robotis e-manual, protocol 2.0, CRC)."""
-
-
-class DynamixelFrameError(ValueError):
-    """Bytes that are not a packet."""
 
 
 class Instruction(IntEnum):
@@ -107,7 +103,6 @@ def unstuff(data: bytes) -> bytes:
 
 _FRAMING = Framing(
     HEADER, 1, lambda raw: crc16(raw).to_bytes(2, "little"), LONGEST, 3, 2, size=2, tail=2,
-    error=DynamixelFrameError,
 )  # fmt: skip
 """The id, and a length of the body and its CRC."""
 
@@ -132,11 +127,11 @@ class InstructionPacket:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is; raises `DynamixelFrameError`."""
+        """Return the packet that ``raw`` is; raises `CodecError`."""
         [device], body = _FRAMING.opened(raw)
         # On a half-duplex line, a servo receives the answers of the others, too.
         if body[0] == STATUS:
-            raise DynamixelFrameError("this is a status packet")
+            raise CodecError("this is a status packet")
         body = unstuff(body)
         return cls(device, body[0], body[1:])
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
 
-from rtee.buses.parser import FramedParser, Framing
+from rtee.buses.parser import CodecError, FramedParser, Framing
 
 HEADER = b"\xff\xff"
 BROADCAST = 0xFE  # the id that all servos listen to
@@ -22,10 +22,6 @@ OVERHEAD = 6
 LONGEST = 250
 """Largest length field that the vendor's clients accept [byte]."""
 _LARGEST_STATUS = 0x7F  # clients reject replies with a larger status
-
-
-class FeetechFrameError(ValueError):
-    """Bytes that are not a frame."""
 
 
 class Instruction(IntEnum):
@@ -55,9 +51,7 @@ class Status(IntFlag):
     OVERLOAD = 0x20
 
 
-_FRAMING = Framing(
-    HEADER, 1, lambda raw: bytes([~sum(raw[2:]) & 0xFF]), LONGEST, 2, 1, error=FeetechFrameError
-)
+_FRAMING = Framing(HEADER, 1, lambda raw: bytes([~sum(raw[2:]) & 0xFF]), LONGEST, 2, 1)
 """The servo's id, and a length of code, parameters and checksum."""
 
 
@@ -76,14 +70,14 @@ class Frame:
     params: bytes = b""
 
     def to_bytes(self) -> bytes:
-        """Return the frame as sent; raises `FeetechFrameError` if it is too long."""
+        """Return the frame as sent; raises `CodecError` if it is too long."""
         return _FRAMING.sealed((self.device,), bytes([self.code]) + self.params)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` is; raises `FeetechFrameError`."""
+        """Return the frame that ``raw`` is; raises `CodecError`."""
         if raw[2:3] > bytes([BROADCAST]):
-            raise FeetechFrameError("a frame begins with FF FF and an id")
+            raise CodecError("a frame begins with FF FF and an id")
         [device], body = _FRAMING.opened(raw)
         return cls(device, body[0], body[1:])
 
@@ -139,7 +133,7 @@ class ReplyParser(_Parser):
     def _decode(self, raw: bytes) -> Frame:
         frame = super()._decode(raw)
         if frame.code > _LARGEST_STATUS:
-            raise FeetechFrameError(f"no servo has a status of {frame.code:#04x}")
+            raise CodecError(f"no servo has a status of {frame.code:#04x}")
         return frame
 
 

@@ -26,13 +26,7 @@ from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, ServoScale
 from rtee.hand.validation import Section, validated
 
-_ERRORS = {
-    "voltage": Status.VOLTAGE,
-    "angle": Status.ANGLE,
-    "overheating": Status.OVERHEATING,
-    "overcurrent": Status.OVERCURRENT,
-    "overload": Status.OVERLOAD,
-}
+_ERRORS = {str(error.name).lower(): error for error in Status}
 _READS = (Instruction.PING, Instruction.READ)
 """Instructions that are answered whatever the response level."""
 

@@ -10,6 +10,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.packed import Packed, part
 
 MOTORS = 2  # of a board
@@ -34,10 +35,6 @@ _REFUSED = 0xAA00  # the board did not accept the command
 
 
 _MILLI = 1e3  # counts of a velocity, torque or current per unit
-
-
-class HeriFrameError(ValueError):
-    """Bytes that are not process data or an acknowledgement of these boards."""
 
 
 class Order(IntEnum):
@@ -102,7 +99,6 @@ class Command(Packed):
     """
 
     WHAT = "a command of a board"
-    ERROR = HeriFrameError
 
     positions: tuple[float, float] = part("f", 2)
     velocity: float = part("h", per=_MILLI, default=0.0)
@@ -130,7 +126,6 @@ class Reply(Packed):
     """
 
     WHAT = "a reply of a board"
-    ERROR = HeriFrameError
 
     positions: tuple[float, float] = part("f", 2)
     velocities: tuple[float, float] = part("h", 2, per=_MILLI, default=(0.0, 0.0))
@@ -150,10 +145,10 @@ def order(code: Order) -> bytes:
 def acknowledged(raw: bytes, code: Order) -> bool | None:
     """Return a board's answer to a command: done, refused, or ``None`` while there is none.
 
-    Raises `HeriFrameError` if it is not an acknowledgement.
+    Raises `CodecError` if it is not an acknowledgement.
     """
     if len(raw) < ORDER_SIZE:
-        raise HeriFrameError("an acknowledgement has two bytes")
+        raise CodecError("an acknowledgement has two bytes")
     word = raw[0] | raw[1] << 8
     # The acknowledgement of the previous command stays until the board accepts this one.
     if word & 0xFF != code:

@@ -14,6 +14,7 @@ from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, Ring, SlaveState
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
@@ -171,7 +172,7 @@ class HeriEthercatDriver(Driver):
         inputs = await self.connection.link.exchange(outputs, deadline)
         try:
             self._replies = [codec.Reply.from_bytes(data) for data in inputs[: self._boards]]
-        except codec.HeriFrameError as error:
+        except CodecError as error:
             raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
         if self._are_new():
             self._stamp = monotonic.now()
@@ -249,7 +250,7 @@ class HeriEthercatDriver(Driver):
             raw = await bus.run(lambda ring: ring.read(position, *codec.ACKNOWLEDGE_OBJECT), 1.0)
             try:
                 done = codec.acknowledged(raw, code)
-            except codec.HeriFrameError as error:
+            except CodecError as error:
                 raise FrameError(bus.name, str(error), raw) from error
             if done is None:
                 await asyncio.sleep(_POLL)

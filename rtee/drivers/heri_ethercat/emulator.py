@@ -16,6 +16,7 @@ from msgspec import Meta
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, SlaveState
+from rtee.buses.parser import CodecError
 from rtee.drivers.axis import Axis
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.objects import Closing, Grasps
@@ -193,7 +194,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
     def _take(self, board: _Board, data: bytes, now: float) -> None:
         try:
             command = codec.Command.from_bytes(data)
-        except codec.HeriFrameError:
+        except CodecError:
             return
         if self.state is SlaveState.OPERATIONAL:
             board.stamp = command.stamp

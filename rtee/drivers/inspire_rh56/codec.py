@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from enum import STRICT, IntEnum, IntFlag
 from typing import ClassVar, Self
 
-from rtee.buses.parser import FramedParser, Framing
+from rtee.buses.parser import CodecError, FramedParser, Framing
 from rtee.drivers.packed import Packed, part
 
 BAUDRATES = (115_200, 57_600, 19_200, 921_600)
@@ -43,17 +43,12 @@ frame of the manual."""
 _TABLE = struct.Struct(f"<{COUNT}h")
 
 
-class Rh56FrameError(ValueError):
-    """Bytes that are not a frame of an RH56, or not a table of its registers."""
-
-
 REQUEST = Framing(
     b"\xeb\x90",
     1,
     lambda raw: bytes([sum(raw[2:]) & 0xFF]),
     0xFF,
     _INSIDE + 1,
-    error=Rh56FrameError,
 )
 """Requests: the hand's number, and a length of command, address and data."""
 REPLY = replace(REQUEST, header=b"\x90\xeb")
@@ -161,7 +156,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` holds, a request or a reply; raises `Rh56FrameError`."""
+        """Return the frame that ``raw`` holds, a request or a reply; raises `CodecError`."""
         [hand], body = (REQUEST if raw.startswith(REQUEST.header) else REPLY).opened(raw)
         return cls(hand, body[0], int.from_bytes(body[1:3], "little"), body[3:])
 
@@ -190,7 +185,6 @@ class SetPoints(Packed):
     """
 
     WHAT = "set-points of an RH56"
-    ERROR = Rh56FrameError
     SIZE: ClassVar[int] = Register.SPEED_SET + WORDS - Register.ANGLE_SET
 
     angles: tuple[int, ...] = part("h", COUNT)
@@ -199,9 +193,9 @@ class SetPoints(Packed):
 
 
 def words(data: bytes) -> tuple[int, ...]:
-    """Return the six values of a table; raises `Rh56FrameError` for another length."""
+    """Return the six values of a table; raises `CodecError` for another length."""
     if len(data) != WORDS:
-        raise Rh56FrameError(f"{len(data)} bytes are not a table of six values")
+        raise CodecError(f"{len(data)} bytes are not a table of six values")
     return _TABLE.unpack(data)
 
 
@@ -231,7 +225,6 @@ class Report(Packed):
     """
 
     WHAT = "a report of an RH56"
-    ERROR = Rh56FrameError
 
     angles: tuple[int, ...] = part("h", COUNT, kind=_angle)
     forces: tuple[int, ...] = part("h", COUNT, skip=len(GAP))

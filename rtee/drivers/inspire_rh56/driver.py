@@ -14,6 +14,7 @@ from msgspec import Meta, structs
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
@@ -211,7 +212,7 @@ class InspireRh56Driver(Driver):
                 f"no RH56 answers as unit {options.unit} at {options.port}",
                 "check supply, wires, `unit`, `baudrate`, and `protocol`: some speak Modbus alone",
                 ModbusRefusal,
-                codec.Rh56FrameError,
+                CodecError,
             ),
         ):
             await self._identify(link)
@@ -263,7 +264,7 @@ class InspireRh56Driver(Driver):
         self._block = True
         try:
             await self._read(link)
-        except (BusError, codec.Rh56FrameError):
+        except (BusError, CodecError):
             if self.options.reading == "block":
                 raise
             # The bytes between the two tables have no meaning, and a hand may refuse to read them.
@@ -298,7 +299,7 @@ class InspireRh56Driver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def _read(self, link: Rh56Link) -> codec.Report:
-        """Read the hand's measurements; raises `BusError` and `Rh56FrameError`."""
+        """Read the hand's measurements; raises `BusError` and `CodecError`."""
         if self._block:
             return codec.Report.from_bytes(await link.read(codec.Register.ANGLE, codec.BLOCK))
         angles = await link.read(codec.Register.ANGLE, codec.WORDS)
@@ -310,7 +311,7 @@ class InspireRh56Driver(Driver):
         """Read the hand's measurements; raises `BusError`."""
         try:
             return await self._read(self.connection.link)
-        except codec.Rh56FrameError as error:
+        except CodecError as error:
             raise FrameError(self.options.port, str(error)) from error
 
     async def sense(self) -> ActuatorState:

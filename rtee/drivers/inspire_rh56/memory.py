@@ -177,10 +177,8 @@ class Rh56Memory:
     def _get(self, address: int, size: int) -> bytes:
         return bytes(self._bytes[address - FIRST : address - FIRST + size])
 
-    @property
-    def _set_points(self) -> codec.SetPoints:
-        data = self._get(codec.Register.ANGLE_SET, codec.SetPoints.SIZE)
-        return codec.SetPoints.from_bytes(data)
+    def _table(self, register: codec.Register) -> tuple[int, ...]:
+        return codec.words(self._get(register, codec.WORDS))
 
     def read(self, address: int, size: int) -> bytes | None:
         """Return registers, or ``None`` if it refuses."""
@@ -204,7 +202,7 @@ class Rh56Memory:
 
     def report(self) -> codec.Report:
         """Return its measurements."""
-        angles = self._set_points.angles
+        angles = self._table(codec.Register.ANGLE_SET)
         return codec.Report(
             tuple(round(axis.measured) for axis in self.axes),
             tuple(round(self._force(i)) for i in range(codec.COUNT)),
@@ -272,11 +270,11 @@ class Rh56Memory:
         # The others keep what they have: KEEP commands nothing, and a limit is set to itself.
         others = [codec.KEEP] * codec.COUNT
         if register is not codec.Register.ANGLE_SET:
-            others = list(codec.words(self._get(register, codec.WORDS)))
+            others = list(self._table(register))
         others[first : first + count] = given
-        return self._table(register, tuple(others))
+        return self._set(register, tuple(others))
 
-    def _table(self, register: codec.Register, values: tuple[int, ...]) -> bool:
+    def _set(self, register: codec.Register, values: tuple[int, ...]) -> bool:
         most = self.properties.most if "FORCE" in register.name else codec.MOST
         least = 0
         if register is codec.Register.ANGLE_SET:
@@ -287,7 +285,7 @@ class Rh56Memory:
             least <= v <= most for v in values
         ):
             return False
-        before = codec.words(self._get(register, codec.WORDS))
+        before = self._table(register)
         kept = [b if v == codec.KEEP else v for v, b in zip(values, before, strict=True)]
         self._put(register, codec.table(kept))
         if register is codec.Register.ANGLE_SET:
@@ -298,13 +296,14 @@ class Rh56Memory:
     def _aim(self, values: tuple[int, ...]) -> None:
         if any(value != codec.KEEP for value in values):
             self.moves += 1
-            self.begun = list(self._set_points.forces)
+            self.begun = list(self._table(codec.Register.FORCE_SET))
         for axis, value in zip(self.axes, values, strict=True):
             if value != codec.KEEP and axis.enabled:
                 axis.target = float(min(value, codec.OPEN))
 
     def _limit(self) -> None:
-        limits = self._set_points
-        for axis, force, speed in zip(self.axes, limits.forces, limits.speeds, strict=True):
+        forces = self._table(codec.Register.FORCE_SET)
+        speeds = self._table(codec.Register.SPEED_SET)
+        for axis, force, speed in zip(self.axes, forces, speeds, strict=True):
             axis.max_effort = float(force)
             axis.max_velocity = self._fastest * speed / codec.MOST

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeVar
+from typing import NamedTuple
 
 from rtee.buses.emulator import CanFrame
+from rtee.buses.parser import CodecError
 from rtee.drivers.registers import Registers, at
-
-T = TypeVar("T")
 
 RIGHT, LEFT = 0x27, 0x28
 """Modbus number, and identifier on CAN, of a right and of a left hand."""
@@ -25,10 +24,6 @@ block of RS-485 is assumed."""
 BITRATE = 1_000_000  # of CAN [bit/s]
 MOST = 255
 """Largest value of a register."""
-
-
-class LinkerFrameError(ValueError):
-    """Values that a LinkerHand cannot report."""
 
 
 class Fault(IntEnum):
@@ -51,13 +46,25 @@ FAULT_NAMES: Mapping[int, str] = {
 
 
 class Table(IntEnum):
-    """Quantities with one value for each motor."""
+    """Quantities with one value for each motor: the CAN property of the first of them."""
 
-    POSITION = 0
-    TORQUE = 1
-    SPEED = 2
-    TEMPERATURE = 3
-    FAULT = 4
+    POSITION = 0x01
+    TORQUE = 0x02
+    SPEED = 0x05
+    TEMPERATURE = 0x33
+    FAULT = 0x35
+
+
+class Block(NamedTuple):
+    """The place of a table.
+
+    Attributes:
+        register: Its first input register; the holding registers have the same numbers.
+        properties: Its CAN properties in the order of its values: code and count.
+    """
+
+    register: int
+    properties: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +74,8 @@ class Model:
     Attributes:
         motors: Its motors, in the order of every table.
         ranges: Positions at the values 255 and 0 according to the maker's SDK [rad].
-        registers: First input register of each table; the holding registers have the same numbers.
+        tables: The places of its tables.
         version: First register of its version block.
-        properties: CAN properties of each table in the order of its values: code and count.
         spacing: Silence that the maker's SDK leaves between two frames on RS-485 [s].
         joint_write: Whether positions, torques and speeds may be written in one frame.
     """
@@ -77,9 +83,8 @@ class Model:
     name: str
     motors: tuple[str, ...]
     ranges: tuple[tuple[float, float], ...]
-    registers: Mapping[Table, int]
+    tables: Mapping[Table, Block]
     version: int
-    properties: Mapping[Table, tuple[tuple[int, int], ...]]
     spacing: float
     joint_write: bool
 
@@ -89,18 +94,15 @@ class Model:
         return len(self.motors)
 
 
-def _by_table(*values: T) -> Mapping[Table, T]:
-    """Return a value for each table: positions, torques, speeds, temperatures, faults."""
-    return dict(zip(Table, values, strict=True))
-
-
 O6 = Model(
     "O6",
     ("thumb_bend", "thumb_yaw", "index", "middle", "ring", "little"),
     ((0.0, 0.58), (0.0, 1.36), (0.0, 1.60), (0.0, 1.60), (0.0, 1.60), (0.0, 1.60)),
-    _by_table(0, 6, 12, 18, 24),
+    {
+        table: Block(first, ((table, 6),))
+        for table, first in zip(Table, (0, 6, 12, 18, 24), strict=True)
+    },
     30,
-    _by_table(*(((code, 6),) for code in (0x01, 0x02, 0x05, 0x33, 0x35))),
     spacing=0.030,
     joint_write=True,
 )
@@ -116,13 +118,13 @@ L10 = Model(
         (0.0, 0.75), (0.0, 1.43), (0.0, 1.62), (0.0, 1.62), (0.0, 1.62), (0.0, 1.62),
         (0.21, -0.26), (0.21, 0.0), (0.34, 0.0), (-0.52, 1.01),
     ),
-    _by_table(0, 10, 20, 40, 50),
+    {
+        table: Block(first, ((table, 5), (table + 1, 5)))
+        for table, first in zip(Table, (0, 10, 20, 40, 50), strict=True)
+    }
+    # The SDK sends the second part of the positions first.
+    | {Table.POSITION: Block(0, ((0x01, 6), (0x04, 4)))},
     158,
-    _by_table(
-        # The SDK sends the second part of the positions first.
-        ((0x01, 6), (0x04, 4)),
-        *(((code, 5), (code + 1, 5)) for code in (0x02, 0x05, 0x33, 0x35)),
-    ),
     spacing=0.005,
     joint_write=False,
 )  # fmt: skip
@@ -166,10 +168,14 @@ def dotted(version: int) -> str:
     return f"{version >> 4 & 0xF}.{version & 0xF}"
 
 
-def checked(registers: Sequence[int], count: int) -> tuple[int, ...]:
-    """Return the values of a table; raises `LinkerFrameError` for another number, or above 255."""
-    if len(registers) != count or not all(0 <= value <= MOST for value in registers):
-        raise LinkerFrameError(f"no {count} values of a LinkerHand: {list(registers)}")
+def checked(table: Table, registers: Sequence[int], count: int) -> tuple[int, ...]:
+    """Return the values of a table; raises `CodecError` for another number, or an impossible one.
+
+    Fault codes that are not published are more likely the late answer to another request.
+    """
+    known = set(Fault) if table is Table.FAULT else range(MOST + 1)
+    if len(registers) != count or not all(value in known for value in registers):
+        raise CodecError(f"no {count} values of a LinkerHand: {list(registers)}")
     return tuple(registers)
 
 

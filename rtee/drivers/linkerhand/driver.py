@@ -21,6 +21,7 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.linkerhand import codec
+from rtee.drivers.linkerhand.codec import Table
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.scale import LinearScale
@@ -160,9 +161,8 @@ class LinkerHandDriver(Driver):
         self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(self._motors), math.nan)
         self._counts: tuple[int, ...] = ()
-        self._targets: list[int] | None = None
-        self._torques: list[int] | None = None
-        self._speeds: list[int] | None = None
+        # What the hand has confirmed; a table that is missing is not known.
+        self._sent: dict[Table, list[int]] = {}
         self._temperatures: tuple[int, ...] = ()
         self._turn = 0
         self._moved = [0.0] * self._model.count
@@ -177,7 +177,7 @@ class LinkerHandDriver(Driver):
     async def configure(self) -> None:
         """Open the bus and identify the hand; moves nothing."""
         options = self.options
-        self._targets = self._torques = self._speeds = None
+        self._sent = {}
         link = await self._open()
         name, check = f"a LinkerHand {self._model.name}", "check `model` and `unit`"
         with (
@@ -193,7 +193,7 @@ class LinkerHandDriver(Driver):
         ):
             version = await link.version()
             self._temperatures, _ = await link.health()
-            self._keep(await link.read(codec.Table.POSITION))
+            self._keep(await link.read(Table.POSITION))
         if version is not None and options.check_model and version.motors != self._model.count:
             found = f"another device (one with {version.motors} motors)"
             raise self.stranger(name, found, hint=check)
@@ -262,7 +262,7 @@ class LinkerHandDriver(Driver):
         self._turn = (self._turn + 1) % every
         if self._turn == 0:
             await self._examine()
-        self._keep(await link.read(codec.Table.POSITION))
+        self._keep(await link.read(Table.POSITION))
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.to_si(self._counts[motor]) for motor, scale in both]
         self._here = np.array(position)
@@ -276,9 +276,10 @@ class LinkerHandDriver(Driver):
 
     def _holds(self, motor: int, now: float) -> bool | None:
         """Return whether a motor rests short of its set-point; ``None``: not known."""
-        if self._targets is None:
+        targets = self._sent.get(Table.POSITION)
+        if targets is None:
             return None
-        short = abs(self._targets[motor] - self._counts[motor]) > _SHORT
+        short = abs(targets[motor] - self._counts[motor]) > _SHORT
         return short and now - self._moved[motor] > _RESTING
 
     def _check(self, codes: tuple[int, ...]) -> None:
@@ -302,9 +303,10 @@ class LinkerHandDriver(Driver):
             return
         # One frame sets all motors, and the present set-points of the others cannot be read.
         self._attached.begin()
-        targets = list(self._targets or self._counts)
-        torques = list(self._torques or (codec.MOST,) * self._model.count)
-        speeds = list(self._speeds or (codec.MOST,) * self._model.count)
+        full = [codec.MOST] * self._model.count
+        targets = list(self._sent.get(Table.POSITION, self._counts))
+        torques = list(self._sent.get(Table.TORQUE, full))
+        speeds = list(self._sent.get(Table.SPEED, full))
         mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
             if not mask[i]:
@@ -319,30 +321,24 @@ class LinkerHandDriver(Driver):
             speeds[motor] = _share(float(reference.max_velocity[i]) / fastest)
             targets[motor] = scale.to_count(float(reference.position[i]))
         try:
-            await self._set(targets, torques, speeds)
+            await self._set({Table.TORQUE: torques, Table.SPEED: speeds, Table.POSITION: targets})
         except ModbusRefusal as error:
             raise CommandRejected(self.spec.name, error.message) from error
 
-    async def _set(self, targets: list[int], torques: list[int], speeds: list[int]) -> None:
-        """Write the tables that differ from what the hand has."""
-        tables = {}
-        if (torques, speeds) != (self._torques, self._speeds):
-            tables = {codec.Table.TORQUE: torques, codec.Table.SPEED: speeds}
-        if targets != self._targets or tables:
-            tables[codec.Table.POSITION] = targets
-        if not tables:
+    async def _set(self, wanted: dict[Table, list[int]]) -> None:
+        """Write the tables if they differ from what the hand has, limits only if these do."""
+        if wanted == self._sent:
             return
-        # A set-point counts as unknown until the hand has confirmed it.
-        before, self._targets = self._targets, None
-        # Limits count as unknown until the hand has confirmed them.
-        self._torques = self._speeds = None
-        await self.connection.link.write(tables)
+        sent, self._sent = self._sent, {}
+        before, targets = sent.pop(Table.POSITION, None), wanted[Table.POSITION]
+        limited = any(wanted[table] != sent.get(table) for table in (Table.TORQUE, Table.SPEED))
+        await self.connection.link.write(wanted if limited else {Table.POSITION: targets})
         now = monotonic.now()
         for motor, target in enumerate(targets):
             # A motor with a new set-point gets the time to move before it counts as resting.
             if before is None or target != before[motor]:
                 self._moved[motor] = now
-        self._targets, self._torques, self._speeds = targets, torques, speeds
+        self._sent = wanted
 
     async def stop(self) -> None:
         """Hold the measured pose."""
@@ -361,8 +357,8 @@ class LinkerHandDriver(Driver):
         ``instead`` returns the actuators that hold another position, see `Standstill.instead`.
         """
         link = self.connection.link
-        self._keep(await link.read(codec.Table.POSITION))
-        targets = list(self._targets or self._counts)
+        self._keep(await link.read(Table.POSITION))
+        targets = list(self._sent.pop(Table.POSITION, self._counts))
         for motor in motors:
             targets[motor] = self._counts[motor]
         both = tuple(zip(self._motors, self._scales, strict=True))
@@ -370,9 +366,8 @@ class LinkerHandDriver(Driver):
         for i, position in instead(here).items():
             motor, scale = both[i]
             targets[motor] = scale.to_count(position)
-        self._targets = None
-        await link.write({codec.Table.POSITION: targets})
-        self._targets = targets
+        await link.write({Table.POSITION: targets})
+        self._sent[Table.POSITION] = targets
 
     async def recover(self) -> None:
         """Make motors that had a fault hold their position, and check that the fault is gone."""
@@ -380,7 +375,7 @@ class LinkerHandDriver(Driver):
         with link.relaxed_deadline():
             _, codes = await link.health()
             faulty = tuple(motor for motor in self._motors if codes[motor])
-            if faulty or self._targets is None:
+            if faulty or Table.POSITION not in self._sent:
                 # No source says whether a motor continues to its old set-point afterwards.
                 await self._hold(faulty or self._motors)
             await self._examine()

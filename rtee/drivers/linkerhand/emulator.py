@@ -18,14 +18,9 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Byte, Duration, Positive
 from rtee.hand.validation import Section
 
-_FAULTS = {
-    "over_current": codec.Fault.OVER_CURRENT,
-    "over_temperature": codec.Fault.OVER_TEMPERATURE,
-    "encoder": codec.Fault.ENCODER,
-    "supply": codec.Fault.SUPPLY,
-}
+_FAULTS = {fault.name.lower(): fault for fault in codec.Fault if fault}
 _INDEX = 2  # index of the motor that has these faults
-_WRITABLE = (codec.Table.POSITION, codec.Table.TORQUE, codec.Table.SPEED)
+_LIMITS = (codec.Table.SPEED, codec.Table.TORQUE)
 _BENDING = ("thumb_bend", "index", "middle", "ring", "little")
 _OPEN = {"index_roll": 128.0, "ring_roll": 128.0, "little_roll": 128.0}
 """Positions at power-up of motors that are not open at 255."""
@@ -94,9 +89,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
             self.axes.append(axis)
         self.moves = 0
         self.begun = [codec.MOST] * self.model.count
-        self._torques = [codec.MOST] * self.model.count
-        self._speeds = [codec.MOST] * self.model.count
-        self._limit()
+        self._unlimited()
 
     def closings(self) -> Sequence[Closing]:
         """Return how the motors that bend the digits close."""
@@ -111,20 +104,23 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         """Restart with the largest torques and speeds; the fingers stay where they are."""
         self.advance(now)
         self.line_reset()
-        self._torques = [codec.MOST] * self.model.count
-        self._speeds = [codec.MOST] * self.model.count
         for axis in self.axes:
             axis.target = axis.position
-        self._limit()
+        self._unlimited()
 
     def on_faults(self) -> None:
         """Stop the motor that has a fault; it continues when the fault is gone."""
         super().on_faults()
         self.axes[_INDEX].enabled = not self.faults & set(_FAULTS)
 
+    def _unlimited(self) -> None:
+        self._limits = {table: [codec.MOST] * self.model.count for table in _LIMITS}
+        self._limit()
+
     def _limit(self) -> None:
+        speeds, torques = self._limits.values()
         fastest = codec.MOST / self.properties.travel_time * self.properties.haste
-        for axis, torque, speed in zip(self.axes, self._torques, self._speeds, strict=True):
+        for axis, torque, speed in zip(self.axes, torques, speeds, strict=True):
             axis.max_effort = float(torque)
             axis.max_velocity = fastest * speed / codec.MOST
 
@@ -134,10 +130,8 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         """Return the values of all motors."""
         if table is codec.Table.POSITION:
             return [min(max(round(axis.measured), 0), codec.MOST) for axis in self.axes]
-        if table is codec.Table.TORQUE:
-            return list(self._torques)
-        if table is codec.Table.SPEED:
-            return list(self._speeds)
+        if table in self._limits:
+            return list(self._limits[table])
         if table is codec.Table.TEMPERATURE:
             return [round(axis.temperature) for axis in self.axes]
         codes = [int(codec.Fault.NONE)] * self.model.count
@@ -148,17 +142,14 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
 
     def set_table(self, table: codec.Table, first: int, values: Sequence[int]) -> None:
         """Set values of consecutive motors, beginning with the index ``first``."""
-        for motor, value in enumerate(values, first):
-            if table is codec.Table.TORQUE:
-                self._torques[motor] = value
-            elif table is codec.Table.SPEED:
-                self._speeds[motor] = value
-            else:
-                self.axes[motor].target = float(value)
-        self._limit()
-        if table is codec.Table.POSITION:
-            self.moves += 1
-            self.begun = list(self._torques)
+        if table in self._limits:
+            self._limits[table][first : first + len(values)] = values
+            self._limit()
+            return
+        for axis, value in zip(self.axes[first:], values, strict=False):
+            axis.target = float(value)
+        self.moves += 1
+        self.begun = list(self._limits[codec.Table.TORQUE])
 
     def version(self) -> codec.Version:
         """Return its version block."""
@@ -182,20 +173,20 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     def windows(self, function: int) -> Mapping[int, Sequence[int]]:
         """Return all tables and the version, in one block."""
         registers = [0] * self.model.version
-        for table, first in self.model.registers.items():
-            registers[first : first + self.model.count] = self.table(table)
+        for table, block in self.model.tables.items():
+            registers[block.register : block.register + self.model.count] = self.table(table)
         return {0: [*registers, *self.version().to_registers()]}
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Set holding registers."""
         count = self.model.count
-        if address + len(values) > len(_WRITABLE) * count:
+        if address + len(values) > (len(_LIMITS) + 1) * count:
             raise Refused(ILLEGAL_ADDRESS)
         if any(value > codec.MOST for value in values):
             raise Refused(ILLEGAL_VALUE)
         # From the last table to the first, so that limits apply before the motion.
-        for table in reversed(_WRITABLE):
-            first = self.model.registers[table]
+        for table in (*_LIMITS, codec.Table.POSITION):
+            first = self.model.tables[table].register
             low, high = max(first, address), min(first + count, address + len(values))
             if low < high:
                 self.set_table(table, low - first, values[low - address : high - address])
@@ -211,9 +202,9 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         if frame.data[0] in codec.VERSION_CODES:
             version = self.version().to_registers()
             return [codec.property_frame(self.unit, frame.data[0], version)]
-        for table, parts in self.model.properties.items():
+        for table, block in self.model.tables.items():
             first = 0
-            for code, count in parts:
+            for code, count in block.properties:
                 if frame.data[0] == code:
                     return self._property(table, code, first, count, frame.data[1:])
                 first += count
@@ -223,7 +214,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         self, table: codec.Table, code: int, first: int, count: int, data: bytes
     ) -> list[CanFrame]:
         if data:
-            if table in _WRITABLE and len(data) >= count:
+            if table in (*_LIMITS, codec.Table.POSITION) and len(data) >= count:
                 self.set_table(table, first, list(data[:count]))
             return []
         values = self.table(table)[first : first + count]

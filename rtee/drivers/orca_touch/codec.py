@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.buses.parser import FramedParser
+from rtee.buses.parser import CodecError, FramedParser
 from rtee.sample import FloatArray
 
 BAUDRATES = (921_600, 2_000_000)
@@ -40,10 +40,6 @@ _LARGEST = 512
 """Largest number of register bytes in an exchange: more than the largest table, 168."""
 _ANGLE = 0x3FFF
 _TURN = 2.0 * math.pi / (_ANGLE + 1)  # of one count of an encoder [rad]
-
-
-class OrcaFrameError(ValueError):
-    """Bytes that are not a frame of the board, or not the data of one."""
 
 
 class Function(IntEnum):
@@ -117,7 +113,7 @@ class Request:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the request that ``raw`` holds; raises `OrcaFrameError`."""
+        """Return the request that ``raw`` holds; raises `CodecError`."""
         return cls(*_parts(raw))
 
 
@@ -198,12 +194,12 @@ def _streamed(header: bytes, error: int, data: bytes) -> bytes:
 
 
 def _parts(raw: bytes) -> tuple[int, int, int, bytes]:
-    """Return function, address, count and data of a request or reply; raises `OrcaFrameError`."""
+    """Return function, address, count and data of a request or reply; raises `CodecError`."""
     if len(raw) < _OVERHEAD or check_of(raw[:-1]) != raw[-1]:
-        raise OrcaFrameError("the check does not match")
+        raise CodecError("the check does not match")
     zero, function, address, count = _HEAD.unpack_from(raw, 2)
     if zero or function not in (Function.READ, Function.WRITE):
-        raise OrcaFrameError(f"unknown function {function:#04x}")
+        raise CodecError(f"unknown function {function:#04x}")
     return function, address, count, raw[_HEAD.size + 2 : -1]
 
 
@@ -252,18 +248,18 @@ class AnswerParser(FramedParser[Answer]):
         if raw[:2] == _REPLY:
             return Reply(*_parts(raw))
         if len(raw) <= _AROUND or check_of(raw[:-1]) != raw[-1] or raw[2]:
-            raise OrcaFrameError("the check does not match")
+            raise CodecError("the check does not match")
         kind = Stream if raw[:2] == _STREAM else Encoders
         return kind(raw[5], raw[6:-1])
 
 
 def connected(data: bytes) -> tuple[str, ...]:
-    """Return the fingers whose tips are connected; raises `OrcaFrameError` for unknown slots."""
+    """Return the fingers whose tips are connected; raises `CodecError` for unknown slots."""
     known = bytearray(CONNECTED_SIZE)
     for byte, bit in _SLOTS.values():
         known[byte] |= 1 << bit
     if len(data) != CONNECTED_SIZE or any(b & ~k for b, k in zip(data, known, strict=True)):
-        raise OrcaFrameError(f"connected slots {data.hex(' ')} are none of a touch board's")
+        raise CodecError(f"connected slots {data.hex(' ')} are none of a touch board's")
     return tuple(name for name, (byte, bit) in _SLOTS.items() if data[byte] >> bit & 1)
 
 
@@ -277,9 +273,9 @@ def connected_bytes(fingers: Sequence[str]) -> bytes:
 
 
 def tip_counts(data: bytes) -> dict[str, int]:
-    """Return the number of taxels of each fingertip; raises `OrcaFrameError`."""
+    """Return the number of taxels of each fingertip; raises `CodecError`."""
     if len(data) != COUNTS_SIZE:
-        raise OrcaFrameError(f"{len(data)} bytes are not a table of taxels")
+        raise CodecError(f"{len(data)} bytes are not a table of taxels")
     counts = struct.unpack(f"<{COUNTS_SIZE // 2}H", data)
     return {name: counts[_PER_SLOT * i + _TIP] for i, name in enumerate(FINGERS)}
 
@@ -324,10 +320,10 @@ class Forces:
     def from_bytes(cls, data: bytes, content: Content, counts: Sequence[int]) -> Self:
         """Read the data of a frame with a content, for the number of taxels of each finger.
 
-        Raises `OrcaFrameError` if it has another length.
+        Raises `CodecError` if it has another length.
         """
         if len(data) != data_size(content, counts):
-            raise OrcaFrameError(f"{len(data)} bytes are not the data of {len(counts)} fingertips")
+            raise CodecError(f"{len(data)} bytes are not the data of {len(counts)} fingertips")
         resultants = np.full((len(counts), 3), math.nan)
         taxels, at = [np.zeros((0, 3))], 0
         for finger, count in enumerate(counts):

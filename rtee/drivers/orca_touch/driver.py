@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from rtee import monotonic
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.serial import SerialBus
@@ -102,7 +103,7 @@ class OrcaTouchDriver(Driver):
             "a touch board",
             f"no touch board answers at {options.port}",
             "check supply, cable and `baudrate`",
-            codec.OrcaFrameError,
+            CodecError,
             check="check the port",
         ):
             fingers = codec.connected(
@@ -146,9 +147,7 @@ class OrcaTouchDriver(Driver):
     async def _read(self, bus: SerialBus, register: codec.Register, size: int) -> bytes:
         reply = await self._ask(bus, codec.Request(codec.Function.READ, register, size))
         if len(reply.data) != size:
-            raise codec.OrcaFrameError(
-                f"{len(reply.data)} bytes for {size} of register {register:#06x}"
-            )
+            raise CodecError(f"{len(reply.data)} bytes for {size} of register {register:#06x}")
         return reply.data
 
     async def _write(self, bus: SerialBus, register: codec.Register, value: int) -> None:
@@ -232,7 +231,7 @@ class OrcaTouchDriver(Driver):
             return  # its forces cannot be trusted; the last reading becomes stale
         try:
             forces = codec.Forces.from_bytes(frame.data, self._content, self._counts)
-        except codec.OrcaFrameError:
+        except CodecError:
             # A code of the driver's own: the frame does not match the fingertips at connection.
             self._error = 0xFF
             return

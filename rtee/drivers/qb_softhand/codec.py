@@ -10,7 +10,7 @@ from functools import reduce
 from operator import xor
 from typing import ClassVar, Self
 
-from rtee.buses.parser import FramedParser, Framing
+from rtee.buses.parser import CodecError, FramedParser, Framing
 
 BAUDRATE = 2_000_000  # the setting from the factory [baud]
 BAUDRATES = (BAUDRATE, 460_800)
@@ -26,13 +26,7 @@ _INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
 """Formats of 0 to 64 16-bit integers, the largest number in a frame."""
 
 
-class QbFrameError(ValueError):
-    """Bytes that are not a frame, or a frame whose data does not fit its command."""
-
-
-_FRAMING = Framing(
-    HEADER, 1, lambda raw: bytes([reduce(xor, raw[4:])]), LONGEST, 2, extra=1, error=QbFrameError
-)
+_FRAMING = Framing(HEADER, 1, lambda raw: bytes([reduce(xor, raw[4:])]), LONGEST, 2, extra=1)
 """The device's number, and a length of command, data and the check of both."""
 
 
@@ -76,7 +70,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` is, without other bytes; raises `QbFrameError`."""
+        """Return the frame that ``raw`` is, without other bytes; raises `CodecError`."""
         [device], body = _FRAMING.opened(raw)
         return cls(device, body[0], body[1:])
 
@@ -102,11 +96,11 @@ def read_int16(data: bytes, *, least: int = 1) -> tuple[int, ...]:
     """Return the big-endian 16-bit integers in ``data``.
 
     Raises:
-        QbFrameError: if there are fewer than ``least``, more than a frame carries, or an odd
+        CodecError: if there are fewer than ``least``, more than a frame carries, or an odd
             number of bytes.
     """
     if len(data) % 2 or not 2 * least <= len(data) <= LONGEST:
-        raise QbFrameError(f"{least} or more 16-bit values do not fit {len(data)} bytes")
+        raise CodecError(f"{least} or more 16-bit values do not fit {len(data)} bytes")
     return _INT16[len(data) // 2].unpack(data)
 
 
@@ -119,7 +113,7 @@ class CurrentsAndPositions:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read the data of an answer; raises `QbFrameError`."""
+        """Read the data of an answer; raises `CodecError`."""
         values = read_int16(data, least=5)
         return cls((values[0], values[1]), values[2:])
 
@@ -129,9 +123,9 @@ class CurrentsAndPositions:
 
 
 def activation(data: bytes) -> int:
-    """Return the mask of active motors from an answer to GET_ACTIVATE; raises `QbFrameError`."""
+    """Return the mask of active motors from an answer to GET_ACTIVATE; raises `CodecError`."""
     if len(data) != 1:
-        raise QbFrameError(f"an activation is one byte, not {len(data)}")
+        raise CodecError(f"an activation is one byte, not {len(data)}")
     return data[0] & 0x03
 
 
@@ -209,13 +203,13 @@ class Parameter:
 
     @classmethod
     def from_bytes(cls, slot: bytes) -> Self:
-        """Read a slot; raises `QbFrameError` if it is not a slot."""
+        """Read a slot; raises `CodecError` if it is not a slot."""
         if len(slot) != SLOT or slot[0] not in _FORMS:
-            raise QbFrameError("a parameter has fifty bytes and begins with its type")
+            raise CodecError("a parameter has fifty bytes and begins with its type")
         form = f">{slot[1]}{_FORMS[slot[0]]}"
         size = struct.calcsize(form)
         if size + 2 > SLOT:
-            raise QbFrameError(f"{slot[1]} values of type {slot[0]} do not fit a parameter")
+            raise CodecError(f"{slot[1]} values of type {slot[0]} do not fit a parameter")
         label = slot[2 + size :].split(b"\x00")[0].decode("ascii", "replace")
         return cls(slot[0], struct.unpack_from(form, slot, 2), label)
 
@@ -269,18 +263,18 @@ class ListParser:
                     buffer.clear()
                     return [found]
                 # A false header inside other data: the search continues one byte later.
-                except QbFrameError:
+                except CodecError:
                     pass
             self.errors += 1
             del buffer[:1]
 
     @staticmethod
     def _read(slots: bytes) -> dict[int, Parameter]:
-        """Return the parameters in the complete slots; raises `QbFrameError`."""
+        """Return the parameters in the complete slots; raises `CodecError`."""
         whole = len(slots) - len(slots) % SLOT
         # Refused early: after a false header, the parser would wait for slots that never come.
         if whole < len(slots) and slots[whole] not in _FORMS:
-            raise QbFrameError("a parameter begins with its type")
+            raise CodecError("a parameter begins with its type")
         return {
             at // SLOT + 1: Parameter.from_bytes(slots[at : at + SLOT])
             for at in range(0, whole, SLOT)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Coroutine
 from functools import lru_cache, partial
 from typing import Any, TypeVar
 
+from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
 from rtee.errors import BusTimeout, FrameError
@@ -115,7 +116,7 @@ class QbLink:
     def _decoded(self, decode: Callable[[bytes], T], data: bytes) -> T:
         try:
             return decode(data)
-        except codec.QbFrameError as error:
+        except CodecError as error:
             raise FrameError(self.bus.name, str(error), data) from error
 
 

@@ -199,7 +199,6 @@ class Image(Packed):
     __slots__ = ()
 
     WHAT = "an image of an EGU or EGK"
-    ERROR = ValueError
 
     def to_registers(self) -> tuple[int, ...]:
         """Return the eight registers."""

@@ -7,6 +7,8 @@ grip, and the time to build up its force.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import or_
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
@@ -15,17 +17,7 @@ from rtee.drivers.options import Byte, Duration, Positive, Rate
 from rtee.drivers.schunk_egu import codec
 from rtee.hand.validation import Section
 
-_COMMANDS = (
-    codec.Control.STOP
-    | codec.Control.ACKNOWLEDGE
-    | codec.Control.RELEASE
-    | codec.Control.GRIP
-    | codec.Control.MOVE
-    | codec.Control.MOVE_BY
-    | codec.Control.GRIP_AT
-    | codec.Control.BRAKE_TEST
-    | codec.Control.REPEAT
-)
+_COMMANDS = reduce(or_, codec.COMMANDS.values())
 _MOVE_FORCE = 0.3
 """Force of a motion that is not a grip, as a share of the largest; no document states it."""
 _NEAR = 0.04
@@ -248,9 +240,9 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             self._fail(codec.FAST_STOP)
             return
         # A command is given by the rising edge of its bit, or by a change of the repeat bit.
-        risen = output.control & ~before.control & _COMMANDS & ~codec.Control.REPEAT
+        risen = output.control & ~before.control & _COMMANDS
         if (output.control ^ before.control) & codec.Control.REPEAT:
-            risen = output.control & _COMMANDS & ~codec.Control.REPEAT
+            risen = output.control & _COMMANDS
         if risen:
             self._take(risen, output)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar, Self
 
-from rtee.buses.parser import FramedParser, Framing
+from rtee.buses.parser import CodecError, FramedParser, Framing
 from rtee.drivers.packed import Packed, part, text
 
 BAUDRATE = 921_600  # [baud]; the hand has no other
@@ -23,10 +23,6 @@ GAP = 782e-6
 """Pause that the hand needs after each packet of the host [s]."""
 TURNAROUND = 5e-4
 """Time from a request to its reply beside that on the wire [s]; an assumption."""
-
-
-class SvhFrameError(ValueError):
-    """Bytes that are not a packet, or a packet whose data does not fit its command."""
 
 
 class Command(IntEnum):
@@ -55,9 +51,7 @@ def checksums(data: bytes | bytearray) -> tuple[int, int]:
     return sum(data) & 0xFF, folded & 0xFF
 
 
-_FRAMING = Framing(
-    SYNC, 2, lambda raw: bytes(checksums(raw[6:])), PAYLOAD, size=2, tail=2, error=SvhFrameError
-)
+_FRAMING = Framing(SYNC, 2, lambda raw: bytes(checksums(raw[6:])), PAYLOAD, size=2, tail=2)
 """Index and address, and the length of the data, of which the checksums are."""
 
 
@@ -78,18 +72,18 @@ class Packet:
     def to_bytes(self, *, pad: bool = True) -> bytes:
         """Return the packet as sent; the host always pads its data to 64 bytes."""
         if not 0 <= self.channel <= 0xF:
-            raise SvhFrameError(f"no packet can carry {self}")
+            raise CodecError(f"no packet can carry {self}")
         data = self.data.ljust(PAYLOAD, b"\x00") if pad else self.data
         return _FRAMING.sealed((self.index, self.command | self.channel << 4), data)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is, without other bytes; raises `SvhFrameError`."""
+        """Return the packet that ``raw`` is, without other bytes; raises `CodecError`."""
         (index, address), data = _FRAMING.opened(raw)
         # Three of the sixteen values are no command.
         command = address & 0xF
         if command > Command.GET_FIRMWARE_INFO:
-            raise SvhFrameError(f"there is no command {command:#x}")
+            raise CodecError(f"there is no command {command:#x}")
         return cls(Command(command), address >> 4, data, index)
 
 
@@ -109,7 +103,6 @@ class Fields(Packed):
 
     __slots__ = ()
 
-    ERROR = SvhFrameError
     LONGER = True
 
 

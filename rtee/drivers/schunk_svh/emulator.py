@@ -12,12 +12,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 
 from rtee.buses.emulator import Duplex, Emulator
+from rtee.buses.parser import CodecError
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Duration, Positive
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import channels_for, current_settings, position_settings
-from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
+from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser
 from rtee.hand.validation import Section
 
 _FRICTION = 40.0
@@ -178,7 +179,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         self.early += now - self._last < codec.GAP
         self._last = now
         self.packets[frame.command] = self.packets.get(frame.command, 0) + 1
-        with contextlib.suppress(SvhFrameError):
+        with contextlib.suppress(CodecError):
             index = frame.index if self.options.echo_index else 0
             reply = Packet(frame.command, frame.channel, self._answer(frame), index)
             yield reply.to_bytes(pad=self.options.padded)
@@ -208,7 +209,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
                 tuple(f.position for f in every), tuple(f.current_ma for f in every)
             ).to_bytes()
         if packet.channel >= codec.CHANNELS:
-            raise SvhFrameError(f"there is no channel {packet.channel}")
+            raise CodecError(f"there is no channel {packet.channel}")
         return self._single(packet)
 
     def _single(self, packet: Packet) -> bytes:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
+from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.schunk_svh import codec
-from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
+from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser
 from rtee.errors import FrameError
 
 T = TypeVar("T")
@@ -64,7 +65,7 @@ class SvhLink:
     def _decoded(self, read: Callable[[bytes], T], reply: Packet) -> T:
         try:
             return read(reply.data)
-        except SvhFrameError as error:
+        except CodecError as error:
             raise FrameError(self.bus.name, str(error), reply.data) from error
 
     async def firmware(self) -> codec.FirmwareInfo:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
 
-from rtee.buses.parser import FramedParser, Framing
+from rtee.buses.parser import CodecError, FramedParser, Framing
 from rtee.drivers.packed import Packed, part
 
 PREAMBLE = b"\xaa\xaa\xaa"
@@ -27,10 +27,6 @@ _STATUS = 2
 """Bytes of the status that every answer's payload begins with."""
 _ACKNOWLEDGE = b"ack"  # payload that clears a fast stop
 _STOP_ON_BLOCK = 0x02  # flag of a pre-position; 1: the width is relative
-
-
-class WsgFrameError(ValueError):
-    """Bytes that are not a frame of a WSG, or not an answer to its command."""
 
 
 class Command(IntEnum):
@@ -157,7 +153,6 @@ def crc(data: bytes) -> int:
 
 _FRAMING = Framing(
     PREAMBLE, 1, lambda raw: crc(raw).to_bytes(2, "little"), _LONGEST, size=2, tail=2,
-    error=WsgFrameError,
 )  # fmt: skip
 """The command, and the length of the payload."""
 
@@ -180,19 +175,19 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Read a frame; raises `WsgFrameError` if it is none."""
+        """Read a frame; raises `CodecError` if it is none."""
         [command], payload = _FRAMING.opened(raw)
         return cls(command, payload)
 
     @property
     def status(self) -> Status:
-        """The status of an answer; raises `WsgFrameError` where it has none."""
+        """The status of an answer; raises `CodecError` where it has none."""
         if len(self.payload) < _STATUS:
-            raise WsgFrameError("an answer without a status")
+            raise CodecError("an answer without a status")
         try:
             return Status(int.from_bytes(self.payload[:2], "little"))
         except ValueError as error:
-            raise WsgFrameError(str(error)) from None
+            raise CodecError(str(error)) from None
 
 
 class FrameParser(FramedParser[Frame]):
@@ -249,19 +244,19 @@ def answer(command: int, status: Status, data: bytes = b"") -> Frame:
 
 
 def number(frame: Frame) -> float:
-    """Return the one number of an answer; raises `WsgFrameError`."""
+    """Return the one number of an answer; raises `CodecError`."""
     return numbers(frame, 1)[0]
 
 
 def numbers(frame: Frame, count: int) -> tuple[float, ...]:
-    """Return the numbers of an answer; raises `WsgFrameError` unless they are ``count`` finite."""
+    """Return the numbers of an answer; raises `CodecError` unless they are ``count`` finite."""
     data = frame.payload[2:]
     if len(data) != 4 * count:
-        raise WsgFrameError(f"{len(data)} bytes of numbers instead of {4 * count}")
+        raise CodecError(f"{len(data)} bytes of numbers instead of {4 * count}")
     values = struct.unpack(f"<{count}f", data)
     # NaN minus itself is not 0, nor is infinity minus itself.
     if any(value - value != 0.0 for value in values):
-        raise WsgFrameError("a number that is not finite")
+        raise CodecError("a number that is not finite")
     return values
 
 
@@ -277,7 +272,6 @@ class Info(Packed):
     """
 
     WHAT = "the information of a WSG"
-    ERROR = WsgFrameError
 
     kind: int = part("B")
     hardware: int = part("B")
@@ -302,7 +296,6 @@ class Limits(Packed):
     """
 
     WHAT = "the limits of a WSG"
-    ERROR = WsgFrameError
 
     stroke: float = part("f", default=110.0)
     speed: tuple[float, float] = part("f", 2, default=(5.0, 420.0))
@@ -311,22 +304,22 @@ class Limits(Packed):
 
     @classmethod
     def from_frame(cls, frame: Frame) -> Self:
-        """Read them from an answer; raises `WsgFrameError`."""
+        """Read them from an answer; raises `CodecError`."""
         stroke, slow, fast, weak, strong, least, nominal, most = numbers(frame, 8)
         if not (stroke > 0.0 and 0.0 <= slow < fast and weak < strong and least < nominal):
-            raise WsgFrameError("limits that are none")
+            raise CodecError("limits that are none")
         return cls(stroke, (slow, fast), (weak, strong), (least, nominal, most))
 
 
 def state_of(frame: Frame) -> State:
-    """Return the system's state of an answer; raises `WsgFrameError`."""
+    """Return the system's state of an answer; raises `CodecError`."""
     if len(frame.payload) != _STATUS + 4:
-        raise WsgFrameError("no state")
+        raise CodecError("no state")
     return State(int.from_bytes(frame.payload[2:], "little"))
 
 
 def grasping_of(frame: Frame) -> Grasping:
-    """Return the state of a grasp of an answer; raises `WsgFrameError`."""
+    """Return the state of a grasp of an answer; raises `CodecError`."""
     if len(frame.payload) != _STATUS + 1 or frame.payload[2] > max(Grasping):
-        raise WsgFrameError("no state of a grasp")
+        raise CodecError("no state of a grasp")
     return Grasping(frame.payload[2])

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Literal
 
 from rtee import monotonic
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
@@ -26,7 +27,6 @@ from rtee.drivers.wsg50.codec import (
     Info,
     Limits,
     State,
-    WsgFrameError,
     acknowledge,
     grasp,
     home,
@@ -144,7 +144,7 @@ class Wsg50Driver(Driver):
                 "a WSG 50",
                 f"no answer at {options.port}",
                 "check supply, cable and address; only one program can be connected",
-                WsgFrameError,
+                CodecError,
                 WsgRefusal,
                 FrameError,
             ),

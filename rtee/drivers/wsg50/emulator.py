@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 
 from rtee.buses.emulator import Emulator
+from rtee.buses.parser import CodecError
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Duration, Positive
@@ -23,7 +24,6 @@ from rtee.drivers.wsg50.codec import (
     Limits,
     State,
     Status,
-    WsgFrameError,
     answer,
     numbers,
 )
@@ -208,7 +208,7 @@ class Wsg50Emulator(Emulator, Grasps):
             if command in _AUTO:
                 return self._measured(command, frame.payload, now)
             return self._done(command, frame)
-        except WsgFrameError:
+        except CodecError:
             # Shorter than any number: too few parameters; any other wrong length is a wrong format.
             few = len(frame.payload) < _NUMBER
             status = Status.TOO_FEW_PARAMETERS if few else Status.FORMAT
@@ -216,7 +216,7 @@ class Wsg50Emulator(Emulator, Grasps):
 
     def _measured(self, command: Command, payload: bytes, now: float) -> Frame:
         if len(payload) != 3:
-            raise WsgFrameError("three bytes ask for a measurement")
+            raise CodecError("three bytes ask for a measurement")
         period = int.from_bytes(payload[1:], "little") / 1000.0
         if payload[0] & 1:
             self._auto[command] = [period, now + period]
@@ -308,7 +308,7 @@ class Wsg50Emulator(Emulator, Grasps):
             return answer(command, Status.ALREADY_RUNNING)
         if command is Command.HOME:
             if len(frame.payload) != 1:
-                raise WsgFrameError("homing takes a direction")
+                raise CodecError("homing takes a direction")
             self._begin(command, (self.limits.stroke, _HOMING_SPEED))
             return answer(command, Status.PENDING)
         if not self._referenced:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.wsg50.codec import (
@@ -15,7 +16,6 @@ from rtee.drivers.wsg50.codec import (
     Grasping,
     State,
     Status,
-    WsgFrameError,
     asking,
     grasping_of,
     number,
@@ -89,10 +89,10 @@ class _ReportParser:
         self._found.clear()
         try:
             if any(frame.status is not Status.OK for frame in frames):
-                raise WsgFrameError("a request was refused")
+                raise CodecError("a request was refused")
             state, grasping, *rest = frames
             return [WsgReport(state_of(state), grasping_of(grasping), *map(number, rest))]
-        except WsgFrameError:
+        except CodecError:
             self._wrong += 1
             return []
 
@@ -151,7 +151,7 @@ def _answers(request: Frame) -> Callable[[Frame], bool]:
             return False
         try:
             status = answer.status
-        except WsgFrameError:
+        except CodecError:
             return False
         # The result of an earlier motion may come first; a new motion is never refused by these.
         results: Sequence[Status] = (Status.OK, Status.ABORTED, Status.FAILED, Status.AXIS_BLOCKED)

@@ -14,6 +14,7 @@ from google.protobuf.message import DecodeError, Message
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from rtee.buses.parser import CodecError
 from rtee.hand.yamlfile import yaml_reader
 
 _FIELD = descriptor_pb2.FieldDescriptorProto
@@ -26,10 +27,6 @@ _JOINT_STATE: tuple[tuple[str, int], ...] = (
 _JOINT_COMMAND: tuple[tuple[str, int], ...] = (
     ("posRef", 8), ("velRef", 9), ("torRef", 10), ("k", 11), ("d", 12),
 )  # fmt: skip
-
-
-class XBot2FrameError(ValueError):
-    """Bytes that are not a message of xbot2_zmq."""
 
 
 def _file() -> descriptor_pb2.FileDescriptorProto:
@@ -78,12 +75,12 @@ GenericRxMsg = _message("GenericRxMsg")
 
 
 def read(kind: type[Any], data: bytes) -> Any:
-    """Return the message in bytes; raises `XBot2FrameError`."""
+    """Return the message in bytes; raises `CodecError`."""
     message: Message = kind()
     try:
         message.ParseFromString(data)
     except DecodeError as error:
-        raise XBot2FrameError(f"this is no {kind.DESCRIPTOR.name}: {error}") from error
+        raise CodecError(f"this is no {kind.DESCRIPTOR.name}: {error}") from error
     return message
 
 
@@ -123,7 +120,7 @@ class State:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self | None:
-        """Read a published message; ``None`` without a joint state; raises `XBot2FrameError`."""
+        """Read a published message; ``None`` without a joint state; raises `CodecError`."""
         message = read(GenericRxMsg, data)
         if not message.HasField("js"):
             return None
@@ -131,7 +128,7 @@ class State:
         names = tuple(joints.jointNames)
         n = len(names)
         if not n or len(joints.linkPos) != n:
-            raise XBot2FrameError(f"{len(joints.linkPos)} positions for {n} joints")
+            raise CodecError(f"{len(joints.linkPos)} positions for {n} joints")
         velocity = _given(joints.motVel, n) or _given(joints.linkVel, n)
         return cls(
             message.seq,
@@ -186,12 +183,12 @@ class Command:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a command; raises `XBot2FrameError`."""
+        """Read a command; raises `CodecError`."""
         message = read(JointCommand, data)
         n = len(message.name)
         for values in (message.posRef, message.torRef, message.ctrl):
             if len(values) not in (0, n):
-                raise XBot2FrameError(f"{len(values)} values for {n} joints")
+                raise CodecError(f"{len(values)} values for {n} joints")
         return cls(
             tuple(message.name),
             tuple(message.posRef),
@@ -217,27 +214,27 @@ def _yaml(value: Mapping[str, Any]) -> bytes:
 
 
 def read_yaml(raw: bytes) -> Mapping[str, Any]:
-    """Return a request or an answer; raises `XBot2FrameError`."""
+    """Return a request or an answer; raises `CodecError`."""
     if len(raw) > _LONGEST:
-        raise XBot2FrameError(f"{len(raw)} bytes are too many")
+        raise CodecError(f"{len(raw)} bytes are too many")
     try:
         found = yaml_reader().load(raw.decode("utf-8"))
     # Text from a network may be nested too deeply for the stack.
     except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise XBot2FrameError("this is not YAML") from error
+        raise CodecError("this is not YAML") from error
     if not isinstance(found, dict):
-        raise XBot2FrameError("this is not a mapping")
+        raise CodecError("this is not a mapping")
     return found
 
 
 def joint_names(raw: bytes) -> tuple[str, ...]:
-    """Return the joints in an answer to ``joint_names``; raises `XBot2FrameError`."""
+    """Return the joints in an answer to ``joint_names``; raises `CodecError`."""
     found = read_yaml(raw)
     data = found.get("data")
     if not found.get("success"):
-        raise XBot2FrameError(f"refused: {found.get('message', '')}")
+        raise CodecError(f"refused: {found.get('message', '')}")
     if isinstance(data, str):
         data = data.replace(",", " ").split()
     if not isinstance(data, list) or not all(isinstance(name, str) for name in data):
-        raise XBot2FrameError("the answer has no list of joints")
+        raise CodecError("the answer has no list of joints")
     return tuple(data)

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Meta, field
 
 from rtee import monotonic
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
@@ -204,7 +205,7 @@ class XBot2Driver(Driver):
             "xbot2_zmq",
             f"xbot2_zmq does not answer at {self.options.address}",
             "does XBot2 run there with its plugin zmq, and are the ports open?",
-            codec.XBot2FrameError,
+            CodecError,
             check="check the ports",
         )
 
@@ -215,7 +216,7 @@ class XBot2Driver(Driver):
                 return
             # Each message names its joints, so their order may change.
             self._index = [state.names.index(name) for name in self._names]
-        except (codec.XBot2FrameError, ValueError):
+        except (CodecError, ValueError):
             self.connection.link.counters.checksum_errors += 1
             return
         self._state, self._stamp = state, stamp

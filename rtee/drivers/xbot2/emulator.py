@@ -10,11 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rtee.buses.emulator import Emulator
+from rtee.buses.parser import CodecError
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.options import Positive
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import Command, Control, State, XBot2FrameError
+from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.hand.validation import Section
 
 
@@ -123,7 +124,7 @@ class XBot2Emulator(Emulator, Grasps):
         """Receive a command."""
         try:
             command = Command.from_bytes(data)
-        except XBot2FrameError:
+        except CodecError:
             return []
         self.commands += 1
         for i, name in enumerate(command.names):
@@ -150,7 +151,7 @@ class XBot2Emulator(Emulator, Grasps):
             return None
         try:
             kind = codec.read_yaml(request).get("type")
-        except XBot2FrameError as error:
+        except CodecError as error:
             return codec.answer(False, str(error))
         if kind == "joint_names":
             names = ["another_joint"] if "wrong_device" in self.faults else list(self.axes)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.ability_hand import codec
 from rtee.drivers.ability_hand.codec import (
-    AbilityFrameError,
     Command,
     CommandParser,
     Header,
@@ -96,16 +96,16 @@ def test_the_second_reply_tells_velocities_and_touch() -> None:
 )
 def test_what_no_hand_can_reply_is_refused(change: object, text: str) -> None:
     frame = change(FIRST.to_frame())  # type: ignore[operator]
-    with pytest.raises(AbilityFrameError, match=text):
+    with pytest.raises(CodecError, match=text):
         Reply.from_frame(frame)
 
 
 def test_incomplete_commands_and_escapes_are_refused() -> None:
-    with pytest.raises(AbilityFrameError, match="1 bytes are not a command"):
+    with pytest.raises(CodecError, match="1 bytes are not a command"):
         Command.from_frame(b"\x50")
-    with pytest.raises(AbilityFrameError, match="not set-points"):
+    with pytest.raises(CodecError, match="not set-points"):
         Command.from_frame(b"\x50\x10\x00")
-    with pytest.raises(AbilityFrameError, match="ends with an escape"):
+    with pytest.raises(CodecError, match="ends with an escape"):
         codec.unstuffed(b"\x01\x7d")
 
 

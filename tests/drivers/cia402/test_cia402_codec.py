@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.emulator import CanFrame
+from rtee.buses.parser import CodecError
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import (
     Abort,
-    CanopenFrameError,
     Emergency,
     NmtCommand,
     NmtState,
@@ -80,7 +80,7 @@ def test_any_data_is_read_or_refused(data: bytes) -> None:
         if len(data) == size:
             read(data)
         else:
-            with pytest.raises(CanopenFrameError):
+            with pytest.raises(CodecError):
                 read(data)
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.dynamixel import codec, table
 from rtee.drivers.dynamixel.codec import (
-    DynamixelFrameError,
     Instruction,
     InstructionPacket,
     InstructionParser,
@@ -119,7 +119,7 @@ def test_long_sync_writes_are_the_bytes_of_the_sheet() -> None:
 def test_answers_are_the_bytes_of_the_sheet(sheet: str, packet: StatusPacket) -> None:
     raw = bytes.fromhex(sheet)
     assert packet.to_bytes() == raw
-    with pytest.raises(DynamixelFrameError):
+    with pytest.raises(CodecError):
         InstructionPacket.from_bytes(raw)
 
 
@@ -166,7 +166,7 @@ def test_packets_are_found_however_the_stream_is_cut(cuts: list[int]) -> None:
 
 @pytest.mark.parametrize("raw", [b"", ASKING[:-1], b"\x00" + ASKING, ASKING[:-1] + b"\x00"])
 def test_what_is_no_packet_is_refused(raw: bytes) -> None:
-    with pytest.raises(DynamixelFrameError):
+    with pytest.raises(CodecError):
         InstructionPacket.from_bytes(raw)
 
 

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import (
     BROADCAST,
     LARGEST_ID,
     LONGEST,
-    FeetechFrameError,
     Frame,
     GroupParser,
     Instruction,
@@ -211,13 +211,13 @@ def test_frames_survive_and_are_found_in_garbage(device: int, code: int, params:
     ],
 )
 def test_what_is_no_frame_is_refused(text: str, problem: str) -> None:
-    with pytest.raises(FeetechFrameError, match=problem):
+    with pytest.raises(CodecError, match=problem):
         Frame.from_bytes(bytes.fromhex(text))
     assert RequestParser().feed(bytes.fromhex(text)) == []
 
 
 def test_a_frame_too_long_to_send_is_refused() -> None:
-    with pytest.raises(FeetechFrameError, match="no frame can carry 250 bytes"):
+    with pytest.raises(CodecError, match="no frame can carry 250 bytes"):
         Frame(1, WRITE, bytes(LONGEST - 1)).to_bytes()
 
 

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, PysoemRing, Ring, SlaveState
 from rtee.buses.faults import Faults
+from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.drivers.heri_ethercat import codec
-from rtee.drivers.heri_ethercat.codec import Command, Fault, HeriFrameError, Order, Reply
+from rtee.drivers.heri_ethercat.codec import Command, Fault, Order, Reply
 from rtee.drivers.heri_ethercat.driver import HeriEthercatDriver
 from rtee.drivers.heri_ethercat.emulator import HeriEthercatEmulator
 from rtee.errors import BusBroken, BusTimeout, ConfigError, DeviceFault, HandshakeError
@@ -61,7 +62,7 @@ def test_any_data_is_read_or_refused(data: bytes) -> None:
         if len(data) == size:
             read(data)
         else:
-            with pytest.raises(HeriFrameError):
+            with pytest.raises(CodecError):
                 read(data)
 
 
@@ -83,7 +84,7 @@ def test_acknowledgements_and_faults_are_read() -> None:
     assert codec.acknowledged(struct.pack("<H", 0x78A5), Order.POWER_ON) is True
     assert codec.acknowledged(struct.pack("<H", 0xAAA5), Order.POWER_ON) is False
     assert codec.acknowledged(struct.pack("<H", 0x785A), Order.POWER_ON) is None
-    with pytest.raises(HeriFrameError):
+    with pytest.raises(CodecError):
         codec.acknowledged(b"", Order.POWER_ON)
     assert codec.faults_of(0x8000) == Fault(0)
     assert codec.faults_of(0x8280) == Fault.HARDWARE

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtee.buses.modbus_frames import rtu_frame
+from rtee.buses.parser import CodecError
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import (
     KEEP,
@@ -21,7 +22,6 @@ from rtee.drivers.inspire_rh56.codec import (
     ReplyParser,
     Report,
     RequestParser,
-    Rh56FrameError,
     State,
 )
 from rtee.drivers.inspire_rh56.emulator import InspireRh56Emulator
@@ -123,10 +123,10 @@ def test_a_reply_after_noise_is_found_however_it_is_cut(noise: bytes, size: int)
 
 def test_what_no_frame_can_be_is_refused() -> None:
     for raw in (GOOD[:-1], GOOD + b"\0", GOOD[:-1] + bytes([GOOD[-1] ^ 1]), b"", b"\x90\xeb\1\3"):
-        with pytest.raises(Rh56FrameError):
+        with pytest.raises(CodecError):
             Frame.from_bytes(raw)
     for data in (b"", bytes(253)):
-        with pytest.raises(Rh56FrameError, match="no frame can carry"):
+        with pytest.raises(CodecError, match="no frame can carry"):
             Frame(1, READ, 1000, data).to_bytes(REPLY)
 
 
@@ -155,9 +155,9 @@ def test_what_no_hand_reports_is_refused(at: int, value: bytes) -> None:
         Report((0,) * 6, (0,) * 6, (0,) * 6, (Error(0),) * 6, (State(2),) * 6, (30,) * 6).to_bytes()
     )
     data[at : at + len(value)] = value
-    with pytest.raises(Rh56FrameError, match="of an RH56"):
+    with pytest.raises(CodecError, match="of an RH56"):
         Report.from_bytes(bytes(data))
-    with pytest.raises(Rh56FrameError, match="77 bytes are not a report"):
+    with pytest.raises(CodecError, match="77 bytes are not a report"):
         Report.from_bytes(bytes(data[1:]))
 
 

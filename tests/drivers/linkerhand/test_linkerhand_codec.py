@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus_frames import rtu_frame
+from rtee.buses.parser import CodecError
 from rtee.drivers.linkerhand import codec
-from rtee.drivers.linkerhand.codec import L10, O6, LinkerFrameError, Side, Table, Version
+from rtee.drivers.linkerhand.codec import L10, O6, Side, Table, Version
 from rtee.drivers.linkerhand.emulator import LinkerHandEmulator, LinkerProperties
 from rtee.errors import FrameError
 
@@ -90,7 +91,7 @@ def test_a_fault_has_its_code_where_the_sheet_has_it() -> None:
     # The sheet's example has it on the thumb, this hand on the index finger.
     codes = asked(o6, "27 04 00 18 00 06 F7 09")
     assert codes.startswith("27 04 0C 00 00 00 00 00 02")
-    assert codec.checked([2, 0, 0, 0, 0, 0], 6) == (2, 0, 0, 0, 0, 0)
+    assert codec.checked(Table.POSITION, [2, 0, 0, 0, 0, 0], 6) == (2, 0, 0, 0, 0, 0)
     assert codec.FAULT_NAMES[2] == "over-temperature"
 
 
@@ -169,12 +170,12 @@ def test_other_frames_are_no_answer(frame: CanFrame) -> None:
 def test_tables_have_a_value_for_each_motor() -> None:
     for model in (O6, L10):
         assert len(model.ranges) == model.count
-        for parts in model.properties.values():
-            assert sum(count for _, count in parts) == model.count
-    with pytest.raises(LinkerFrameError, match="no 6 values"):
-        codec.checked([1, 2], 6)
-    with pytest.raises(LinkerFrameError, match="no 2 values"):
-        codec.checked([1, 256], 2)
+        for block in model.tables.values():
+            assert sum(count for _, count in block.properties) == model.count
+    with pytest.raises(CodecError, match="no 6 values"):
+        codec.checked(Table.POSITION, [1, 2], 6)
+    with pytest.raises(CodecError, match="no 2 values"):
+        codec.checked(Table.POSITION, [1, 256], 2)
 
 
 @given(

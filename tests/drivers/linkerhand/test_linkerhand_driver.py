@@ -156,9 +156,11 @@ async def test_values_that_are_no_fault_codes_are_no_answer() -> None:
         emulator = session.emulator
         told = emulator.table
         session.wire.call(
-            lambda: setattr(emulator, "table", lambda t: told(t if t < Table.FAULT else Table(0)))
+            lambda: setattr(
+                emulator, "table", lambda t: told(t if t < Table.FAULT else Table.POSITION)
+            )
         )
-        with pytest.raises(FrameError, match="no fault codes of a LinkerHand"):
+        with pytest.raises(FrameError, match="no 6 values of a LinkerHand"):
             await session.driver.examine()
 
 
@@ -283,4 +285,4 @@ async def test_a_model_without_effort_limits_gets_all_torque() -> None:
         goal = [0.3] * len(boundless)
         await session.driver.move(Reference.at(goal))
         await session.driver.move(Reference.at(goal, max_effort=[5.0] * len(boundless)))
-        assert set(session.driver._torques) == {255}
+        assert set(session.driver._sent[Table.TORQUE]) == {255}

@@ -8,6 +8,7 @@ import random
 import numpy as np
 import pytest
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.orca_touch import codec
 from rtee.drivers.orca_touch.codec import (
     AnswerParser,
@@ -15,7 +16,6 @@ from rtee.drivers.orca_touch.codec import (
     Encoders,
     Forces,
     Function,
-    OrcaFrameError,
     Register,
     Reply,
     Request,
@@ -122,13 +122,13 @@ def test_forces_come_back(content: Content) -> None:
         assert found.taxels == pytest.approx(np.concatenate(taxels))
     if content & Content.RESULTANTS:
         assert found.resultants == pytest.approx(resultants)
-    with pytest.raises(OrcaFrameError):
+    with pytest.raises(CodecError):
         Forces.from_bytes(data[:-1], content, COUNTS)
 
 
 def test_other_boards_are_told_apart() -> None:
     for wrong in (b"\xff" * 4, b"\x44\x44\x04\x01", b"\x44"):
-        with pytest.raises(OrcaFrameError):
+        with pytest.raises(CodecError):
             codec.connected(wrong)
 
 

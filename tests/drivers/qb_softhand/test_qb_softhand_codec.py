@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import Command, Frame, Parser, QbFrameError
+from rtee.drivers.qb_softhand.codec import Command, Frame, Parser
 from rtee.drivers.qb_softhand.driver import OneMotor, TwoMotors
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
 from rtee.drivers.qb_softhand.link import QbLink
@@ -74,9 +75,9 @@ def test_measurements_are_big_endian_and_signed() -> None:
     both = codec.CurrentsAndPositions.from_bytes(Frame.from_bytes(GOOD).data)
     assert both == codec.CurrentsAndPositions((250, -12), (9432, 0, 0))
     assert codec.read_int16(codec.pack_int16(-40000, 40000)) == (-32768, 32767)
-    with pytest.raises(QbFrameError):
+    with pytest.raises(CodecError):
         codec.CurrentsAndPositions.from_bytes(b"\x00" * 8)
-    with pytest.raises(QbFrameError):
+    with pytest.raises(CodecError):
         codec.read_int16(b"\x00" * 3)
 
 
@@ -87,7 +88,7 @@ def test_both_forms_of_acknowledgement_are_understood() -> None:
     assert codec.acknowledged(Frame(1, 147, b"\x00"), Command.SET_INPUTS_ACK) is False
     assert codec.acknowledged(Frame(1, 147, b"\x01"), Command.STORE_PARAMS) is None
     assert codec.activation(b"\x03") == 3
-    with pytest.raises(QbFrameError):
+    with pytest.raises(CodecError):
         codec.activation(b"")
 
 
@@ -156,9 +157,9 @@ def test_parameters_that_make_no_sense_are_not_believed() -> None:
     assert codec.limits({11: codec.Parameter(5, (100, -100))}) == ()
     assert codec.limits({}) == ()
     assert codec.current_limit({13: codec.Parameter(3, (-1,))}) is None
-    with pytest.raises(QbFrameError):
+    with pytest.raises(CodecError):
         codec.Parameter.from_bytes(b"\x09" * 50)
-    with pytest.raises(QbFrameError):
+    with pytest.raises(CodecError):
         codec.Parameter.from_bytes(b"\x08\x07".ljust(50, b"\x00"))
 
 

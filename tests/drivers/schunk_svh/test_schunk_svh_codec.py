@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import (
     CHANNELS,
@@ -16,7 +17,7 @@ from rtee.drivers.schunk_svh.channels import (
     current_settings,
     position_settings,
 )
-from rtee.drivers.schunk_svh.codec import Command, Packet, Parser, SvhFrameError
+from rtee.drivers.schunk_svh.codec import Command, Packet, Parser
 
 
 def raw(text: str) -> bytes:
@@ -151,7 +152,7 @@ def test_settings_and_state_survive_the_wire() -> None:
     ],
 )
 def test_what_is_no_packet_is_refused(bad: bytes) -> None:
-    with pytest.raises(SvhFrameError):
+    with pytest.raises(CodecError):
         Packet.from_bytes(bad)
 
 
@@ -168,7 +169,7 @@ def test_data_too_short_for_its_command_is_refused() -> None:
         codec.Targets.from_bytes,
         codec.Encoders.from_bytes,
     ):
-        with pytest.raises(SvhFrameError):
+        with pytest.raises(CodecError):
             read(short)
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtee.buses.parser import CodecError
 from rtee.drivers.wsg50.codec import (
     Command,
     Frame,
@@ -17,7 +18,6 @@ from rtee.drivers.wsg50.codec import (
     Limits,
     State,
     Status,
-    WsgFrameError,
     acknowledge,
     answer,
     asking,
@@ -138,22 +138,22 @@ def test_a_temperature_is_in_tenths() -> None:
     ],
 )
 def test_limits_that_are_none_are_refused(frame: Frame) -> None:
-    with pytest.raises(WsgFrameError):
+    with pytest.raises(CodecError):
         Limits.from_frame(frame)
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0", b"\xff\0"])
 def test_an_answer_without_a_known_status_is_refused(payload: bytes) -> None:
-    with pytest.raises(WsgFrameError):
+    with pytest.raises(CodecError):
         _ = Frame(0x40, payload).status
 
 
 def test_what_is_no_number_state_or_grasp_is_refused() -> None:
-    with pytest.raises(WsgFrameError):
+    with pytest.raises(CodecError):
         numbers(Frame(0x43, b"\0\0\0\0\0"), 1)
-    with pytest.raises(WsgFrameError):
+    with pytest.raises(CodecError):
         state_of(Frame(0x40, b"\0\0\0"))
-    with pytest.raises(WsgFrameError):
+    with pytest.raises(CodecError):
         grasping_of(Frame(0x41, b"\0\0\x08"))
 
 
@@ -175,6 +175,6 @@ def test_frames_are_found_between_garbage(between: list[bytes], size: int) -> No
 def test_any_bytes_are_a_frame_or_refused(data: bytes) -> None:
     try:
         frame = Frame.from_bytes(data)
-    except WsgFrameError:
+    except CodecError:
         return
     assert frame.to_bytes() == data
