@@ -12,6 +12,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.packed import text
 from rtee.drivers.register_blocks import ExchangeKind
 
 TARGETS = 0x0000
@@ -69,5 +70,4 @@ def version(register: int) -> str:
 
 def serial_number(registers: Sequence[int]) -> str:
     """Return the serial number from its registers, two characters each."""
-    text = b"".join(register.to_bytes(2, "big") for register in registers)
-    return text.split(b"\0")[0].decode("ascii", "replace").strip()
+    return text(b"".join(register.to_bytes(2, "big") for register in registers))

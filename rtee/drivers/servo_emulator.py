@@ -11,6 +11,7 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.parser import Parser
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.servo_lines import DELAY_UNIT
 
 
 class EmulatedServo(ABC):
@@ -21,6 +22,7 @@ class EmulatedServo(ABC):
         MODEL: That of its model number.
         BAUD_RATE: That of the rate of its line.
         PENDING: The register that tells whether bytes wait for `action`.
+        RETURN_DELAY: That of its return delay.
         axis: Its shaft.
         silent_until: Time before which it does not answer [s].
         get: Returns a register's value.
@@ -35,6 +37,7 @@ class EmulatedServo(ABC):
     MODEL: ClassVar[Any]
     BAUD_RATE: ClassVar[Any]
     PENDING: ClassVar[Any]
+    RETURN_DELAY: ClassVar[Any]
     axis: Axis
     silent_until: float = -math.inf
     get: Callable[[Any], int]
@@ -44,11 +47,22 @@ class EmulatedServo(ABC):
     model: int
     travel: tuple[float, float]
     _pending: tuple[int, bytes] | None = None
+    _strained: float | None = None
 
     @property
     def number(self) -> int:
         """Its id."""
         return self.get(self.ID)
+
+    @property
+    def delay(self) -> float:
+        """Time that it waits before it answers [s]."""
+        return self.get(self.RETURN_DELAY) * DELAY_UNIT
+
+    def strained_for(self, strained: bool, now: float) -> float:
+        """Return for how long it has been strained [s], if it is."""
+        self._strained = (now if self._strained is None else self._strained) if strained else None
+        return 0.0 if self._strained is None else now - self._strained
 
     @abstractmethod
     def reboot(self, now: float) -> None:
@@ -93,12 +107,14 @@ class ServoLine(Emulator, Grasps, Generic[S]):
         RATES: Rates of the line by the value of their register [baud].
         STRANGER: Model number of a servo of another kind.
         ordered: The servos in the order of the argument.
+        properties: The properties of the line.
     """
 
     SHARED: ClassVar[tuple[str, ...]] = ("baudrate",)
     ERRORS: ClassVar[Mapping[str, int]]
     RATES: ClassVar[Sequence[int]]
     STRANGER: ClassVar[int]
+    properties: Any
 
     def __init__(self, servos: Sequence[S], parser: Parser[Any]) -> None:
         super().__init__()
@@ -136,6 +152,17 @@ class ServoLine(Emulator, Grasps, Generic[S]):
         servos = self.servos
         found = [servos[n] for n in numbers if n in servos]
         return [servo for servo in found if now >= servo.silent_until]
+
+    def write_each(self, address: int, size: int, entries: bytes, now: float) -> None:
+        """Write to several servos; for each there are its id and ``size`` bytes."""
+        for at in range(0, len(entries) - size, size + 1):
+            for servo in self.listening([entries[at]], now):
+                servo.write(address, entries[at + 1 : at + 1 + size])
+
+    def delayed(self, answers: list[bytes], servos: Iterable[S]) -> list[bytes]:
+        """Return answers, after the return delays of servos and the adapter's latency."""
+        self.turnaround = sum(servo.delay for servo in servos) + self.properties.latency
+        return answers
 
     def motors(self) -> Sequence[Axis]:
         """Return its motors."""

@@ -17,7 +17,6 @@ from rtee.drivers.cia402 import codec as cia402
 from rtee.drivers.dynamixel.codec import InstructionParser
 from rtee.drivers.feetech import codec as feetech
 from rtee.drivers.feetech.table import FAMILIES
-from rtee.drivers.feetech.table import State as FeetechState
 from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Rh56Memory, Rh56Properties
@@ -172,7 +171,7 @@ MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception
         svh.FirmwareInfo.from_bytes,
         (CodecError,),
     ),
-    ("qb currents", bytes(10), qb.CurrentsAndPositions.from_bytes, (CodecError,)),
+    ("qb currents", bytes(10), qb.read_int16, (CodecError,)),
     (
         "qb parameter",
         Parameter(2, (1, 2)).to_bytes().ljust(SLOT, b"\0"),
@@ -400,7 +399,7 @@ DECODERS = [
     Decoder(
         "Feetech state",
         [bytes.fromhex("00 08 00 00 00 00 4A 1E 00 00 00 00 08 00 00")],
-        decode=lambda data: FeetechState.from_bytes(FAMILIES["sts"], data, 0x20),
+        decode=FAMILIES["sts"].measured,
     ),
     Decoder(
         "qb parameter list",

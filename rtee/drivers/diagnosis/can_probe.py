@@ -6,8 +6,7 @@ import asyncio
 
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
-from rtee.buses.pool import BusPool
-from rtee.drivers.diagnosis.probes import OWNER, Probe, ended
+from rtee.drivers.diagnosis.probes import OWNER, Probe, probe
 from rtee.drivers.diagnosis.slaves import Found
 
 _HAND_INFO = 7
@@ -21,12 +20,11 @@ _DRIVES = 402
 
 def can(interface: str, bitrate: int) -> Probe:
     """Return a probe for nodes on a CAN bus: Allegro Hands, LinkerHands and CANopen."""
-
-    async def ask(pool: BusPool, channel: str) -> list[Found]:
-        bus = await pool.can(channel, owner=OWNER, interface=interface, bitrate=bitrate)
-        return await ended(bus, _nodes(bus, channel, interface))
-
-    return Probe("CAN", ask)
+    return probe(
+        "CAN",
+        lambda pool, at: pool.can(at, owner=OWNER, interface=interface, bitrate=bitrate),
+        lambda bus, channel: _nodes(bus, channel, interface),
+    )
 
 
 async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:

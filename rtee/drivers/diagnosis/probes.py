@@ -18,6 +18,7 @@ from rtee.errors import BusBroken, BusClosed, BusError, BusTimeout, FrameError
 _NOBODYS_UNIT = 213
 """A Modbus number that no known device has: a device that answers to it answers to all."""
 T = TypeVar("T")
+B = TypeVar("B", bound=Bus)
 OWNER = "scan"
 """The owner of the buses during a scan."""
 _SERVO = 0.02
@@ -57,6 +58,20 @@ async def ended(bus: Bus, answers: Awaitable[list[Found]]) -> list[Found]:
         await bus.detach(OWNER)
 
 
+def probe(
+    name: str,
+    acquire: Callable[[BusPool, str], Awaitable[B]],
+    listen: Callable[[B, str], Awaitable[list[Found]]],
+) -> Probe:
+    """Return a probe on the bus that is acquired; ``listen`` gets the bus and its address."""
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await acquire(pool, address)
+        return await ended(bus, listen(bus, address))
+
+    return Probe(name, ask)
+
+
 def _on_line(
     name: str,
     baudrate: int,
@@ -66,11 +81,10 @@ def _on_line(
 ) -> Probe:
     """Return a probe on a serial line; ``listen`` gets the line and its address."""
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=OWNER, baudrate=baudrate, fresh=fresh)
-        return await ended(bus, listen(bus, address))
+    def line(pool: BusPool, address: str) -> Awaitable[SerialBus]:
+        return pool.serial(address, owner=OWNER, baudrate=baudrate, fresh=fresh)
 
-    return Probe(name, ask)
+    return probe(name, line, listen)
 
 
 # --- Modbus ----------------------------------------------------------------------------------
@@ -78,12 +92,11 @@ def _on_line(
 
 def modbus(baudrate: int, parity: str, units: Sequence[int], *, name: str = "Modbus") -> Probe:
     """Return a probe for Modbus slaves, known ones by name."""
-
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.modbus(address, owner=OWNER, baudrate=baudrate, parity=parity)
-        return await ended(bus, _slaves(bus, address, baudrate, parity, units))
-
-    return Probe(name, ask)
+    return probe(
+        name,
+        lambda pool, at: pool.modbus(at, owner=OWNER, baudrate=baudrate, parity=parity),
+        lambda bus, address: _slaves(bus, address, baudrate, parity, units),
+    )
 
 
 async def _slaves(
@@ -133,11 +146,9 @@ def linkerhand() -> Probe:
                     found.append(Found("linkerhand", what, options))
         return found
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.modbus(address, owner=OWNER, baudrate=BAUDRATE)
-        return await ended(bus, listen(bus, address))
-
-    return Probe("LinkerHand", ask)
+    return probe(
+        "LinkerHand", lambda pool, at: pool.modbus(at, owner=OWNER, baudrate=BAUDRATE), listen
+    )
 
 
 # --- serial protocols --------------------------------------------------------------------------
@@ -295,11 +306,9 @@ def dynamixel(baudrate: int) -> Probe:
             for number, model, firmware, rate in await bus.run(lambda: everybody(bus), 3.0)
         ]
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.dynamixel(address, owner=OWNER, baudrate=baudrate)
-        return await ended(bus, listen(bus, address))
-
-    return Probe("Dynamixel", ask)
+    return probe(
+        "Dynamixel", lambda pool, at: pool.dynamixel(at, owner=OWNER, baudrate=baudrate), listen
+    )
 
 
 def feetech(baudrate: int) -> Probe:

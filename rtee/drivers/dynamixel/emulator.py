@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -97,17 +97,13 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
             return []
         answers = []
         for number, instruction in damaged:
-            for servo in self._listening([number], now):
+            for servo in self.listening([number], now):
                 level = servo.get(table.STATUS_RETURN_LEVEL)
                 if level >= _LEVELS.get(instruction, 2):
-                    answers += self._delayed(
-                        [self._status(servo, codec.Error.CRC).to_bytes()], [number]
+                    answers += self.delayed(
+                        [self._status(servo, codec.Error.CRC).to_bytes()], [servo]
                     )
         return answers
-
-    def _listening(self, numbers: Iterable[int], now: float) -> list[EmulatedDynamixel]:
-        """Return the servos of these ids that can answer, in this order."""
-        return [servo for servo in self.listening(numbers, now) if not servo.unplugged]
 
     def answers(self, frame: codec.InstructionPacket, now: float) -> list[bytes]:
         """Let the servos carry out an instruction; return their answers."""
@@ -131,17 +127,15 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
                 return self._read_many(wanted, fast, now)
             case codec.Instruction.SYNC_WRITE if len(params) >= _SPAN:
                 address, length = struct.unpack_from("<HH", params)
-                for at in range(_SPAN, len(params) - length, length + 1):
-                    for servo in self._listening([params[at]], now):
-                        servo.write(address, params[at + 1 : at + 1 + length])
+                self.write_each(address, length, params[_SPAN:], now)
                 return []
             case codec.Instruction.BULK_WRITE:
                 self._bulk_write(params, now)
                 return []
         everybody = frame.device == codec.BROADCAST
-        numbers = sorted(self.servos) if everybody else [frame.device]
+        found = self.listening(sorted(self.servos) if everybody else [frame.device], now)
         answers = []
-        for servo in self._listening(numbers, now):
+        for servo in found:
             number = servo.number
             answer = self._single(servo, frame, now)
             if answer is not None:
@@ -150,13 +144,13 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
         # All servos carry out a broadcast, but none answers it, except for a ping.
         if everybody and frame.instruction != codec.Instruction.PING:
             return []
-        return self._delayed(answers, numbers)
+        return self.delayed(answers, found)
 
     def _bulk_write(self, params: bytes, now: float) -> None:
         at = 0
         while at + 5 <= len(params):
             number, address, length = struct.unpack_from("<BHH", params, at)
-            for servo in self._listening([number], now):
+            for servo in self.listening([number], now):
                 servo.write(address, params[at + 5 : at + 5 + length])
             at += 5 + length
 
@@ -208,12 +202,13 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
         return self._status(servo, error) if level >= _ALWAYS else None
 
     def _read_many(self, wanted: list[tuple[int, int, int]], fast: bool, now: float) -> list[bytes]:
-        answers = []
+        answers, servos = [], []
         for number, address, length in wanted:
             # Each servo waits for the answer of the previous one: a missing one silences the rest.
-            found = self._listening([number], now)
+            found = self.listening([number], now)
             if not found:
                 break
+            servos += found
             data = found[0].read(address, length)
             error = codec.Error.NONE if data is not None else codec.Error.DATA_RANGE
             answers.append(self._status(found[0], error, data or bytes(length)))
@@ -221,13 +216,5 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
             if not self.properties.fast or not answers:
                 return []
             packet = codec.fast_status(answers, [length for _, _, length in wanted])
-            return self._delayed([packet], [n for n, _, _ in wanted])
-        return self._delayed([a.to_bytes() for a in answers], [n for n, _, _ in wanted])
-
-    def _delayed(self, answers: list[bytes], numbers: Iterable[int]) -> list[bytes]:
-        """Set the turnaround of these answers: return delays of the servos, adapter's latency."""
-        servos = self.servos
-        # The register counts in units of 2 µs.
-        delays = [servos[n].get(table.RETURN_DELAY) * 2e-6 for n in numbers if n in servos]
-        self.turnaround = sum(delays) + self.properties.latency
-        return answers
+            return self.delayed([packet], servos)
+        return self.delayed([a.to_bytes() for a in answers], servos)

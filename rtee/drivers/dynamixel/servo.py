@@ -120,7 +120,6 @@ class EmulatedDynamixel(EmulatedServo):
     """A servo's control table and its motor; the axis counts pulses over all turns.
 
     Attributes:
-        unplugged: Whether it never answers.
         cause: Hardware errors whose cause persists: they come back after a reboot.
     """
 
@@ -128,6 +127,7 @@ class EmulatedDynamixel(EmulatedServo):
     PENDING = table.REGISTERED
     MODEL = table.MODEL
     BAUD_RATE = table.BAUD_RATE
+    RETURN_DELAY = table.RETURN_DELAY
 
     def __init__(self, number: int, properties: ServoProperties) -> None:
         self.properties = properties
@@ -140,14 +140,12 @@ class EmulatedDynamixel(EmulatedServo):
             friction=_FRICTION,
             resolution=0.5,
         )
-        self.unplugged = False
         self.model = properties.model
         self.travel = properties.start, properties.start + properties.closing
         self._memory = DynamixelMemory()
         self.get, self.set = self._memory.get, self._memory.set
         self.keep = self.set
         self._heard = -math.inf
-        self._strained: float | None = None
         self._turn = 0
         self.set(table.ID, number)
         self.set(table.MODEL, properties.model)
@@ -325,11 +323,8 @@ class EmulatedDynamixel(EmulatedServo):
 
     def _watch_load(self, now: float) -> None:
         allowed = self.properties.overload_time
-        if not allowed or abs(self.axis.effort) < 0.9 * self.get(table.CURRENT_LIMIT):
-            self._strained = None
-        elif self._strained is None:
-            self._strained = now
-        elif now - self._strained > allowed:
+        strained = allowed and abs(self.axis.effort) >= 0.9 * self.get(table.CURRENT_LIMIT)
+        if self.strained_for(bool(strained), now) > allowed:
             self.fail(Hardware.OVERLOAD)
 
     def _act(self) -> None:

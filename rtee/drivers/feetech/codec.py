@@ -49,6 +49,8 @@ class Status(IntFlag):
     OVERHEATING = 0x04
     OVERCURRENT = 0x08
     OVERLOAD = 0x20
+    KNOWN = 0x2F
+    """Bits 4, 6 and 7 have no meaning."""
 
 
 _FRAMING = Framing(HEADER, 1, lambda raw: bytes([~sum(raw[2:]) & 0xFF]), LONGEST, 2, 1)

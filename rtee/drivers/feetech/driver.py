@@ -15,7 +15,7 @@ from rtee.drivers.feetech.codec import Status
 from rtee.drivers.feetech.identity import recognise
 from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions, Joints
-from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, State, model_name
+from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, model_name
 from rtee.drivers.options import read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
 from rtee.drivers.servos import POWERED, Found, Goals, Readings, ServoDriver
@@ -229,15 +229,10 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             # Remembered for the next cycle, which looks for a power cycle.
             self._silent = True
             raise
-        states = [
-            State.from_bytes(self.family, answers[n].params, answers[n].code) for n in self.ids
-        ]
-        columns = [
-            (s.position, s.speed, s.current if by else s.load, s.current, s.temperature, s.voltage)
-            for s, by in zip(states, self._by_current, strict=True)
-        ]
-        statuses = {n: int(s.status) for n, s in zip(self.ids, states, strict=True)}
-        return Readings(np.array(columns, dtype=np.float64).T, statuses)
+        measured = [self.family.measured(answers[n].params) for n in self.ids]
+        columns = np.array(measured, dtype=np.float64).T
+        columns[2] = np.where(self._by_current, columns[3], columns[2])
+        return Readings(columns, {n: answers[n].code & Status.KNOWN for n in self.ids})
 
     async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
         # Read again, since a sum of bytes misses one damaged answer in fifty.

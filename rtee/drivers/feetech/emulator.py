@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import itertools
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec import field
@@ -23,7 +23,7 @@ from rtee.drivers.feetech.servo import MIDDLE, EmulatedFeetech, ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
 from rtee.drivers.options import Byte, Duration, Rate
 from rtee.drivers.servo_emulator import ServoLine
-from rtee.drivers.servo_lines import DELAY_UNIT, LATENCY, ServoScale
+from rtee.drivers.servo_lines import LATENCY, ServoScale
 from rtee.hand.validation import Section, validated
 
 _ERRORS = {str(error.name).lower(): error for error in Status}
@@ -114,10 +114,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
         """Let the servos carry out a request; return their answers."""
         params = frame.params
         if frame.code == Instruction.SYNC_WRITE and len(params) > 2:
-            address, size = params[0], params[1]
-            for at in range(2, len(params) - size, size + 1):
-                for servo in self.listening([params[at]], now):
-                    servo.write(address, params[at + 1 : at + 1 + size])
+            self.write_each(params[0], params[1], params[2:], now)
             return []
         if frame.code == Instruction.SYNC_READ and len(params) > 2:
             knows = self.properties.sync_read
@@ -129,7 +126,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
                 Frame(servo.number, servo.status, servo.read(*params[:2]) or b"").to_bytes()
                 for servo in found
             ]
-            return self._delayed(replies, found)
+            return self.delayed(replies, found)
         everybody = frame.device == BROADCAST
         found = self.listening(sorted(self.servos) if everybody else [frame.device], now)
         replies = []
@@ -145,7 +142,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
             return []
         # Families that answer a sync read in turn do so here, too; the answers of others collide.
         collide = len(replies) > 1 and not self.family.sync_read
-        return self._delayed([_collided(replies)] if collide else replies, found)
+        return self.delayed([_collided(replies)] if collide else replies, found)
 
     def _single(self, servo: EmulatedFeetech, request: Frame, now: float) -> bytes | None:
         """Let a servo carry out a request; return its answer's data, ``None`` without an answer."""
@@ -173,13 +170,6 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
             case _:
                 return None
         return b""
-
-    def _delayed(self, answers: list[bytes], servos: Iterable[EmulatedFeetech]) -> list[bytes]:
-        """Set the turnaround of these answers: return delays of the servos, adapter's latency."""
-        hls = self.family.name == "hls"
-        delays = [0 if hls else servo.get(table.RETURN_DELAY) for servo in servos]
-        self.turnaround = sum(delays) * DELAY_UNIT + self.properties.latency
-        return answers
 
 
 def _collided(answers: Sequence[bytes]) -> bytes:

@@ -187,6 +187,7 @@ class EmulatedFeetech(EmulatedServo):
     PENDING = table.PENDING
     MODEL = table.MODEL
     BAUD_RATE = table.BAUD_RATE
+    RETURN_DELAY = table.RETURN_DELAY
 
     def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
         self.properties = properties
@@ -226,10 +227,14 @@ class EmulatedFeetech(EmulatedServo):
             resolution=0.5,
         )
         self._latched = Status(0)
-        self._strained: float | None = None
         self._start()
 
     # --- registers -----------------------------------------------------------------------------
+
+    @property
+    def delay(self) -> float:
+        """Time that it waits before it answers [s]; an HLS has a second id in that register."""
+        return 0.0 if self._family.name == "hls" else super().delay
 
     @property
     def status(self) -> Status:
@@ -318,11 +323,8 @@ class EmulatedFeetech(EmulatedServo):
             return
         _, lasting, most = (self.get(Register(at, 1)) for at in self._family.protection)
         # Torques in percent, the time in the register's unit.
-        if abs(self.axis.effort) <= most * FULL / 100 or not most:
-            self._strained = None
-        elif self._strained is None:
-            self._strained = now
-        elif now - self._strained > lasting * self._family.torque_time:
+        strained = abs(self.axis.effort) > most * FULL / 100 > 0
+        if self.strained_for(strained, now) > lasting * self._family.torque_time:
             self._strained = None
             self._latched |= Status.OVERLOAD
             self.fail(Status.OVERLOAD)

@@ -9,8 +9,6 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from rtee.drivers.feetech.codec import Status
-
 FamilyName = Literal["scs", "sts", "sms", "hls"]
 
 BAUD_RATES: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
@@ -79,6 +77,12 @@ STATUS = Register(65, 1)
 MOVING = Register(66, 1)
 PRESENT_CURRENT = Register(69, 2, 15)
 
+MEASURED = (
+    PRESENT_POSITION, PRESENT_SPEED, PRESENT_LOAD, PRESENT_CURRENT, PRESENT_TEMPERATURE,
+    PRESENT_VOLTAGE,
+)  # fmt: skip
+"""What a servo measures, in the order in which it is returned."""
+
 SLOW_UNIT = 0x04
 """Bit of the phase register (STS, SMS) that is set where speeds count in steps per second."""
 REVERSE = 0x81
@@ -146,6 +150,13 @@ class Family:
         sign = 0 if register.sign is None else 1 << register.sign
         return sign - value if value & sign else value
 
+    def measured(self, data: bytes) -> list[int]:
+        """Return the `MEASURED` values in the `state` bytes from the position on.
+
+        Load in 0.1 % of the supply, current in 6.5 mA, voltage in 0.1 V; 0 for what is missing.
+        """
+        return [self.unpack(register, data, PRESENT_POSITION.address) for register in MEASURED]
+
     def speed_unit(self, phase: int) -> float:
         """Return the angle per second of a speed count [rad/s], from the phase register."""
         if self.name == "hls" or (self.name in ("sts", "sms") and not phase & SLOW_UNIT):
@@ -206,47 +217,3 @@ def model_name(number: int | None) -> str:
     if number is None:
         return "unknown"
     return MODELS[number].name if number in MODELS else f"model {number}"
-
-
-@dataclass(frozen=True, slots=True)
-class State:
-    """The measurements of a servo, in its own counts.
-
-    Attributes:
-        position: Present position.
-        speed: Present speed.
-        load: Motor voltage as a share of the supply [0.1 %].
-        voltage: Supply voltage [0.1 V].
-        temperature: Temperature [°C].
-        moving: Whether it moves.
-        current: Current [6.5 mA]; 0 if it measures none.
-        status: Errors.
-    """
-
-    position: int
-    speed: int
-    load: int
-    voltage: int
-    temperature: int
-    moving: bool
-    current: int
-    status: Status
-
-    @classmethod
-    def from_bytes(cls, family: Family, data: bytes, status: int = 0) -> State:
-        """Read the `Family.state` registers from the position on, and the reply's status."""
-
-        def get(register: Register) -> int:
-            return family.unpack(register, data, PRESENT_POSITION.address)
-
-        return cls(
-            get(PRESENT_POSITION),
-            get(PRESENT_SPEED),
-            get(PRESENT_LOAD),
-            get(PRESENT_VOLTAGE),
-            get(PRESENT_TEMPERATURE),
-            bool(get(MOVING) & 1),
-            get(PRESENT_CURRENT) if family.has_current else 0,
-            # Bits 4, 6 and 7 have no meaning.
-            Status(status & 0x2F),
-        )

@@ -104,24 +104,6 @@ def read_int16(data: bytes, *, least: int = 1) -> tuple[int, ...]:
     return _INT16[len(data) // 2].unpack(data)
 
 
-@dataclass(frozen=True, slots=True)
-class CurrentsAndPositions:
-    """Motor currents [mA] and encoder positions [ticks]."""
-
-    currents_ma: tuple[int, int]
-    positions: tuple[int, ...]
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the data of an answer; raises `CodecError`."""
-        values = read_int16(data, least=5)
-        return cls((values[0], values[1]), values[2:])
-
-    def to_bytes(self) -> bytes:
-        """Return the data of the answer."""
-        return pack_int16(*self.currents_ma, *self.positions)
-
-
 def activation(data: bytes) -> int:
     """Return the mask of active motors from an answer to GET_ACTIVATE; raises `CodecError`."""
     if len(data) != 1:
@@ -173,9 +155,6 @@ class Index(IntEnum):
     """The parameters that a driver needs, counted from 1."""
 
     DEVICE = 1
-    STARTUP_ACTIVATION = 4
-    RESOLUTIONS = 7
-    USE_LIMITS = 10
     LIMITS = 11
     CURRENT_LIMIT = 13
 
@@ -281,22 +260,14 @@ class ListParser:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Travel of one motor [ticks]."""
-
-    lower: int
-    upper: int
-
-
-def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
-    """Return the motors' limits from a list; empty if it has no plausible ones."""
+def limits(parameters: Mapping[int, Parameter]) -> tuple[tuple[int, int], ...]:
+    """Return the travel of the motors from a list [ticks]; empty if it has no plausible one."""
     parameter = parameters.get(Index.LIMITS)
     if parameter is None or len(parameter.values) < 2 or parameter.kind not in _SIGNED:
         return ()
     pairs = zip(parameter.values[::2], parameter.values[1::2], strict=False)
-    ranges = tuple(Limits(int(low), int(high)) for low, high in pairs)
-    return ranges if all(m.lower < m.upper for m in ranges) else ()
+    ranges = tuple((int(low), int(high)) for low, high in pairs)
+    return ranges if all(low < high for low, high in ranges) else ()
 
 
 def current_limit(parameters: Mapping[int, Parameter]) -> float | None:

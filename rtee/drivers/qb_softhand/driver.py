@@ -7,7 +7,7 @@ import contextlib
 import math
 from collections.abc import Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -21,7 +21,7 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
 from rtee.drivers.qb_softhand import codec
-from rtee.drivers.qb_softhand.codec import Command, Limits, current_limit, limits
+from rtee.drivers.qb_softhand.codec import Command, current_limit, limits
 from rtee.drivers.qb_softhand.link import QbLink
 from rtee.errors import ConfigError, DeviceFault, NotConnected, RteeError
 from rtee.sample import ActuatorState
@@ -31,18 +31,6 @@ CLOSURE_TICKS = 19_000
 """Travel of the motor of a Research hand from open to closed [ticks], as from the factory."""
 MANIPULATION_TICKS = -4_000
 """Lower limit of the motors of a two-motor hand [ticks], as from the factory."""
-
-
-class Transmission(Protocol):
-    """Conversion between the hand's actuators and its motors."""
-
-    def to_ticks(self, closure: tuple[float, ...]) -> tuple[float, float]:
-        """Return the references of both motors [ticks]."""
-        ...
-
-    def to_closure(self, positions: tuple[int, ...]) -> tuple[float, ...]:
-        """Return the actuators' positions from the encoders [ticks]."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +90,10 @@ class TwoMotors:
         # At the lower limit of both motors, no manipulation is possible, and none is measured.
         reach = total - 2.0 * self.lower
         return (total / (2.0 * self.half), (first - second) / reach if abs(reach) >= 1.0 else 0.0)
+
+
+Motors = OneMotor | TwoMotors
+"""Conversion between the hand's actuators and its motors."""
 
 
 INACTIVE = 1
@@ -173,7 +165,7 @@ class QbSoftHandDriver(Driver):
                 f"device '{spec.name}': a hand with {self.options.motors} motor(s) has as many "
                 f"actuators, not {len(spec.actuators)}"
             )
-        self.mapping: Transmission = OneMotor() if self.options.motors == 1 else TwoMotors()
+        self.mapping: Motors = OneMotor() if self.options.motors == 1 else TwoMotors()
         self.connection: Connection[QbLink] = Connection(spec)
         self._effort_per_ma = self._efforts(_CURRENT_LIMIT)
         self._active = False
@@ -234,7 +226,7 @@ class QbSoftHandDriver(Driver):
             },
         )
 
-    def _adopt(self, reported: tuple[Limits, ...]) -> None:
+    def _adopt(self, reported: tuple[tuple[int, int], ...]) -> None:
         options = self.options
         if reported and len(reported) != options.motors:
             raise self.stranger(
@@ -243,14 +235,14 @@ class QbSoftHandDriver(Driver):
                 hint=f"set 'motors: {len(reported)}'",
             )
         if options.motors == 1:
-            ticks = options.closure_ticks or (reported[0].upper if reported else CLOSURE_TICKS)
+            ticks = options.closure_ticks or (reported[0][1] if reported else CLOSURE_TICKS)
             self.mapping = OneMotor(ticks)
         else:
-            lower = reported[0].lower if reported else TwoMotors().lower
+            factory = TwoMotors()
+            lower, upper = reported[0] if reported else (factory.lower, factory.upper)
             # The second synergy needs a range below 0; if a hand reports none, use the factory's.
             if lower >= 0:
-                lower = TwoMotors().lower
-            upper = reported[0].upper if reported else TwoMotors().upper
+                lower = factory.lower
             if options.closure_ticks is not None:
                 # Such that the common travel, upper + lower, is the given one.
                 upper = options.closure_ticks - lower
@@ -299,10 +291,9 @@ class QbSoftHandDriver(Driver):
         # Not in every cycle, since the check takes another exchange.
         if self._active and self._count % self.options.status_every == 0:
             await self._check()
-        currents: tuple[int, ...]
         if self.options.motors == 1:
-            both = await self.connection.link.currents_and_positions()
-            positions, currents = both.positions, both.currents_ma[:1]
+            both = await self.connection.link.integers(Command.GET_CURR_AND_MEAS, 5)
+            positions, currents = both[2:], both[:1]
         else:
             positions = await self.connection.link.integers(Command.GET_MEASUREMENTS, 3)
             currents = await self.connection.link.integers(Command.GET_CURRENTS, 2)

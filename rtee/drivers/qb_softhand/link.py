@@ -108,11 +108,6 @@ class QbLink:
         """Return the 16-bit values in the answer to a command; raises `BusError`."""
         return self._decoded(partial(codec.read_int16, least=least), await self.request(command))
 
-    async def currents_and_positions(self) -> codec.CurrentsAndPositions:
-        """Return currents and positions in one exchange."""
-        data = await self.request(codec.Command.GET_CURR_AND_MEAS)
-        return self._decoded(codec.CurrentsAndPositions.from_bytes, data)
-
     def _decoded(self, decode: Callable[[bytes], T], data: bytes) -> T:
         try:
             return decode(data)

@@ -145,7 +145,7 @@ def test_sync_write_and_both_sync_reads() -> None:
 
 def test_a_missing_servo_silences_those_after_it() -> None:
     master = line(0, 1, 2)
-    master.emulator.servos[1].unplugged = True
+    master.emulator.servos[1].silent_until = 1e9
     request = struct.pack("<HHBBB", 132, 4, 0, 1, 2)
     assert len(master.ask(0xFE, 0x82, request)) == 1
     (cut,) = master.ask(0xFE, 0x8A, request)

@@ -21,7 +21,7 @@ from rtee.drivers.feetech.codec import (
     sync_read,
     sync_write,
 )
-from rtee.drivers.feetech.table import FAMILIES, Register, State
+from rtee.drivers.feetech.table import FAMILIES, Register
 
 SCS, STS, HLS = FAMILIES["scs"], FAMILIES["sts"], FAMILIES["hls"]
 WRITE = Instruction.WRITE
@@ -135,9 +135,8 @@ def test_several_are_read_together_and_one_gap_waits() -> None:
     assert parser.feed(first[:-1]) == []
     assert parser.feed(first[-1:] + request) == []  # what was sent comes back
     [found] = parser.feed(second)
-    states = {n: State.from_bytes(STS, f.params, f.code) for n, f in found.items()}
-    assert [states[n].position for n in (1, 2)] == [2048, 1000]
-    assert (states[1].voltage, states[1].temperature, states[1].moving) == (74, 30, False)
+    states = {n: STS.measured(f.params) for n, f in found.items()}
+    assert states == {1: [2048, 0, 0, 0, 30, 74], 2: [1000, 0, 0, 0, 30, 74]}
     # What came before a request does not count for the next one.
     assert parser.feed(first) == []
     parser.reset()
@@ -148,12 +147,12 @@ def test_several_are_read_together_and_one_gap_waits() -> None:
 def test_a_state_tells_all_at_once() -> None:
     raw = bytes.fromhex("FF FF 01 0D 00 01 FF 00 00 00 00 32 1E 00 00 00 A1")
     [reply] = ReplyParser().feed(raw)
-    assert State.from_bytes(SCS, reply.params) == State(511, 0, 0, 50, 30, False, 0, Status(0))
-    # Backwards at 200, load -35 %, current -100 counts, overload and a bit without a name.
+    assert SCS.measured(reply.params) == [511, 0, 0, 0, 30, 50]
+    # Backwards at 200, load -35 %, current -100 counts.
     data = le(1000, 0x8000 | 200, 0x0400 | 350) + b"\x4a\x1e\0\0\x01"
     data += bytes(2) + le(0x8000 | 100)
-    state = State.from_bytes(STS, data, 0x60)
-    assert state == State(1000, -200, -350, 74, 30, True, -100, Status.OVERLOAD)
+    assert STS.measured(data) == [1000, -200, -350, -100, 30, 74]
+    assert 0x60 & Status.KNOWN == Status.OVERLOAD, "one bit has no name"
 
 
 @pytest.mark.parametrize(

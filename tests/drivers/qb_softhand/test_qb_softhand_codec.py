@@ -38,7 +38,7 @@ SHEET = [
         Frame(
             1,
             Command.GET_CURR_AND_MEAS,
-            codec.CurrentsAndPositions((250, -12), (9432, 0, 0)).to_bytes(),
+            codec.pack_int16(250, -12, 9432, 0, 0),
         ),
     ),
     ("3A 3A 01 06 83 25 1C 00 00 BA", Frame(1, Command.GET_INPUTS, codec.pack_int16(9500, 0))),
@@ -72,11 +72,10 @@ def test_frames_are_the_bytes_of_the_sheet(sheet: str, frame: Frame) -> None:
 
 
 def test_measurements_are_big_endian_and_signed() -> None:
-    both = codec.CurrentsAndPositions.from_bytes(Frame.from_bytes(GOOD).data)
-    assert both == codec.CurrentsAndPositions((250, -12), (9432, 0, 0))
+    assert codec.read_int16(Frame.from_bytes(GOOD).data, least=5) == (250, -12, 9432, 0, 0)
     assert codec.read_int16(codec.pack_int16(-40000, 40000)) == (-32768, 32767)
     with pytest.raises(CodecError):
-        codec.CurrentsAndPositions.from_bytes(b"\x00" * 8)
+        codec.read_int16(b"\x00" * 8, least=5)
     with pytest.raises(CodecError):
         codec.read_int16(b"\x00" * 3)
 
@@ -137,7 +136,7 @@ def test_parameter_list_is_read_in_both_framings(generation: str, motors: int) -
         found += parser.feed(bytes([byte]))
     assert len(found) == 1
     limits = codec.limits(found[0])
-    expected = codec.Limits(0, 19000) if motors == 1 else codec.Limits(-4000, 23000)
+    expected = (0, 19000) if motors == 1 else (-4000, 23000)
     assert limits == (expected,) * motors
     assert codec.current_limit(found[0]) == 1.5
     assert found[0][codec.Index.DEVICE].values == (1,)
