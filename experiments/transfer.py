@@ -226,7 +226,7 @@ def run_transfer(
         if result.placed and survived == bench.comparisons:
             break
     if not tried:
-        return TransferResult(transfer, False, "the object fits nowhere between the fingers")
+        return TransferResult(transfer, False, "the object does not fit between the fingers")
     # What was placed counts first; then how often it was placed with variations, then how near.
     _, best = max(tried, key=lambda pair: (pair[1].placed, pair[0], -pair[1].off))
     return bench.varied(best)

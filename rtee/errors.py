@@ -247,7 +247,7 @@ def suggestion(name: str, valid: Iterable[str], *, most: int = 12) -> str:
     if not names:
         return "there are none"
     shown = ", ".join(names[:most]) + (", …" if len(names) > most else "")
-    return f"there are: {shown}"
+    return f"valid: {shown}"
 
 
 class _UnknownName(ModelError):

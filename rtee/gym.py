@@ -116,7 +116,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
             UserError: The hand cannot be simulated, or there is no such task or object.
         """
         if task not in (*Task,):
-            raise ConfigError(f"there is no task '{task}'; there are: {', '.join(Task)}")
+            raise ConfigError(f"unknown task '{task}'; valid: {', '.join(Task)}")
         self.render_mode = render_mode
         self._task = Task(task)
         self._bench = bench(str(hand), _LOOP)
@@ -176,11 +176,12 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
         """
         headless = self._headless
         if headless is None:
-            raise ConfigError("an episode begins with reset()")
+            raise ConfigError("call reset() to begin an episode")
         given = np.asarray(action, dtype=np.float64)
         if given.shape != self.action_space.shape or not np.isfinite(given).all():
             raise ConfigError(
-                f"an action is {len(self._lower)} finite numbers from -1 to 1, one per actuator"
+                f"an action must be {len(self._lower)} finite numbers from -1 to 1, one per "
+                "actuator"
             )
         share = 0.5 + 0.5 * np.clip(given, -1.0, 1.0)
         targets = dict(

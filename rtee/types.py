@@ -613,7 +613,7 @@ class Result(Value):
 
     def __bool__(self) -> bool:
         """Raise `TypeError`: a result has no truth value."""
-        raise TypeError("a result is neither true nor false; ask its 'succeeded' or its 'outcome'")
+        raise TypeError("a result has no truth value; use its 'succeeded' or its 'outcome'")
 
 
 class EventKind(StrEnum):

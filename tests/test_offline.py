@@ -37,7 +37,7 @@ def test_a_hand_knows_its_folder_and_its_keys() -> None:
         action.name for action in rtee.load_actions(GRIPPER)
     }
     bare = load_model(hand.urdf.path)
-    with pytest.raises(rtee.ConfigError, match=r"has no folder; load it by rtee\.load_hand"):
+    with pytest.raises(rtee.ConfigError, match=r"has no folder; load it with rtee\.load_hand"):
         rtee.load_actions(bare)
     assert hand.action_features == {"finger_joint": float}
     assert list(hand.observation_features)[:2] == ["position.finger_joint", "velocity.finger_joint"]
@@ -54,7 +54,7 @@ def test_an_action_is_written_one_way() -> None:
         with pytest.raises(ActionError):
             of(wrong)  # type: ignore[arg-type]
     library = rtee.load_actions("schunk_svh")
-    with pytest.raises(ActionError, match="elements are a list of names"):
+    with pytest.raises(ActionError, match="elements must be a list of names"):
         library.find("Trig", "index")
 
 

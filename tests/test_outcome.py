@@ -58,5 +58,5 @@ def test_what_a_goal_asks_for_is_its_aim(asked: dict[str, Any], aim: Aim) -> Non
 
 
 def test_a_result_has_no_truth_value() -> None:
-    with pytest.raises(TypeError, match="ask its 'succeeded' or its 'outcome'"):
+    with pytest.raises(TypeError, match="use its 'succeeded' or its 'outcome'"):
         assert Result("1", "a", reached=True)

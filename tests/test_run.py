@@ -262,7 +262,7 @@ async def test_a_hand_that_runs_already_keeps_its_devices_to_itself(
     folder: Path, calls: Path
 ) -> None:
     more = options(folder, driver=f"{__name__}:Recalling")
-    with claimed("jaw"), pytest.raises(ConfigError, match="'jaw' runs already, in process"):
+    with claimed("jaw"), pytest.raises(ConfigError, match="'jaw' is already running, in process"):
         await run_hands(["jaw"], more, say=str)
     assert calls.name not in os.listdir(folder)
 

@@ -190,9 +190,7 @@ class ActionFiles:
         for use in action.uses:
             inner = index.find(use.action, use.elements, None)
             if not isinstance(inner, Primitive) and not self.holds(inner.name):
-                raise ActionError(
-                    f"'{action.name}' uses '{inner.name}', which is not stored itself"
-                )
+                raise ActionError(f"'{action.name}' uses '{inner.name}', which is not stored")
         self._write_custom([action])
 
     def write_all(self, index: ActionIndex) -> None:
@@ -326,8 +324,8 @@ def read_actions(hand: Hand, folder: Path) -> list[Action]:
             if other is not definition:
                 with located(definition.document, ("name",)):
                     raise ActionError(
-                        f"the name '{definition.name}' is already that of {other.document.path}, "
-                        "as case and underscores do not matter"
+                        f"the name '{definition.name}' is already taken by {other.document.path}: "
+                        "case and underscores are ignored"
                     )
     return [*primitives, *Builder(hand, primitives, definitions).build()]
 

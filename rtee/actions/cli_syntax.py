@@ -38,7 +38,7 @@ def read_step(word: str) -> StepPlan:
             margins[key] = _number(value, key, word)
         else:
             raise ActionError(
-                f"'{option}' in '{word}' is not a margin; there are before=SECONDS, after=SECONDS "
+                f"'{option}' in '{word}' is not a margin; write before=SECONDS, after=SECONDS "
                 "and alias=NAME"
             )
     return StepPlan(ActionReference.of(body + star + factor), alias, **margins)

@@ -62,8 +62,8 @@ class ActionIndex:
             other = self.custom.setdefault(normalise(action.name), action)
             if other is not action:
                 raise ActionError(
-                    f"the names '{other.name}' and '{action.name}' are the same, "
-                    "as case and underscores do not matter"
+                    f"the names '{other.name}' and '{action.name}' are the same: "
+                    "case and underscores are ignored"
                 )
         self.ordered: tuple[Action, ...] = (*self.primitives, *self.custom.values())
         self.names = tuple(dict.fromkeys(action.name for action in self.ordered))
@@ -133,7 +133,7 @@ class ActionIndex:
         if normalise(which) != DEEPEST:
             raise ActionError(f"'{name}': only '{plain}@{DEEPEST}' asks for another posture")
         if not isinstance(action, Primitive) or not action.evidence:
-            raise ActionError(f"'{action.name}' is not a pinch and has no deepest posture")
+            raise ActionError(f"'{action.name}' is not a pinch so it has no deepest posture")
         return action.deepest
 
     def _names_of(self, kind: ActionKind | None) -> list[str]:
@@ -147,7 +147,7 @@ class ActionIndex:
         shown = ", ".join(possible[:12]) + (", …" if len(possible) > 12 else "")
         proper = next(iter(group.values())).name if len(group) else name
         if not elements:
-            return ActionError(f"{proper} needs elements; there are: {shown}")
+            return ActionError(f"{proper} needs elements; valid: {shown}")
         given = " ".join(elements)
         return ActionError(f"{proper} does not exist with '{given}'; it does with: {shown}")
 

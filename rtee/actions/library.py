@@ -114,7 +114,7 @@ class ActionLibrary:
     @property
     def _files(self) -> ActionFiles:
         if self._stored is None:
-            raise ActionError("these actions have no folder to be stored in")
+            raise ActionError("this library has no folder to store actions in")
         return self._stored
 
     def __len__(self) -> int:
@@ -253,7 +253,9 @@ class ActionLibrary:
         """
         action = self.find(name)
         if isinstance(action, Primitive):
-            raise ActionError(f"'{action.name}' is a primitive; the extraction decides on those")
+            raise ActionError(
+                f"'{action.name}' is a primitive; only the extraction changes primitives"
+            )
         users = self._index.users(action)
         if users:
             raise ActionError(f"'{action.name}' is used by {', '.join(users)}; remove that first")
@@ -339,7 +341,7 @@ class ActionLibrary:
 def listed(elements: Sequence[str]) -> tuple[str, ...]:
     """Return elements as a tuple; raise `ActionError` for a text, which is a list of letters."""
     if isinstance(elements, str):
-        raise ActionError(f"elements are a list of names, such as ['{elements:.100}']")
+        raise ActionError(f"elements must be a list of names, such as ['{elements:.100}']")
     return tuple(elements)
 
 

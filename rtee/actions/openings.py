@@ -176,8 +176,9 @@ class Opening:
         # A single row has only one opening, and no motion.
         if len(keep) < 2:
             raise ActionError(
-                f"the openings of {self.label} measured in hand.yaml do not fall with its "
-                "intensity; correct or delete them there: each is [intensity, opening in metres]"
+                f"the openings of {self.label} measured in hand.yaml do not decrease as "
+                "its intensity rises; correct or delete them there: each is [intensity, opening in "
+                "metres]"
             )
         lever = np.array([np.interp(grid[keep], self.intensity, c) for c in self.lever.T]).T
         return replace(
@@ -340,12 +341,13 @@ class Openings:
         table = self._by_key.get(_key(action.name, action.elements))
         if self.outdated:
             raise ActionError(
-                f"the openings of '{self.hand.name}' were made for another model of it; {remedy}"
+                f"the openings of '{self.hand.name}' were made for another version of its model; "
+                f"{remedy}"
             )
         if table is None:
             raise ActionError(
-                f"{name} has no opening: no two fingertips oppose each other on its way, or it is "
-                f"newer than the tables; {remedy}"
+                f"{name} has no opening: no two fingertips oppose each other on its way, or the "
+                f"action is newer than the tables; {remedy}"
             )
         if table.posture != fingerprint_of(self.hand, action):
             raise ActionError(f"the opening of {name} was made for another posture; {remedy}")
@@ -429,7 +431,8 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(
-            f"these are not openings ({error}); `rtee openings {hand.name} --save` makes them"
+            f"is not a valid file of openings ({error}); `rtee openings {hand.name} --save` makes "
+            "them"
             " again",
             path=path,
         ) from error
@@ -446,10 +449,10 @@ def _table(entry: Mapping[str, Any]) -> Opening:
         and lever.shape == (len(intensity), len(actuators))
     )
     if not shaped or not all(map(math.isfinite, (*intensity, *width, *lever.ravel(), *angle))):
-        raise ValueError(f"the columns of '{entry['action']}' do not fit each other")
+        raise ValueError(f"the columns of '{entry['action']}' differ in length")
     # Interpolation silently gives wrong values unless both are monotonic.
     if not (np.all(np.diff(intensity) > 0.0) and np.all(np.diff(width) < 0.0)):
-        raise ValueError(f"the opening of '{entry['action']}' does not fall")
+        raise ValueError(f"the opening of '{entry['action']}' does not decrease")
     return Opening(
         str(entry["action"]),
         tuple(str(name) for name in entry["elements"]),

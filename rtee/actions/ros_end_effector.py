@@ -209,7 +209,7 @@ def _type_of(source: _Source) -> int | None:
     kind = source.data["Type"]
     # In Python, True equals 1.
     if kind not in (_GENERIC, _COMPOSED, _TIMED) or isinstance(kind, bool):
-        raise ActionError(f"the type {kind!r} is unknown; there are 1, 2 and 3")
+        raise ActionError(f"the type {kind!r} is unknown; it must be 1, 2 or 3")
     return int(kind)
 
 

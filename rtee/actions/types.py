@@ -205,7 +205,7 @@ class ActionReference(Value):
         elif not isinstance(what, cls):
             raise ActionError(f"an action is a text such as 'trig:ring*0.8', not {what!r:.100}")
         if isinstance(elements, str):
-            raise ActionError(f"elements are a list of names, such as ['{elements:.100}']")
+            raise ActionError(f"elements must be a list of names, such as ['{elements:.100}']")
         if not elements:
             return what
         if what.elements:

@@ -92,12 +92,16 @@ class Agent:
         """
         self.limits.check(goal)
         if self._moving:
-            raise GoalRejected("a motion of this agent is under way; wait for its end, or stop")
+            raise GoalRejected(
+                "a motion of this agent is still running; wait for it to end, or stop it"
+            )
         self._moving = True
         try:
             remote = await self.remote()
             if out := (await remote.status()).agents_out:
-                raise GoalRejected(f"agents are out since the hand was {out}; ask a person")
+                raise GoalRejected(
+                    f"agents are out since the hand was {out}; ask a person to admit them"
+                )
             played = await self._pass(remote, goal, words, obj)
             result = texts.result(await _done(remote, goal))
         finally:
@@ -117,7 +121,9 @@ class Agent:
             played, against = await self._rehearsed(remote, goal, obj)
         except RteeError as error:
             if gate is not Gate.APPROVE:
-                raise GoalRejected(f"it cannot be played in simulation first: {error}") from None
+                raise GoalRejected(
+                    f"the rehearsal in simulation is not possible: {error}"
+                ) from None
             played, against = "", f"it was not simulated: {error}"
         if gate is Gate.SIMULATE and against:
             raise GoalRejected(f"in simulation, {against} ({played})")

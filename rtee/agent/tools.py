@@ -174,7 +174,7 @@ class Tools:
         known = {name for each in await (await agent.remote()).openings() for name in each.elements}
         for name in fingers:
             if name not in known:
-                raise GoalRejected(f"no finger '{name}' has an opening; {suggestion(name, known)}")
+                raise GoalRejected(f"the finger '{name}' has no opening; {suggestion(name, known)}")
         words = f"grasp {width * 1e3:g} mm with {force:g} N"
         return await agent.move(goal, words, object or f"box:{width:g}x{width:g}x{width:g}")
 
@@ -216,7 +216,7 @@ async def _recorded(agent: Agent) -> dict[str, Path]:
     """Return the newest recordings beside the one that the hand writes, the newest first."""
     path = (await (await agent.remote()).status()).recording
     if agent.endpoint is not None or not path:
-        raise GoalRejected("the hand writes no recording on this computer")
+        raise GoalRejected("the hand does not record on this computer")
     files = {p.name: p for p in Path(path).parent.glob(f"{agent.name}_*.mcap") if p.is_file()}
     return {name: files[name] for name in sorted(files, reverse=True)[:_RECORDINGS]}
 

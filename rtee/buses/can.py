@@ -162,7 +162,7 @@ class CanBus(Bus):
         self._broke(cause)
         for answer in list(self._waiting):
             if not answer.done():
-                answer.set_exception(BusBroken(self.name, f"the bus broke: {cause}"))
+                answer.set_exception(BusBroken(self.name, f"the bus failed: {cause}"))
         for callback in list(self._watching):
             callback()
 
@@ -177,7 +177,7 @@ class CanBus(Bus):
 
         await self._close()
         if self._simulation is not None and not self._simulation.plugged:
-            raise BusBroken(self.name, "there is no such adapter")
+            raise BusBroken(self.name, "the adapter does not exist")
         loop = self._loop = asyncio.get_running_loop()
         if self._simulation is not None:
             self._simulation.on_unplug = lambda: self._failed_elsewhere("the adapter was unplugged")

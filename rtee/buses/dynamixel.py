@@ -130,7 +130,7 @@ class DynamixelBus(Bus):
             # pyserial raises a TypeError if its port is closed during the call, and a
             # termios.error, which is not an OSError, if the port vanishes.
             self._broke(str(error))
-            raise BusBroken(self.name, f"the link broke: {error}") from error
+            raise BusBroken(self.name, f"the link failed: {error}") from error
 
     def note(self, direction: str, data: bytes) -> bytes:
         """Count and trace bytes, in the worker thread; returns them."""
@@ -149,7 +149,7 @@ class DynamixelBus(Bus):
         except (OSError, ValueError) as error:
             raise explained(self.name, error) from error
         if not opened:
-            raise BusBroken(self.name, f"dynamixel-sdk knows no baud rate {self.line.baudrate}")
+            raise BusBroken(self.name, f"dynamixel-sdk does not support {self.line.baudrate} baud")
         self.port = port
 
     async def _close(self) -> None:

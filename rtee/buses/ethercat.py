@@ -97,7 +97,7 @@ class PysoemRing(Ring):
         try:
             master.open(self._interface)
         except ConnectionError as error:
-            raise OSError(f"{error}; EtherCAT needs the right to raw sockets") from error
+            raise OSError(f"{error}; EtherCAT needs permission for raw sockets") from error
         self._master = master
         # The number of slaves, or -1 if no frame returned.
         if master.config_init() <= 0:

@@ -81,7 +81,7 @@ def split_address(url: str, default_port: int | None = None) -> tuple[str, int]:
     host = host.strip("[]")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ConfigError(
-            f"'{url}' is not an address; one looks like '{url.partition('://')[0]}://host:port'"
+            f"'{url}' is not an address; write it as '{url.partition('://')[0]}://host:port'"
         )
     return host, int(port)
 
@@ -108,7 +108,7 @@ async def open_link(
     scheme, colon, _ = url.partition("://")
     if colon and scheme not in _SCHEMES:
         raise ConfigError(
-            f"'{url}' is not an address of a line; one is a tty, socket://host:port, "
+            f"'{url}' is not the address of a serial line; give a tty, socket://host:port, "
             "tcp://host:port or rfc2217://host:port"
         )
     try:
@@ -136,8 +136,8 @@ def refuse_on_simulated_time(url: str) -> None:
     """Raise `RteeError` on simulated time if such a port exists: time would not wait for it."""
     if on_simulated_time() is not None and ("://" in url or os.path.exists(url)):
         raise RteeError(
-            f"'{url}' is a real port, for which simulated time does not wait; "
-            "make the simulated line in the same event loop, or test in real time"
+            f"'{url}' is a real port, and simulated time does not wait for those; "
+            "make a simulated line in the same event loop, or test in real time"
         )
 
 

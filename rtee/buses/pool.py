@@ -264,7 +264,9 @@ class BusPool:
             entry = self._buses[key] = (bus, kind, settings)
         elif entry[1] is not kind or entry[2] != settings:
             users = ", ".join(sorted(entry[0].owners))
-            raise BusBusy(key, f"'{users}' uses it with other settings than '{owner}' asks for")
+            raise BusBusy(
+                key, f"'{users}' already uses it with settings that differ from those of '{owner}'"
+            )
         found = cast("B", entry[0])
 
         async def forget() -> None:

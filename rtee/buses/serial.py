@@ -245,7 +245,7 @@ class SerialBus(Bus):
             return
         self._broke(str(error) if error else "")
         if self._answer is not None and not self._answer.done():
-            self._answer.set_exception(BusBroken(self.name, f"the link broke: {self._cause}"))
+            self._answer.set_exception(BusBroken(self.name, f"the link failed: {self._cause}"))
 
     async def _open(self) -> None:
         await self._close()
@@ -257,7 +257,7 @@ class SerialBus(Bus):
         )
         # A TCP bridge may accept the connection and close it before this code runs again.
         if transport.is_closing():
-            raise BusBroken(self.name, "the other end hung up at once")
+            raise BusBroken(self.name, "the other end closed the connection at once")
         self._transport, self._protocol = transport, protocol
 
     async def _close(self) -> None:

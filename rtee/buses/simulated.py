@@ -138,7 +138,7 @@ class Simulation(ABC):
         self._wake()
         while not done.wait(_LOOK):
             if not (self._thread and self._thread.is_alive()) and not done.is_set():
-                raise RteeError(f"'{self.name}' is no longer emulated: it ended with an error")
+                raise RteeError(f"'{self.name}' is no longer emulated: the emulator failed")
         if failed:
             raise failed[0]
         return box[0]

@@ -405,7 +405,7 @@ def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]
     for word in words:
         name, equals, text = word.partition("=")
         if not (name and equals):
-            raise ConfigError(f"{option} {word}: should be NAME=VALUE")
+            raise ConfigError(f"{option} should be NAME=VALUE, not '{word}'")
         # The option takes the place of the file in error messages.
         values |= parse_yaml(f"{name}: {text}\n", Path(option), what).data
     return values
@@ -422,7 +422,7 @@ def hand_folder(name: str | None) -> Path:
         names = hand_names()
         if len(names) != 1:
             raise ConfigError(
-                f"which hand? give --hand or set {HAND_VARIABLE}; there are: {', '.join(names)}"
+                f"which hand? give --hand or set {HAND_VARIABLE}; hands: {', '.join(names)}"
             )
         name = names[0]
     return find_folder(name)[0]

@@ -63,7 +63,7 @@ def show_fleet(
                     break
                 await anyio.sleep(_EVERY)
         if not looks and not as_json:
-            raise ConfigError("no hand runs on this computer; start one with 'rtee run HAND'")
+            raise ConfigError("no hand is running on this computer; start one with 'rtee run HAND'")
 
     anyio.run(main)
 

@@ -184,6 +184,6 @@ def _reload_running(hand: str, action: str) -> None:
         # Its own list decides, since a hand of this name may run from another folder.
         known = with_hand(hand, None, "define", lambda remote: remote.actions())
         if action not in {each.name for each in known}:
-            raise RteeError(f"it was started from other files; end it, then 'rtee run {hand}' here")
+            raise RteeError(f"it runs from other files; end it, then type 'rtee run {hand}' here")
     except RteeError as error:
         print(f"rtee: warning: the running hand does not know it yet: {error}", file=sys.stderr)

@@ -135,7 +135,9 @@ def _wanted(
 def _check_rights(installation: Installation, command: str) -> None:
     # An image's folder may belong to any user.
     if installation.live and os.geteuid() != 0:
-        raise ConfigError(f"the system's files belong to root; type: sudo rtee deploy {command}")
+        raise ConfigError(
+            f"only root may change the system's files; type: sudo rtee deploy {command}"
+        )
 
 
 def _print_states(installation: Installation, states: dict[str, FileState]) -> None:

@@ -620,7 +620,10 @@ def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) ->
     changed = rewritten(text, data)
     if changed is None:
         line = f"openings: {{{key}: {data['openings'][key]}}}"
-        raise ConfigError(f"cannot be changed with its comments kept; type: {line}", path=path)
+        raise ConfigError(
+            f"cannot be changed without losing its comments; write this line yourself: {line}",
+            path=path,
+        )
     write_atomically(path, changed)
     return path
 

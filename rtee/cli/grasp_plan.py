@@ -76,7 +76,7 @@ def grasp_plan(
     objects = meshes_in(object_, FORMATS)
     several = len(objects) > 1
     if several and save is not None:
-        raise ConfigError("--save is for the grasp of one object")
+        raise ConfigError("--save takes one object only")
     documents: list[dict[str, object]] = []
     held = True
     for text in objects:
@@ -121,7 +121,9 @@ def _axis(text: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != 3 or not all(map(math.isfinite, values)) or not any(values):
-        raise ConfigError(f"a weight axis is three numbers X,Y,Z, not all of them 0, not '{text}'")
+        raise ConfigError(
+            f"the weight axis must be three numbers X,Y,Z, not all of them 0, not '{text}'"
+        )
     return values
 
 

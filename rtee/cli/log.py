@@ -231,7 +231,7 @@ def export(
     if kind is None:
         if output.suffix in (".csv", ".parquet"):
             raise LogError(
-                f"OUT should be a folder, not '{output}': there is a file for each topic;"
+                f"OUT should be a folder, not '{output}', as each topic becomes a file;"
                 f" give --format {output.suffix[1:]}"
             )
         # Likely a file of some other kind is wanted; "run.2" or an existing "run.d" is a folder.
@@ -321,7 +321,7 @@ def replay(
         _show_check(check(_telling(windows(paths, only=TOPICS))), as_json)
         return
     if len(paths) > 1:
-        raise LogError("--series goes with --check only: replay one part after the other")
+        raise LogError("--series needs --check; without it, replay one part after the other")
     raise typer.Exit(_run_recording(paths[0], speed=speed, repeat=repeat, gui=gui))
 
 
@@ -432,7 +432,7 @@ def unpack(
 
     recording = read(_paths(file, False), only=[ROBOT_DESCRIPTION])
     if recording.hand and (folder / recording.hand).exists():
-        raise LogError("is there already; give another folder", path=folder / recording.hand)
+        raise LogError("exists already; give another folder", path=folder / recording.hand)
     print(write_hand(recording, folder))
 
 

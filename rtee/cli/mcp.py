@@ -69,7 +69,7 @@ def mcp(
 
     asked = AgentSettings(gate, force, effort, speed, tuple(action or ()))
     if not (names := hands or list(hands_running())):
-        raise ConfigError("no hand runs here; name those that will: rtee mcp HAND")
+        raise ConfigError("no hand is running here; name those that will: rtee mcp HAND")
     agents = [Agent(name, AgentLimits.of(_settings(name), asked), connect) for name in names]
     for name in names:
         anyio.run(_say_if_absent, name, connect)

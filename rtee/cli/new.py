@@ -149,5 +149,7 @@ def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
     from rtee.hand.subtree import Subtree
 
     if root is None and outside is not Outside.ABSENT:
-        raise ConfigError("--outside decides about links that are not below --root LINK; give both")
+        raise ConfigError(
+            "--outside needs --root LINK: it decides about the links that are not below that link"
+        )
     return None if root is None else Subtree(root, outside)

@@ -211,7 +211,7 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
         names = [row.name for row in offered()]
         raise ConfigError(f"no node offers the {sort} {name}; {suggestion(name, names)}")
     if len(types) > 1:
-        raise ConfigError(f"the {sort} {name} is offered as {' and as '.join(types)}: say which")
+        raise ConfigError(f"the {sort} {name} has the types {' and '.join(types)}; say which")
     return types[0]
 
 
@@ -264,7 +264,7 @@ def list_(
 
     sort = kind.removesuffix("s") if kind is not None else None
     if sort is not None and sort not in list(Sort):
-        raise ConfigError(f"'{kind}' is not a kind: nodes, topics, services or actions")
+        raise ConfigError(f"'{kind}' should be nodes, topics, services or actions")
 
     async def work(context: Context) -> list[Listed]:
         return listed(context.graph.entities(), parts=parts)
@@ -360,7 +360,7 @@ def echo(
             # Each message restarts the wait.
             until = math.inf if timeout is None else last + timeout
             if anyio.current_time() > until:
-                raise RemoteError(f"nothing came on {full} for {timeout:g} s")
+                raise RemoteError(f"no message came on {full} for {timeout:g} s")
             with anyio.move_on_at(until):
                 await ended.wait()
 

@@ -69,7 +69,9 @@ def _families() -> list[_Family]:
         pool: BusPool, port: str, rate: int, old: int, new: int, new_rate: int | None
     ) -> str:
         if new_rate is not None:
-            raise ConfigError("--new-baudrate is for Dynamixel servos; Feetech servos keep theirs")
+            raise ConfigError(
+                "--new-baudrate works for Dynamixel servos only; Feetech servos keep their rate"
+            )
         return (await feetech.set_id(pool, port, rate, old, new)).name
 
     return [
@@ -134,7 +136,7 @@ def set_id(
             servo, rate, number = await _find(pool, port, families, old)
             if new > servo.largest_id:
                 raise ConfigError(
-                    f"the largest id of a {servo.name} servo is {servo.largest_id}, not {new}"
+                    f"the id of a {servo.name} servo must be at most {servo.largest_id}, not {new}"
                 )
             if number == new and new_baudrate is None:  # else only the rate changes
                 raise ConfigError(f"the servo at {port} has the id {new} already")
@@ -157,7 +159,7 @@ def _chosen(
     for option, rate in (("--baudrate", baudrate), ("--new-baudrate", new_baudrate)):
         known = sorted({known for servos in families for known in servos.rates})
         if rate is not None and rate not in known:
-            raise ConfigError(f"{option} is one of {', '.join(map(str, known))}, not {rate}")
+            raise ConfigError(f"{option} must be one of {', '.join(map(str, known))}, not {rate}")
     return [
         (servos, baudrate or servos.factory_rate)
         for servos in families
@@ -181,7 +183,7 @@ async def _find(
         raise NotConnected(
             port,
             f"no servo {old} answers ({asked})",
-            hint="`rtee scan` lists the servos there are",
+            hint="`rtee scan` lists the servos it finds",
         )
     present = []
     for servos, rate in families:
@@ -192,6 +194,6 @@ async def _find(
     if len(present) > 1:
         ids = ", ".join(str(number) for _, _, number in present)
         raise ConfigError(
-            f"there are servos {ids} at {port}: plug in one alone, or say which by --from"
+            f"there are servos {ids} at {port}; connect only one, or choose one by --from"
         )
     return present[0]

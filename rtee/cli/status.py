@@ -199,7 +199,7 @@ def _changes(
     if actuator is not None and not any(_of(gain, actuator) for _, gain in gains):
         owners = sorted({gain.partition(".")[2] for _, gain in gains} - {""})
         hint = suggestion(actuator, owners) if owners else "no device has gains by actuator"
-        raise ConfigError(f"'{actuator}' has no gains of its own; {hint}")
+        raise ConfigError(f"'{actuator}' has no gains; {hint}")
     changes: dict[str, dict[str, float]] = {}
     for kind, value in values.items():
         chosen = [
@@ -209,7 +209,7 @@ def _changes(
         ]
         if not chosen:
             names = ", ".join(gain for _, gain in gains) or "none"
-            raise ConfigError(f"no device of '{status.hand}' has a gain {kind}; there are {names}")
+            raise ConfigError(f"no device of '{status.hand}' has a gain {kind}; valid: {names}")
         for device, gain in chosen:
             changes.setdefault(device, {})[gain] = value
     return changes

@@ -74,7 +74,7 @@ def teleop(
         raise ConfigError("give either --gamepad or --keyboard or --landmarks")
     if landmarks is not None:
         if actions:
-            raise ConfigError("points of a hand move all of it: give no actions")
+            raise ConfigError("--landmarks moves the whole hand: leave out the actions")
 
         follow_landmarks(landmarks, layout, side, rate, effort or [], hand, connect, wait)
         return
@@ -114,7 +114,7 @@ async def _drive(
             async for targets in samples_of(source, by_axis, rate):
                 await stream.send(targets)
         except OSError as error:
-            raise ConfigError(f"the gamepad is gone: {error}") from None
+            raise ConfigError(f"the gamepad was disconnected: {error}") from None
 
 
 @app.command()
@@ -263,6 +263,7 @@ async def _follow(
 def _check_actuators(retargeter: Retargeter, actuators: Sequence[str]) -> None:
     if list(retargeter.hand.actuator_names) != list(actuators):
         raise ConfigError(
-            f"the running {retargeter.hand.name} has other actuators than the hand of that name "
+            f"the running {retargeter.hand.name} differs in its actuators from the hand of that "
+            "name "
             "here: its folder should be the same"
         )

@@ -105,13 +105,14 @@ def try_(
     if task:
         if all_ or again or cluster or out or pictures or log or friction is not None:
             raise ConfigError(
-                "--task goes without --all, --again, --cluster, --out, --pictures, --log and "
+                "--task cannot be combined with --all, --again, --cluster, --out, --pictures, "
+                "--log and "
                 "--friction"
             )
         if action is None:
             raise ConfigError("which action? give its name, such as Grasp")
         if intensity != 1.0:
-            raise ConfigError("--task closes until contact; leave --intensity out")
+            raise ConfigError("--task closes until contact; leave out --intensity")
         tell_of_meshes(object_ or [])
         options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
         try_tasks(resolved(hand), action, elements or [], object_ or [], options, json_)
@@ -130,9 +131,9 @@ def try_(
     choosing = CHOOSING if choose_by is None else choose_by
     if all_:
         if action is not None or pictures is not None or log is not None:
-            raise ConfigError("--all tries all actions, without pictures and recordings")
+            raise ConfigError("--all tries all actions; leave out the action, --pictures and --log")
         if friction is not None:
-            raise ConfigError("--all takes the friction that is usual, and varies it")
+            raise ConfigError("--all varies the usual friction; leave out --friction")
         varied = _VARIATIONS if variations is None else variations
         trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed, choosing, until)
         results = _all(name, trials, jobs, again, cluster, out)

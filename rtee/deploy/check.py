@@ -77,9 +77,7 @@ def _certificates(needs: Needs, installation: Installation) -> list[Check]:
         owner = key.stat().st_uid
     # Other users cannot see whether the folder has a key.
     except PermissionError:
-        return [
-            warning(what, f"{key.parent} is not yours to read", "sudo rtee doctor " + needs.hand)
-        ]
+        return [warning(what, f"you may not read {key.parent}", "sudo rtee doctor " + needs.hand)]
     except OSError:
         return [wrong(what, f"there are none in {key.parent}", remedy)]
     if owner != installation.user_id():

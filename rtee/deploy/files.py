@@ -63,7 +63,7 @@ def shipped() -> Path:
     for place in (package / "_deploy", package.parent / "deploy"):
         if (place / _SHIPPED[UNIT]).is_file():
             return place
-    raise ConfigError("this installation of rtee holds no files for a robot PC")
+    raise ConfigError("this installation of rtee has no files for a robot PC")
 
 
 def own_program() -> str:

@@ -115,7 +115,7 @@ class Installation:
                 states[path] = state
         if others:
             raise ConfigError(
-                "is there already and not from `rtee deploy`; move it away first", path=others[0]
+                "exists already and is not from `rtee deploy`; move it away first", path=others[0]
             )
         states[f"{WANTS}/{link.name}"] = FileState.SAME if link.is_symlink() else FileState.NEW
         return states
@@ -251,7 +251,7 @@ class Installation:
     def _folder(self, path: str) -> Path:
         place = self.root / path.lstrip("/")
         if not place.resolve().is_relative_to(self.root):
-            raise ConfigError("leads out of the system by a link", path=place)
+            raise ConfigError("is a link that leads out of the system", path=place)
         return place
 
     def _link(self, hand: str) -> Path:

@@ -44,7 +44,7 @@ def checked_word(value: str, what: str) -> str:
     Raises `ConfigError` if it contains anything but letters, digits and ``_ . : + @ -``.
     """
     if not _WORD.match(value):
-        raise ConfigError(f"{what} must be of letters, digits and _ . : + @ -, not '{value}'")
+        raise ConfigError(f"{what} must consist of letters, digits and _ . : + @ -, not '{value}'")
     return value
 
 
@@ -148,7 +148,7 @@ def _ports(options: Options, serials: Mapping[str, str]) -> tuple[Port, ...]:
     if wrong:
         names = ", ".join(ports) or "none"
         raise ConfigError(
-            f"--serial {min(wrong)}: no device with a serial port; there are: {names}"
+            f"--serial {min(wrong)}: is not a device with a serial port; valid: {names}"
         )
     return tuple(ports.values())
 
@@ -185,7 +185,7 @@ def _certificates(prepared: PreparedHand) -> Path | None:
     text = checked_path(folder, "remote: security: folder")
     if any(folder.is_relative_to(hidden) for hidden in _HIDDEN):
         raise ConfigError(
-            f"the service sees nothing of {text}; leave out 'folder', or use one such as"
+            f"the service cannot see {text}; leave out 'folder', or use one such as"
             f" {SECURE / prepared.hand.name}",
             key="remote.security.folder",
         )

@@ -45,12 +45,12 @@ async def calibrate(driver: Driver, path: Path, ready: Callable[[str], Awaitable
         ready: Called with an instruction for the user; returns when it has been followed.
 
     Raises:
-        ConfigError: if the device has nothing to calibrate, or the file cannot be written.
+        ConfigError: if the device needs no calibration, or the file cannot be written.
         RteeError: if the calibration fails.
     """
     if not isinstance(driver, Calibrates):
         raise ConfigError(
-            f"device '{driver.spec.name}': '{driver.spec.driver}' has nothing to calibrate"
+            f"device '{driver.spec.name}': '{driver.spec.driver}' needs no calibration"
         )
     try:
         await driver.configure()

@@ -163,15 +163,13 @@ class Player:
         for part in text.split():
             name, _, share = part.partition("=")
             if name not in WIRE_FAULTS:
-                raise ConfigError(
-                    f"unknown fault of the wire '{name}'; {suggestion(name, WIRE_FAULTS)}"
-                )
+                raise ConfigError(f"unknown wire fault '{name}'; {suggestion(name, WIRE_FAULTS)}")
             try:
                 probability = float(share)
             except ValueError:
                 probability = math.nan
             if not 0.0 <= probability <= 1.0:
-                raise ConfigError(f"'{part}' should look like {name}=0.05: a share is 0 to 1")
+                raise ConfigError(f"'{part}' should look like {name}=0.05, a share from 0 to 1")
             setattr(faults, name, probability)
         return faults
 

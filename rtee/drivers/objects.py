@@ -116,7 +116,8 @@ class ObjectInHand:
             return cls(width=size * _METRES[unit], stiffness=stiffness)
         if not 0.0 <= size <= 1.0:
             raise ConfigError(
-                f"an object is met after 0 to 1 of the travel, not {size:g}; a width has a "
+                f"the fingers must meet the object after 0 to 1 of the travel, not {size:g}; a "
+                "width has a "
                 "unit, such as 50mm"
             )
         return cls(closure=size, stiffness=stiffness)
@@ -157,7 +158,9 @@ class Grasps(ABC):
         closings = self.closings()
         # Motors that press on an object are not compared: the new object replaces it.
         if any(one.motor.obstacle is None and one.part > at + _SLACK for one in closings):
-            raise ConfigError("the fingers are closed further than that; open them first")
+            raise ConfigError(
+                "the fingers are already closed further than the object is wide; open them first"
+            )
         for one in closings:
             travel = one.closed - one.opened
             one.motor.obstacle = VirtualObject(
@@ -180,7 +183,7 @@ def grasping(emulator: Emulator) -> Grasps:
         ConfigError: if nothing can be put between its fingers.
     """
     if not isinstance(emulator, Grasps):
-        raise ConfigError("nothing can be put between the fingers of this emulated device")
+        raise ConfigError("this emulated device takes no object between its fingers")
     return emulator
 
 
@@ -231,7 +234,7 @@ def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
         except (ArithmeticError, ValueError, struct.error) as error:
             if isinstance(error, ConfigError):
                 raise
-            raise ConfigError(f"no device of these properties is possible: {error}") from error
+            raise ConfigError(f"a device cannot have these properties: {error}") from error
     if state != IDEAL_STATE:
         wear_down(emulator, _wear_of(kind, state))
     if given is not None:
@@ -245,8 +248,8 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
         return kind.WEAR
     if not isinstance(state, Mapping):
         raise ConfigError(
-            f"the emulated device's wear is '{state}'; write worn, ideal, or what differs from "
-            "worn, such as {lag: 0.05}"
+            f"the emulated device's wear is '{state}'; write worn, ideal, or the values that "
+            "differ from worn, such as {lag: 0.05}"
         )
     try:
         return validated(Wear, {**structs.asdict(kind.WEAR), **state})

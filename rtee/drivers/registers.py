@@ -124,7 +124,7 @@ class Registers:
             return cast("Self", _read(cast("Any", cls), tuple(registers)))
         except ValueError:
             raw = b"".join(register.to_bytes(2, "big") for register in registers)
-            raise FrameError(bus, f"no {cls.WHAT}: {raw.hex(' ')}", raw) from None
+            raise FrameError(bus, f"not a valid {cls.WHAT}: {raw.hex(' ')}", raw) from None
 
 
 @lru_cache(maxsize=64)  # a device at rest repeats itself

@@ -285,7 +285,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
             raise self._gripper_fault(status.fault)
 
     def _gripper_fault(self, code: int, name: str = "") -> DeviceFault:
-        fault = self.FAULTS.get(code, Fault("a fault that no manual names", "recover"))
+        fault = self.FAULTS.get(code, Fault("unknown fault", "recover"))
         hint = self.HINT if code == NOT_ACTIVATED else fault.hint
         return self.fault(code, name or fault.name, hint)
 

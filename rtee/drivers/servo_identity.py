@@ -35,10 +35,10 @@ async def claim(link: ServoLink, port: str, old: int, new: int) -> int:
         NotConnected: if no servo answers to the old one.
     """
     if new != old and await model_of(link, new) is not None:
-        raise ConfigError(f"there is a servo {new} at {port} already; take it off the line")
+        raise ConfigError(f"a servo {new} is already at {port}; disconnect it")
     model = await model_of(link, old)
     if model is None:
-        hint = "`rtee scan` lists the servos there are"
+        hint = "`rtee scan` lists the servos it finds"
         raise NotConnected(port, f"no servo {old} answers", hint=hint)
     return model
 
@@ -55,4 +55,4 @@ async def renumber(
         await asyncio.sleep(SETTLES)
         if await model_of(link, new) is not None:
             return
-    raise DriverError(port, f"servo {old} does not take the id {new}")
+    raise DriverError(port, f"servo {old} does not accept the id {new}")

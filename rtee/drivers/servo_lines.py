@@ -102,12 +102,12 @@ def check_line(
         ValueError: if a value is not supported, or two servos have the same id.
     """
     if line.baudrate not in rates:
-        raise ValueError(f"baudrate is one of {', '.join(str(rate) for rate in rates)}")
+        raise ValueError(f"baudrate must be one of {', '.join(str(rate) for rate in rates)}")
     if len({servo.id for servo in servos.values()}) != len(servos):
         raise ValueError("two servos have the same id")
     gains = [line.p, line.i, line.d, *(g for s in servos.values() for g in (s.p, s.i, s.d))]
     if any(gain is not None and gain > most_gain for gain in gains):
-        raise ValueError(f"gains are from 0 to {most_gain}")
+        raise ValueError(f"gains must be from 0 to {most_gain}")
 
 
 def check_present(
@@ -149,7 +149,7 @@ def check_present(
             device,
             f"servos {_ranges(list(found))}",
             "; ".join(problems + wrong),
-            hint="check ids and cables; `rtee scan` lists the servos there are",
+            hint="check ids and cables; `rtee scan` lists the servos it finds",
         )
 
 
@@ -230,8 +230,8 @@ def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[floa
         if changed:
             raise CalibrationError(
                 device,
-                f"'{now.actuator}' is not as it was calibrated: {'; '.join(changed)}; "
-                "calibrate again, or set it back",
+                f"'{now.actuator}' has changed since its calibration: {'; '.join(changed)}; "
+                "calibrate it again, or undo the change",
             )
         zeros.append(then.zero)
     return zeros

@@ -466,7 +466,7 @@ class ServoDriver(Driver, Generic[L]):
         for number, kept in (await self.connection.link.set_all(register, values)).items():
             raise DriverError(
                 self.spec.name,
-                f"servo {number} does not take {values[number]} at address {register.address}; "
+                f"servo {number} does not accept {values[number]} at address {register.address}; "
                 f"it has {kept}",
             )
 
@@ -502,7 +502,7 @@ class ServoDriver(Driver, Generic[L]):
     async def _release(self) -> None:
         link = self.connection.link
         for number in await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0)):
-            raise FrameError(self.line.port, f"servo {number} keeps its torque")
+            raise FrameError(self.line.port, f"servo {number} does not switch off its torque")
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -651,7 +651,7 @@ class ServoDriver(Driver, Generic[L]):
             there = await self.connection.link.values(self.GOAL, [self.ids[i] for i in chosen])
             if all(abs(there[self.ids[i]] - counts[i]) <= within for i in chosen):
                 return
-        raise FrameError(self.line.port, "servos do not take where they are as their goals")
+        raise FrameError(self.line.port, "the servos do not accept their positions as goals")
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Write gains of the position controllers of all servos."""

@@ -43,7 +43,7 @@ def numbers_of(spec: DeviceSpec, option: str, given: Mapping[str, int], what: st
     numbers = [given[a.name] for a in spec.actuators if a.name in given]
     if missing or len(set(numbers)) != len(numbers):
         raise ConfigError(
-            f"device '{spec.name}': option '{option}' must give each actuator a {what} of its own; "
+            f"device '{spec.name}': option '{option}' must give each actuator its own {what}; "
             f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
         )
     return numbers

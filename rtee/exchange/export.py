@@ -75,7 +75,7 @@ def export_hand(
         ModelError: A mesh is missing, or the hand cannot be simulated.
     """
     if target.resolve() == folder.resolve():
-        raise ConfigError("is the hand's own folder; export it to another one", path=target)
+        raise ConfigError("is the hand's own folder; export the hand to another one", path=target)
     hand = load_hand(folder)
     files: dict[Path, str | bytes] = {}
     notes: list[str] = []

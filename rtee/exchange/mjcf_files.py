@@ -115,21 +115,21 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> ParsedMod
     elements = [element for part in parts for element in _all(part)]
     if len(elements) > MOST_ELEMENTS:
         raise ModelError(
-            f"has {len(elements)} elements; more than {MOST_ELEMENTS} are not a hand", path=file
+            f"has {len(elements)} elements; a hand has at most {MOST_ELEMENTS}", path=file
         )
     for element in elements:
         if element.tag in _REFUSED:
             raise element.error(f"<{element.tag}> {_REFUSED[element.tag]}")
         if element.tag == "mesh" and "builtin" in element.attributes:
-            raise element.error("a mesh that MuJoCo makes is not read; give it as a file")
+            raise element.error("a mesh that MuJoCo generates cannot be read; give it as a file")
         _check_numbers(element)
     bodies = sum(element.tag == "body" for element in elements)
     if bodies > MOST_BODIES:
-        raise ModelError(f"has {bodies} bodies; more than {MOST_BODIES} are not a hand", path=file)
+        raise ModelError(f"has {bodies} bodies; a hand has at most {MOST_BODIES}", path=file)
     kind, number = Counter(element.tag for element in elements).most_common(1)[0]
     if number > MOST_OF_A_KIND:
         raise ModelError(
-            f"has {number} elements <{kind}>; more than {MOST_OF_A_KIND} are not a hand", path=file
+            f"has {number} elements <{kind}>; a hand has at most {MOST_OF_A_KIND}", path=file
         )
     for part in parts:
         _check_depth(part)
@@ -148,7 +148,9 @@ def _check_depth(root: Element) -> None:
         element, depth = pending.pop()
         depth += element.tag == "body"
         if depth > MOST_NESTED:
-            raise element.error(f"more than {MOST_NESTED} bodies inside one another are not a hand")
+            raise element.error(
+                f"bodies are nested more than {MOST_NESTED} deep, too deep for a hand"
+            )
         pending += [(child, depth) for child in element.children]
 
 
@@ -271,8 +273,8 @@ def _inside(place: Path, allowed: Sequence[Path], element: Element, name: str) -
     real = _real(place)
     if not any(real.is_relative_to(folder) for folder in allowed):
         raise element.error(
-            f"'{name[:200]}' leads out of the model's folder; put the file there, or give its "
-            f"folder by --package-dir {real.parent}"
+            f"'{name[:200]}' is outside of the model's folder; put the file there, or give its "
+            f"folder with --package-dir {real.parent}"
         )
     return real
 

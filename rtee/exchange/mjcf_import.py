@@ -99,7 +99,7 @@ def import_mjcf(
     if radians is not None:
         if source.says_angle:
             raise ConfigError(
-                "--angle is for files that do not say: this one has <compiler angle>",
+                "--angle is for files without <compiler angle>; this file has one",
                 path=source.path,
             )
         source.spec.compiler.degree = not radians
@@ -326,8 +326,7 @@ class _Writer:
             )
         if limited and lower > upper:
             raise ModelError(
-                f"the range of joint '{name}' and the ctrlrange of its actuator have nothing in "
-                "common",
+                f"the range of joint '{name}' and the ctrlrange of its actuator do not overlap",
                 path=self._source.path,
             )
         return lower, upper

@@ -91,7 +91,7 @@ def expand(
     try:
         process.communicate(json.dumps(task).encode(), timeout=_TIME)
     except subprocess.TimeoutExpired:
-        raise ModelError(f"xacro does not end within {_TIME:g} s", path=path) from None
+        raise ModelError(f"xacro did not end within {_TIME:g} s", path=path) from None
     finally:
         # Also on Ctrl-C, whose signal does not reach a process in another session.
         if process.poll() is None:

@@ -147,7 +147,8 @@ def public_origin(text: str) -> str:
         url, port = urlsplit(""), None
     if url.scheme != "https" or not url.hostname or url.path not in ("", "/") or url.query:
         raise ConfigError(
-            f"--behind-proxy {text} is not an origin; give the proxy's address as browsers see it, "
+            f"--behind-proxy {text} is not an origin; give the address under which browsers reach "
+            "the proxy, "
             "such as https://hand.example.org"
         )
     name = f"[{url.hostname}]" if ":" in url.hostname else url.hostname

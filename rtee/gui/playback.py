@@ -47,7 +47,7 @@ class Playback:
         if set(states.names) != set(hand.actuator_names):
             raise LogError(f"is a recording of '{recording.hand}', not of '{hand.name}'")
         if not len(states):
-            raise LogError("nothing was measured in this recording")
+            raise LogError("this recording has no measurements")
         self._measured: dict[str, BoolArray] = {}
         self._order = [states.names.index(name) for name in hand.actuator_names]
         self._sent = (

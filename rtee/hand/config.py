@@ -32,7 +32,7 @@ from rtee.hand.validation import Misfit, Section, checked, fitting
 from rtee.hand.yamlfile import YamlDocument, read_yaml
 
 DEFAULTS: Final = "defaults"
-"""The name, among those of actuators, of what holds for all others."""
+"""Key, in place of an actuator's name, for the values of all other actuators."""
 
 MeasuredOpening = tuple[Annotated[float, Meta(ge=0, le=1)], Annotated[float, Meta(ge=0, le=2)]]
 """An intensity and the opening measured there [m]."""
@@ -48,11 +48,11 @@ class HandConfig(Section, frozen=True, kw_only=True):
     urdf: str
     """Its URDF, relative to this file."""
     root: str | None = None
-    """The link below which the hand is, where the URDF describes a whole robot; its frame is the
-    hand's. Unless given, all of the URDF is the hand."""
+    """The hand's base link, if the URDF describes a whole robot; its frame is the hand's base
+    frame. Unless given, the whole URDF is the hand."""
     outside: Outside = Outside.ABSENT
-    """What becomes of what is not below ``root``: ``absent``, or ``rigid``: it stays as an
-    obstacle, with all its joints at 0."""
+    """Treatment of the links that are not below ``root``: ``absent`` leaves them out, ``rigid``
+    keeps them as obstacles, with all their joints at 0."""
     srdf: str | None = None
     """Its SRDF, relative to this file; without one the fingers are found from the tree."""
     package_dirs: list[str] = field(default_factory=list)
@@ -64,27 +64,27 @@ class HandConfig(Section, frozen=True, kw_only=True):
     """Actuators that take no part, such as those of a wrist: they stay fixed at ``rest``, move in
     no action and need no device."""
     limits: dict[str, ActuatorLimits] = field(default_factory=dict)
-    """Limits that tighten or complete the URDF's, by actuator, ``defaults``: of all others."""
+    """Limits that tighten or complete the URDF's, by actuator; ``defaults``: all others."""
     dynamics: dict[str, ActuatorDynamics] = field(default_factory=dict)
-    """Dynamics by actuator, ``defaults``: what holds for all where they say nothing else; gains,
-    inertia, friction, how joints follow them; for the simulation, and for planners that ask for the
-    hand's description."""
+    """Dynamics by actuator: gains, inertia, friction and the way joints follow; ``defaults`` holds
+    for all others. The simulation uses them, and planners that ask for the hand's description."""
     tip_friction: dict[str, Annotated[float, Meta(ge=0, le=10)]] = field(default_factory=dict)
-    """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
-    for planners that ask for the hand's description. Unless given, the URDF's ``mu1``, if any."""
+    """Coefficient of friction of the fingertips' surfaces by finger; ``defaults`` holds for all
+    others. Planners that ask for the hand's description use it. Unless given, the URDF's ``mu1``,
+    if any."""
     touch: dict[str, TouchSection] = field(default_factory=dict)
-    """Where its touch sensors are, by the names that their devices give them."""
+    """Places of its touch sensors, by the names that their devices give them."""
     openings: dict[str, list[MeasuredOpening]] = field(default_factory=dict)
     """Openings measured on the real hand, by action and elements, such as ``PinchTight index
     thumb``: pairs of intensity and opening [m]."""
     clearance: Annotated[float, Meta(ge=0, le=0.1)] = CLEARANCE
-    """Distance that clear poses and the ways to them keep from all links that they are not to touch
-    [m]; links that have hardly more at rest keep four fifths of what they have there."""
+    """Distance between links that must not touch, in clear poses and on the paths to them [m];
+    links that are hardly farther apart at rest keep four fifths of their distance at rest."""
     payload: Annotated[float, Meta(gt=0)] | None = None
-    """Largest mass that its data sheet lets it hold by friction [kg]; trials of heavier objects say
-    that they do not fit."""
+    """Largest mass that the hand may hold by friction according to its data sheet [kg]; trials
+    report that heavier objects do not fit."""
     flange: FlangeSection | None = None
-    """Where the hand sits on an arm; with it, planned grasps and openings are also given for the
+    """Mounting of the hand on an arm; with it, planned grasps and openings are also given for the
     arm's flange."""
     profile: ProfileSettings = ProfileSettings()
     """Motion of references between set-points."""
@@ -105,14 +105,14 @@ class HandConfig(Section, frozen=True, kw_only=True):
     metrics: MetricsSettings = MetricsSettings()
     """Metrics of the hand for Prometheus."""
     agent: AgentSettings = AgentSettings()
-    """What a language model may do with the hand."""
+    """Permissions of a language model that uses the hand."""
     driver: Literal["kinematic", "devices"] = "kinematic"
-    """What ``rtee run`` drives by default: a kinematic stand-in, or the ``devices``."""
+    """Default of ``rtee run``: a kinematic simulation, or the ``devices``."""
     devices: dict[str, DeviceSection] = field(default_factory=dict)
     """The devices by name."""
 
     def __post_init__(self) -> None:
-        """Check names, default limits, and that there are devices where they are to be driven."""
+        """Check names and default limits, and that ``driver: devices`` has devices."""
         with fitting("name"):
             check_name(self.name, "hand")
         for what, section in (("touch sensor", "touch"), ("device", "devices")):
@@ -124,7 +124,7 @@ class HandConfig(Section, frozen=True, kw_only=True):
             if getattr(usual, name) is not None:
                 raise Misfit("should be given for each actuator", "limits", DEFAULTS, name)
         if self.driver == "devices" and not self.devices:
-            raise ValueError("driver is 'devices' but no devices are given")
+            raise ValueError("driver is 'devices', but 'devices' lists none")
 
 
 def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:

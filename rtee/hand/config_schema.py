@@ -78,18 +78,18 @@ class ActuatorLimits(Section, frozen=True):
     """Limits of one actuator; they may only tighten the URDF's."""
 
     velocity: Positive | None = None
-    """Velocity limit [rad/s | m/s]; lowers the URDF's where that is higher."""
+    """Velocity limit [rad/s | m/s]; lowers a higher one of the URDF."""
     acceleration: Positive | None = None
-    """Acceleration limit [rad/s² | m/s²]; lowers the URDF's where that is higher. Without either,
-    the velocity limit in 0.1 s."""
+    """Acceleration limit [rad/s² | m/s²]; lowers a higher one of the URDF. Without either, the
+    velocity limit is reached in 0.1 s."""
     jerk: Positive | None = None
-    """Jerk limit [rad/s³ | m/s³]; lowers the URDF's where that is higher. Without either, the
-    acceleration limit in 0.05 s."""
+    """Jerk limit [rad/s³ | m/s³]; lowers a higher one of the URDF. Without either, the
+    acceleration limit is reached in 0.05 s."""
     effort: Positive | None = None
-    """Effort limit [N·m | N]; lowers the URDF's where that is higher."""
+    """Effort limit [N·m | N]; lowers a higher one of the URDF."""
     range: PositionRange | None = None
-    """Which position limits of the URDF hold: ``soft``, those of ``<safety_controller>`` where it
-    gives any, unless given; or ``hard``, those of ``<limit>``."""
+    """Choice of the URDF's position limits: ``soft`` (unless given) takes those of
+    ``<safety_controller>``, if there are any, ``hard`` those of ``<limit>``."""
     lower: float | None = None
     """Lower position limit [rad | m]."""
     upper: float | None = None
@@ -100,13 +100,13 @@ class Following(StrEnum):
     """Ways in which joints follow their actuator."""
 
     RIGID = "rigid"
-    """As geared."""
+    """Rigidly, as if geared."""
     SPRING = "spring"
     """Each on a spring of its own."""
     TENDON = "tendon"
     """On springs, with a tendon that shares the actuator's effort among them."""
     LINKAGE = "linkage"
-    """On springs, with a linkage in each finger that shares its effort among the finger's own."""
+    """On springs, with a linkage that shares the effort among the joints of each finger."""
 
 
 class ActuatorDynamics(Section, frozen=True):
@@ -125,26 +125,26 @@ class ActuatorDynamics(Section, frozen=True):
     dry_friction: NotNegative | None = None
     """Dry friction of the joint [N·m | N]; estimates of forces at fingertips use it, too."""
     efficiency: Annotated[float, Meta(gt=0, le=1)] | None = None
-    """Share of its effort that reaches the fingertips, besides dry friction; 1 unless given.
-    Estimates of forces at fingertips use it; the simulation has none."""
+    """Share of its effort, after dry friction, that reaches the fingertips; 1 unless given.
+    Estimates of forces at fingertips use it; the simulation does not."""
     coupling: Following | None = None
-    """How joints follow it: ``rigid``: as geared, unless given; ``spring``: each on a spring of its
-    own; ``tendon``: on springs, and one tendon shares the effort among them, so that those that are
-    free go on, ahead of the actuator, when others are stopped; ``linkage``: the same within each
-    finger, while no finger gives way to another."""
+    """How joints follow it: ``rigid`` (unless given): as if geared; ``spring``: each on its own
+    spring; ``tendon``: on springs, and one tendon shares the effort among them, so that free joints
+    go on, ahead of the actuator, when others are blocked; ``linkage``: the same within each finger,
+    while no finger gives way to another."""
     joints: Names | None = None
-    """The joints that follow by springs or the tendon: names, or patterns such as
-    ``*_distal_joint``; unless given, all that follow, with the actuator's own if it carries a
+    """The joints that follow on springs or the tendon: names, or patterns such as
+    ``*_distal_joint``; unless given, all that follow, and the actuator's own joint if it carries a
     shape."""
     shares: dict[str, float] | None = None
-    """Instead of ``joints``: their torques in relation to one another; unless given, in proportion
-    to how far each follows."""
+    """Instead of ``joints``: the ratio of their torques; unless given, in proportion to how far
+    each joint follows."""
     finger_force: Positive | None = None
-    """Largest force of each fingertip by the device's sheet [N], where its effort limit would give
-    more at some openings: goals ask for no more, and the simulation exerts no more."""
+    """Largest force of each fingertip according to the data sheet [N], if the effort limit would
+    give more at some openings: neither goals nor the simulation exceed it."""
     give: Positive | None = None
-    """How far a joint on a spring yields to its part of the full effort [rad | m]; 0.4 rad or 4 mm
-    unless given."""
+    """Deflection of a joint on a spring under its part of the full effort [rad | m]; 0.4 rad or
+    4 mm unless given."""
 
 
 class ProfileSettings(Section, frozen=True):
@@ -152,9 +152,9 @@ class ProfileSettings(Section, frozen=True):
 
     kind: ProfileKind = ProfileKind.JERK_LIMITED
     """``jerk_limited``: within velocity, acceleration and jerk limits, all actuators arriving
-    together, by ruckig; ``s_curve``: the same without ruckig, and what ``jerk_limited`` means where
-    that is not installed; ``filter``: critically damped second order after a
-    smoothed target; ``step``: at once."""
+    together, by ruckig; ``s_curve``: the same without ruckig, and the replacement for
+    ``jerk_limited`` where ruckig is not installed; ``filter``: a critically damped second-order
+    filter of a smoothed target; ``step``: at once."""
     bandwidth: Positive = 2.0
     """Bandwidth of ``filter`` [Hz]."""
 
@@ -163,16 +163,16 @@ class StallSettings(Section, frozen=True):
     """Criteria for a stalled actuator."""
 
     time: Positive = 0.25
-    """It has been slower than ``speed`` for this long while its reference is elsewhere [s]."""
+    """Time for which the actuator must be slower than ``speed``, away from its reference [s]."""
     speed: Fraction = 0.02
-    """Share of the velocity limit."""
+    """Speed below which an actuator may be stalled, as a share of the velocity limit."""
 
 
 class GraspSettings(Section, frozen=True):
     """Criteria for a finger that holds something, and its grip force."""
 
     effort: Fraction = 0.2
-    """A stalled actuator above this share of its effort limit holds something."""
+    """Share of the effort limit above which a stalled actuator holds something."""
     grip_effort: Annotated[float, Meta(gt=0, le=1)] = 0.4
     """Effort while holding, as a share of the effort limit."""
     grip_after: NotNegative = 2.0
@@ -180,25 +180,25 @@ class GraspSettings(Section, frozen=True):
     touch: NotNegative = 0.1
     """Force on a finger above which it touches [N], where a device measures it."""
     on_contact: OnContact | None = None
-    """What fingers do when they touch something, unless a goal says otherwise: ``stop`` where they
+    """Reaction of fingers that touch something, unless a goal says otherwise: ``stop`` where they
     are, ``hold`` there lightly, ``squeeze`` together once enough of them touch. Unless given, they
-    close on with the effort limits until they stall."""
+    go on closing with the effort limits until they stall."""
     contact_force: Positive = 0.5
-    """Where no device measures forces on the fingers: force at the fingertips above which an
-    actuator's effort counts as a contact [N]."""
+    """Force at the fingertips above which an actuator's effort counts as a contact, if no device
+    measures forces on the fingers [N]."""
     contact_fingers: Annotated[int, Meta(ge=1)] = 2
     """Number of fingers that must touch before they squeeze; actions with an opening need one on
     each of its sides instead."""
     squeeze_time: NotNegative = 0.3
-    """Time in which the force is then built up [s]."""
+    """Time in which the squeeze builds up its force [s]."""
 
 
 class StreamSettings(Section, frozen=True):
     """Streams of set-points."""
 
     deadline: Annotated[float, Meta(gt=0, le=LONGEST_DEADLINE)] = 0.1
-    """A stream without a sample for this long brakes and holds [s]; a stream may ask for another
-    one."""
+    """Time without a sample after which a stream brakes and holds [s]; a stream may ask for another
+    deadline."""
     max_lag: Positive | None = None
     """Longest lag between a sample's stamp, as it arrives, and its set-point [s]; unless given, 1.2
     periods of the stream and 5 ms."""
@@ -212,7 +212,7 @@ class LoopSection(Section, frozen=True):
     goal_timeout: Positive = 10.0
     """Longest time a goal may take [s]."""
     opening_tolerance: Positive = 0.0005
-    """An opening is reached when it is off by no more than this [m]."""
+    """Error within which an opening counts as reached [m]."""
     stall: StallSettings = StallSettings()
     """Criteria for a stalled actuator."""
     grasp: GraspSettings = GraspSettings()
@@ -235,14 +235,14 @@ class RealtimeSettings(Section, frozen=True):
     enabled: bool = False
     """Ask for real-time scheduling (SCHED_FIFO)."""
     priority: Annotated[int, Meta(ge=1, le=99)] = 80
-    """Its priority."""
+    """Priority of the loop's thread."""
     cpus: tuple[Annotated[int, Meta(ge=0)], ...] = ()
     """Processors the loop may run on; empty for all."""
     lock_memory: bool = True
     """Keep the process's memory from being swapped out."""
     helper_priority: Annotated[int, Meta(ge=0, le=98)] = 0
-    """Real-time priority of the recorder's and the network's threads, for which the loop has to
-    wait when other programs keep them from running; 0 leaves them ordinary."""
+    """Real-time priority of the threads of the recorder and the network, for which the loop has to
+    wait when other programs keep them from running; 0: no real-time priority."""
 
 
 class SafetySettings(Section, frozen=True):
@@ -254,33 +254,33 @@ class SafetySettings(Section, frozen=True):
     on_client_lost: Behaviour = Behaviour.HOLD
     """When the client that holds the hand has died."""
     on_link_lost: Behaviour = Behaviour.HOLD
-    """When a device does not answer any more, for the others."""
+    """When a device no longer answers, for the other devices."""
     on_error: Behaviour = Behaviour.STOP
     """When the loop itself fails."""
     max_step: Positive | None = None
-    """Largest change of a reference within one tick [rad | m]; unless given, what the velocity
-    limit allows."""
+    """Largest change of a reference within one tick [rad | m]; unless given, as much as the
+    velocity limit allows."""
     idle_disable: Positive | None = None
-    """A hand that nobody has moved for this long [s], and that holds nothing, goes limp, where its
-    devices can be; ``rtee recover`` wakes it. Unless given, it stays powered."""
+    """Time without motion after which a hand that holds nothing goes limp, if its devices can [s];
+    ``rtee recover`` wakes it. Unless given, it stays powered."""
 
 
 class ThermalSettings(Section, frozen=True):
     """Temperatures of actuators [°C]."""
 
     warn: float = 60.0
-    """From here on a warning is given."""
+    """Temperature above which a warning is given."""
     derate: float = 70.0
-    """From here on the effort limit falls, to nothing at ``disable``."""
+    """Temperature above which the effort limit decreases, down to 0 at ``disable``."""
     disable: float = 80.0
-    """From here on the actuator's device is disabled."""
+    """Temperature above which the actuator's device is disabled."""
     nominal_current: Mapping[str, Positive] = field(default_factory=dict)
-    """Largest continuous current by actuator [A]; ``defaults``: of all others. Where no
-    temperature is measured, it is estimated from the measured current."""
+    """Largest continuous current by actuator [A]; ``defaults`` holds for all others. The
+    temperature of an actuator without a sensor is estimated from its measured current."""
     time_constant: Positive = 30.0
     """Time in which an estimated temperature comes within 37 % of its final value [s]."""
     ambient: float = 25.0
-    """Temperature of the surroundings, where estimates begin; below ``warn``."""
+    """Ambient temperature, at which estimates begin; below ``warn``."""
 
     def __post_init__(self) -> None:
         """Check that the temperatures rise."""
@@ -296,7 +296,7 @@ class Recorded(StrEnum):
     FULL = "full"
     """Every tick."""
     GOALS = "goals"
-    """What happens: from 5 s before a goal, command, stream or event to 5 s after it."""
+    """From 5 s before a goal, command, stream or event to 5 s after it."""
     FAULTS = "faults"
     """The half minute before something fails, as the flight recorder writes it."""
 
@@ -307,7 +307,7 @@ class RecordingLayout(StrEnum):
     MESSAGES = "messages"
     """Three messages each, which any software reads."""
     COLUMNS = "columns"
-    """Column by column, in a third of the room; other software reads ``tf_rate`` of them a
+    """Column by column, in a third of the space; other software reads only ``tf_rate`` of them a
     second."""
 
 
@@ -316,7 +316,7 @@ class LogSection(Section, frozen=True):
 
     directory: Path | None = None
     """Folder of the recordings, relative to the working directory; unless given, ``logs``. With
-    ``rtee run --no-log`` or ``enabled: false`` faults are written only where a folder is given."""
+    ``rtee run --no-log`` or ``enabled: false``, faults are recorded only if a folder is given."""
     enabled: bool = True
     """Record while the hand runs."""
     record: Recorded = Recorded.FULL
@@ -324,28 +324,30 @@ class LogSection(Section, frozen=True):
     event to 5 s after it; ``faults``, only what ``flight_recorder`` keeps. Only ``full`` recordings
     can be recomputed."""
     layout: RecordingLayout = RecordingLayout.MESSAGES
-    """How ticks are recorded: ``messages``, which any software reads, or ``columns`` in a third of
-    the room, of which other software reads ``tf_rate`` a second. Nothing is lost in either."""
+    """Format of recorded ticks: ``messages``, which any software reads, or ``columns``, which take
+    a third of the space, but of which other software reads only ``tf_rate`` a second. Both keep
+    all data."""
     max_file_size: Positive = 1e9
-    """A new file is begun beyond this size [bytes]."""
+    """Size after which a new file begins [bytes]."""
     max_file_time: Positive = 3600.0
-    """A new file is begun after this time [s]."""
+    """Time after which a new file begins [s]."""
     max_total_size: Positive = 2e10
-    """The oldest recordings of the hand are deleted beyond this size of all [bytes]."""
+    """Largest size of all recordings of the hand [bytes]; beyond it, the oldest are deleted."""
     max_folder_size: Positive = 1e11
-    """The oldest recordings of all hands in the folder are deleted beyond this size [bytes]."""
+    """Largest size of the recordings of all hands in the folder [bytes]; beyond it, the oldest are
+    deleted."""
     common_directory: Path | None = None
-    """Folder above ``directory`` in which several hands have theirs: what is recorded anywhere
-    below it counts together for all these bounds, and the oldest of it makes room."""
+    """Folder above ``directory`` that several hands share: all recordings below it count together
+    for these limits, and the oldest of them are deleted first."""
     reserve: NotNegative = 1e9
-    """So much of the disk stays free [bytes]: the oldest recordings in the folder make room, and
+    """Space of the disk to keep free [bytes]: the oldest recordings in the folder are deleted, and
     when there are none, recording pauses."""
     flight_recorder: NotNegative = 30.0
-    """This much is kept in memory and written when something fails [s]; 0: nothing."""
+    """Time that is kept in memory and written when something fails [s]; 0: nothing."""
     decimation: Annotated[int, Meta(ge=1)] = 1
     """Record every n-th tick; only recordings of every tick can be recomputed."""
     tf_rate: NotNegative = 50.0
-    """Rate of the links' transforms on ``/tf``, from which Foxglove and RViz show the moving hand
+    """Rate of the links' transforms on ``/tf``, with which Foxglove and RViz show the moving hand
     [Hz]; 0: none."""
     meshes: bool = True
     """Attach the hand's meshes to recordings and put them into ``/robot_description``."""
@@ -360,11 +362,10 @@ class SecuritySettings(Section, frozen=True):
     """Access to the hand over a network."""
 
     folder: Path | None = None
-    """Folder with the certificates that ``rtee secure`` has made; unless given, where it makes
-    them."""
+    """Folder with the certificates made by ``rtee secure``; unless given, its default folder."""
     insecure: bool = False
-    """Allow endpoints without certificates beyond this computer: whoever reaches them can move the
-    hand."""
+    """Allow endpoints without certificates beyond this computer: anyone who reaches them can move
+    the hand."""
 
 
 class RemoteSettings(Section, frozen=True):
@@ -373,7 +374,7 @@ class RemoteSettings(Section, frozen=True):
     listen: Names = ()
     """Zenoh endpoints to listen on, such as ``tls/192.168.1.10:7447``; empty: this machine only."""
     connect: Names = ()
-    """Zenoh endpoints of routers to connect to, as ``rtee router`` is; they may come up later."""
+    """Zenoh endpoints of routers to connect to, such as ``rtee router``; they may start later."""
     security: SecuritySettings = SecuritySettings()
     """Access to the hand over a network."""
     state_rate: Positive = 100.0
@@ -402,9 +403,9 @@ class Gate(StrEnum):
     WATCH = "watch"
     """It reads, and may stop the hand."""
     APPROVE = "approve"
-    """Each motion is played in simulation, where it can be, and a person says yes to it."""
+    """Each motion is simulated first, if possible, and a person must approve it."""
     SIMULATE = "simulate"
-    """Each motion is played in simulation first, and refused if it fails there."""
+    """Each motion is simulated first, and refused if it fails there."""
     ACT = "act"
     """It moves the hand within the limits."""
 
@@ -412,26 +413,26 @@ class Gate(StrEnum):
 class AgentSettings(Section, frozen=True):
     """Permissions of a language model that uses the hand by ``rtee mcp``.
 
-    Its command line may allow less than is given here, never more; what is not given here, the
-    command line decides.
+    The command line of ``rtee mcp`` may allow less, but never more; it decides whatever is not
+    given here.
     """
 
     gate: Gate | None = None
-    """``watch``, unless given anywhere: it only reads; ``approve``: each motion is played in
-    simulation, and a person says yes to it; ``simulate``: each motion is played in simulation, and
-    refused if it loses the object, collides or exceeds ``force``; ``act``: it moves the hand within
-    the limits below, which always hold."""
+    """``watch`` (the default): the agent only reads; ``approve``: each motion is simulated, and a
+    person must approve it; ``simulate``: each motion is simulated, and refused if it loses the
+    object, collides or exceeds ``force``; ``act``: the agent moves the hand. The limits below
+    always hold."""
     force: Annotated[float, Meta(gt=0, le=1000)] | None = None
-    """Largest force that it may ask for, and that a simulation may come to [N]; 10 N unless
-    given."""
-    effort: Annotated[float, Meta(gt=0, le=1)] | None = None
-    """Largest effort of actions that are done without a force, as a share of the effort limits; 0.4
+    """Largest force that the agent may ask for, and that may occur in the simulation [N]; 10 N
     unless given."""
+    effort: Annotated[float, Meta(gt=0, le=1)] | None = None
+    """Largest effort of actions without a force, as a share of the effort limits; 0.4 unless
+    given."""
     speed: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Largest speed, as a share of the velocity limits; 0.5 unless given."""
     actions: Names = ()
-    """Names of the actions that it may do; ``grasp`` stands for grasping by width and force, and
-    ``open`` for opening. Empty: all."""
+    """Names of the allowed actions; ``grasp`` stands for grasping by width and force, and ``open``
+    for opening. Empty: all."""
 
 
 class Distro(StrEnum):
@@ -454,8 +455,8 @@ class Ros2Settings(Section, frozen=True):
     """The hand as a node of ROS 2, for nodes with the middleware ``rmw_zenoh_cpp``."""
 
     enabled: bool = False
-    """Be a node of ROS 2. ROS 2 knows no identities: whoever reaches its router can move the
-    hand."""
+    """Be a node of ROS 2. ROS 2 does not check identities: anyone who reaches its router can move
+    the hand."""
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
     """The domain, unless ``ROS_DOMAIN_ID`` gives another."""
     namespace: str = ""
@@ -465,21 +466,22 @@ class Ros2Settings(Section, frozen=True):
     router: str = "tcp/localhost:7447"
     """Zenoh endpoint of the router (``rmw_zenohd``)."""
     rate: Annotated[float, Meta(ge=1, le=1000)] = 100.0
-    """Rate of ``joint_states`` and of the other topics with what is measured [Hz]."""
+    """Rate of ``joint_states`` and the other topics of measurements [Hz]."""
     tf: bool = False
-    """Publish ``/tf`` and ``/tf_static``, where no ``robot_state_publisher`` does."""
+    """Publish ``/tf`` and ``/tf_static``, for graphs without a ``robot_state_publisher``."""
     gripper: GripperUnit = GripperUnit.METRES
-    """What positions of ``gripper_cmd`` are: the gap between the fingertips in metres, or the value
-    of a joint, as MoveIt sends it."""
+    """Meaning of positions in ``gripper_cmd``: the gap between the fingertips in metres, or the
+    value of a joint, as MoveIt sends it."""
     gripper_joint: str = ""
-    """The actuator whose position goals of ``gripper_cmd`` give, in a hand with several; empty with
+    """Actuator that goals of ``gripper_cmd`` move, in a hand with several; empty with
     ``gripper: moveit``: the only one."""
 
     def __post_init__(self) -> None:
         """Check that ROS 2 takes the namespace."""
         if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?", self.namespace, re.ASCII):
             raise ValueError(
-                "the namespace should be of letters, digits and underscores, parted by slashes"
+                "the namespace should consist of letters, digits and underscores, separated by "
+                "slashes"
             )
 
 
@@ -492,11 +494,11 @@ class FlangeSection(Section, frozen=True):
     """Mounting of the hand on an arm: the pose of its base frame in the arm's flange frame."""
 
     frame: str = "flange"
-    """The flange's frame, as the arm calls it, such as ``tool0``."""
+    """Name of the flange's frame on the arm, such as ``tool0``."""
     xyz: Vector = (0.0, 0.0, 0.0)
-    """Origin of the hand's base frame in the flange's [m], such as the height of an adapter."""
+    """Origin of the hand's base frame in the flange frame [m], such as the height of an adapter."""
     rpy: Vector = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw of the hand's base frame in the flange's [rad]."""
+    """Roll, pitch and yaw of the hand's base frame in the flange frame [rad]."""
 
     def __post_init__(self) -> None:
         """Check the name, which becomes one in ROS and in messages."""
@@ -510,24 +512,25 @@ class TouchSection(Section, frozen=True):
     """Location of a touch sensor on the hand, and the meaning of its values."""
 
     link: str | None = None
-    """The link that it is on; unless given, its place is as the device's driver says."""
+    """The link of the sensor; unless given, the device's driver gives its place."""
     xyz: Vector = (0.0, 0.0, 0.0)
-    """Origin of its frame in the link's [m]."""
+    """Origin of the sensor's frame in the link's frame [m]."""
     rpy: Vector = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw of its frame in the link's [rad]; z leads out of the surface."""
+    """Roll, pitch and yaw of the sensor's frame in the link's frame [rad]; z points out of the
+    surface."""
     grid: tuple[Cells, Cells] | None = None
-    """Rows along x and columns along y of its taxels, which come row by row; the origin is in the
-    middle."""
+    """Numbers of rows (along x) and columns (along y) of its taxels, which are read row by row; the
+    origin is in the middle."""
     pitch: tuple[Positive, Positive] = (0.004, 0.004)
     """Distance from row to row and from column to column [m]."""
     positions: Vectors = ()
-    """Instead of ``grid``: the positions of the taxels in its frame [m], in their order. With
-    neither, a single taxel is at the origin, and of several only the link is known."""
+    """Instead of ``grid``: the positions of the taxels in the sensor's frame [m], in order. With
+    neither, a single taxel is at the origin; of several taxels only the link is known."""
     normals: Vectors = ()
     """Directions out of the surface at the ``positions``; z unless given."""
     scale: Positive | None = None
-    """Newtons per unit of a taxel's value, where the device does not measure in
-    newtons itself; only forces make a finger feel a contact."""
+    """Newtons per unit of a taxel's value, if the device does not measure in newtons; only forces
+    count as contacts of a finger."""
 
     def __post_init__(self) -> None:
         """Check that the taxels are given in one way."""
@@ -538,21 +541,21 @@ class TouchSection(Section, frozen=True):
         if self.normals and len(self.normals) != len(self.positions):
             raise ValueError("should have as many normals as positions")
         if any(not any(normal) for normal in self.normals):
-            raise ValueError("should have normals that are longer than 0")
+            raise ValueError("should have normals of non-zero length")
 
 
 class DeviceSection(Section, frozen=True):
     """A physical thing on a bus."""
 
     driver: str
-    """Name of the driver, or ``module:Class`` for one of your own."""
+    """Name of the driver, or ``module:Class`` for your own."""
     actuators: Literal["all"] | Names = "all"
-    """The actuators it drives."""
+    """Actuators that the device drives."""
     every: Annotated[int, Meta(ge=1)] | None = None
-    """Exchange with it every n ticks; unless given, as often as its bus allows."""
+    """Exchange with the device every n ticks; unless given, as often as its bus allows."""
     deadline: Positive | None = None
     """Longest time one exchange may take [s]."""
     reconnect: Literal["inactive", "active"] = "inactive"
-    """Its lifecycle when it is back after a loss: ``inactive`` waits for ``rtee recover``."""
+    """State after it is connected again: ``inactive`` waits for ``rtee recover``."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """The driver's own options."""

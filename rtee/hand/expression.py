@@ -146,7 +146,7 @@ def _as_python(text: str) -> str:
         if name and name not in _NAMES:
             known = ", ".join([*sorted(FUNCTIONS), *CHOICES, *CONSTANTS])
             raise ExpressionError(
-                f"unknown '{name[:40]}' at column {column + 1}; there are x, {known}", column=column
+                f"unknown '{name[:40]}' at column {column + 1}; valid: x, {known}", column=column
             )
         # "1e999" is a valid token; every value made from it would be infinite or NaN.
         if number and math.isinf(float(number)):

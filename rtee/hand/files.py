@@ -257,7 +257,7 @@ def _regular(path: Path, folder: int, owner: int, limit: int) -> bytes | None:
             return None
         if status.st_uid != owner:
             raise ConfigError(
-                "belongs to another user than its folder; give both the same owner", path=path
+                "and its folder belong to different users; give both the same owner", path=path
             )
         content = file.read(limit + 1)
     if len(content) > limit:

@@ -173,7 +173,10 @@ class _LimitReader:
                 )
             lower, upper = (value, upper) if key == "lower" else (lower, value)
         if lower >= upper:
-            raise self.error(("limits", joint.name), f"the limits {lower:g} … {upper:g} are empty")
+            raise self.error(
+                ("limits", joint.name),
+                f"the lower limit {lower:g} is not below the upper limit {upper:g}",
+            )
         return lower, upper
 
     def tighter(self, key: str) -> float:

@@ -148,7 +148,7 @@ def load_configured(
 def _subtree(config: HandConfig, document: YamlDocument) -> list[Edit]:
     if config.root is None and config.outside is not Outside.ABSENT:
         raise document.error(
-            ("outside",), "says what becomes of what is not below a root; add root:"
+            ("outside",), "needs 'root:', because it decides about the links outside of the root"
         )
     return [] if config.root is None else [Subtree(config.root, config.outside)]
 
@@ -163,7 +163,7 @@ def hand_folder(
     """
     if isinstance(hand, Hand):
         if hand.folder is None:
-            raise ConfigError(f"the hand '{hand.name}' has no folder; load it by rtee.load_hand")
+            raise ConfigError(f"the hand '{hand.name}' has no folder; load it with rtee.load_hand")
         return hand.folder, hand.folder / FILE_NAME
     name_or_path = hand
     if not _is_path(name_or_path):
@@ -236,7 +236,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     unknown = next((n for n in overrides.passive if n not in urdf.joints), None)
     if unknown is not None:
         raise ModelError(
-            f"no joint '{unknown}', which is to be passive; {suggestion(unknown, urdf.joints)}"
+            f"unknown joint '{unknown}' under 'passive'; {suggestion(unknown, urdf.joints)}"
         )
     # A passive joint may be fixed (`check_srdf` notes it); such a joint has no role.
     passive = {

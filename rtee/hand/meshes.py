@@ -159,7 +159,7 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
     path = resolve_mesh(shape.mesh, urdf.path, package_dirs, line=shape.line)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        what = f"has an unknown format '{suffix}'; there are {', '.join(FORMATS)}"
+        what = f"has the unknown format '{suffix}'; valid: {', '.join(FORMATS)}"
         raise urdf.error(f"mesh '{shape.mesh}' {what}", shape.line)
     data = read_bytes(path, "mesh", ModelError)
     wrong = why_no_mesh(data, suffix)

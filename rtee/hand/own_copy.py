@@ -57,14 +57,15 @@ def own_place(folder: Path) -> Path:
     places = own_dirs()
     number = next((i for i, place in enumerate(places) if _can_be_made(place)), None)
     if number is None:
-        raise ConfigError(f"{fixed}, and there is no folder that a copy could be written to")
+        raise ConfigError(f"{fixed}, and there is no folder for a copy")
     target = places[number] / name
     if os.path.exists(target / FILE_NAME):
         raise ConfigError(f"{fixed}; your own is {target}: give that, or its name")
     for earlier in places[:number]:
         if os.path.exists(earlier / name / FILE_NAME):
             raise ConfigError(
-                f"{fixed}, and a copy in {places[number]} would be hidden by {earlier / name}; put "
+                f"{fixed}, and a copy in {places[number]} would be shadowed by {earlier / name}; "
+                "put "
                 f"a folder of your own first into {VARIABLE}"
             )
     return target
@@ -134,7 +135,9 @@ def _fill(folder: Path, copy: Path, name: str) -> None:
     # Loaded under its temporary name, so that a copy that cannot be loaded does not remain.
     made = load_configured(copy)[1]
     if made.name != name:
-        raise ConfigError(f"the name cannot be set to '{name}'; do it by hand", path=folder)
+        raise ConfigError(
+            f"the name cannot be changed to '{name}' automatically; edit it yourself", path=folder
+        )
 
 
 def _can_be_made(place: Path) -> bool:

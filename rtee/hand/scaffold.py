@@ -212,7 +212,7 @@ def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
         )
     )
     if len(chosen) == len(hand.actuators):
-        raise ModelError("no joint with a motor is left", path=hand.urdf.path)
+        raise ModelError("the hand has no joint with a motor", path=hand.urdf.path)
     return chosen, [f"joint '{joint}' is passive: it has no motor" for joint in chosen]
 
 

@@ -115,7 +115,9 @@ def read_srdf(path: Path | str) -> Srdf:
     # Without this check, a URDF would be read as an SRDF without groups.
     joint = next(root.all("joint"), None)
     if joint is not None:
-        raise joint.error("a joint is defined here, as in a URDF; an SRDF only names joints")
+        raise joint.error(
+            "an SRDF cannot define joints, only name them; define this joint in the URDF"
+        )
     groups: dict[str, SrdfGroup] = {}
     for element in root.all("group"):
         group = _group(element)

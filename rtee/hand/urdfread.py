@@ -38,7 +38,7 @@ MOST_LINKS: Final = 300
 grows with the square."""
 
 MOST_SHAPES: Final = 1000
-"""Most shapes for collisions; hands whose links are decomposed into convex parts have up to 500. So
+"""Most collision shapes; hands whose links are decomposed into convex parts have up to 500. So
 does the work on them."""
 
 _NO_AXIS: Final = 1e-9
@@ -122,7 +122,7 @@ def _links(root: Element) -> dict[str, UrdfLink]:
     if not 0 < len(links) <= MOST_LINKS:
         raise root.error(f"has {len(links)} links instead of 1 to {MOST_LINKS}")
     if (shapes := sum(len(link.collisions) for link in links.values())) > MOST_SHAPES:
-        raise root.error(f"has {shapes} shapes for collisions, more than {MOST_SHAPES}")
+        raise root.error(f"has {shapes} collision shapes; a hand has at most {MOST_SHAPES}")
     return links
 
 
@@ -196,7 +196,7 @@ def _geometry(element: Element, link: str) -> tuple[UrdfGeometry, ...]:
             return made("cylinder", radius=radius, length=length), *caps
         case other:
             raise shape.error(
-                f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere, "
+                f"unknown geometry <{other}> of link '{link}'; valid: mesh, box, sphere, "
                 "cylinder and capsule"
             )
 
@@ -311,7 +311,7 @@ def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, fl
     """Return the position limits."""
     limit = element.first("limit")
     if limit is None and kind in _LIMITED:
-        raise element.error(f"joint '{name}' is {kind} but has no <limit>")
+        raise element.error(f"joint '{name}' is {kind}, so it needs a <limit>")
     if kind == "continuous":
         # Some files give a continuous joint position limits, which have no meaning.
         return -math.inf, math.inf
@@ -319,7 +319,9 @@ def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, fl
         return 0.0, 0.0
     lower, upper = (limit.number(end, 0.0, most=MOST) for end in ("lower", "upper"))
     if lower > upper:
-        raise limit.error(f"joint '{name}' has its lower limit {lower:g} above its upper {upper:g}")
+        raise limit.error(
+            f"joint '{name}' has its lower limit {lower:g} above its upper limit {upper:g}"
+        )
     return lower, upper
 
 
@@ -391,7 +393,9 @@ def _tree(
     reached = _in_tree_order(roots[0], below) if roots else {}
     loop = next((joint for name, joint in joints.items() if name not in reached), None)
     if loop is not None:
-        raise root.error(f"joint '{loop.name}' is part of a loop; a URDF is a tree", loop.line)
+        raise root.error(
+            f"joint '{loop.name}' is part of a loop, but a URDF must be a tree", loop.line
+        )
     return roots[0], joint_to, {link: tuple(found) for link, found in below.items()}
 
 

@@ -129,8 +129,8 @@ def check_one_hand(hand: Hand) -> None:
         return
     if not hands:
         raise hand.urdf.error(
-            f"no hand is found: the {len(branches)} branches that move end in one link each, as "
-            "arms and legs do; --root LINK says where the hand is"
+            f"no hand was found: the {len(branches)} branches that move end in one link each, as "
+            "arms and legs do; give the hand's base link with --root LINK"
         )
     named = " or ".join(f"--root {each.link} ({len(each.ends)} fingers)" for each in hands)
     what = "a hand and other parts" if len(hands) == 1 else f"{len(hands)} hands"

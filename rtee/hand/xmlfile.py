@@ -113,7 +113,9 @@ class Element:
         if not math.isfinite(value):
             raise self.error(f'{attribute}="{text[:80]}" is not a finite number')
         if abs(value) > most:
-            raise self.error(f'{attribute}="{text[:80]}" is beyond {most:g}, too much for a hand')
+            raise self.error(
+                f'{attribute}="{text[:80]}" is beyond {most:g}, the largest value for a hand'
+            )
         return value
 
 
@@ -126,8 +128,8 @@ def check_expanded(root: Element) -> None:
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:
         raise macro.error(
-            "is a xacro file; let its name end with .xacro, and rtee expands it, which runs its "
-            "expressions"
+            "is a xacro file; rename it to end with .xacro, so that rtee expands it (and runs its "
+            "expressions)"
         )
 
 
@@ -188,7 +190,7 @@ class _Builder:
 
     def refuse(self, *_: object) -> None:
         raise ModelError(
-            "declares a document type or entities, which are refused; remove the <!DOCTYPE …>",
+            "declares a document type or entities, which rtee refuses; remove the <!DOCTYPE …>",
             path=self.path,
             line=self.parser.CurrentLineNumber,
         )

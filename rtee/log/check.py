@@ -124,7 +124,7 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
         urdf = folder / "hand.urdf"
         text = recording.urdf or _attached(recording, ".urdf")
         if not text:
-            raise LogError("holds no URDF", path=recording.paths[0])
+            raise LogError("contains no URDF", path=recording.paths[0])
         # Write files, since a model is only loaded from files, here as for a run.
         urdf.write_text(text)
         srdf: Path | None = None
@@ -214,7 +214,7 @@ class _Checker:
         if not rows:
             return
         if states.names != self._names or reference.names != self._names:
-            raise LogError("has other actuators than its settings", path=self.path)
+            raise LogError("has actuators that differ from those in its settings", path=self.path)
         computed = {name: np.empty((len(rows), len(self._names))) for name in _QUANTITIES}
         for row, measured in zip(rows, self._measurements(piece), strict=True):
             self._step(int(states.tick[row]), float(states.time[row]), measured)
@@ -370,10 +370,10 @@ def _replayable(recording: Recording) -> Replayable:
     path = recording.paths[0]
     attached = recording.attachments.get(REPLAY)
     if attached is None:
-        raise LogError("holds no settings of the loop: it cannot be recomputed", path=path)
+        raise LogError("contains no settings of the loop, so it cannot be recomputed", path=path)
     chosen = recording.metadata.get("decimation", "1"), recording.metadata.get("record", "full")
     if chosen != ("1", "full"):
-        raise LogError("does not hold every tick: it cannot be recomputed", path=path)
+        raise LogError("lacks some ticks, so it cannot be recomputed", path=path)
     return from_json(attached, Replayable)
 
 

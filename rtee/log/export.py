@@ -211,7 +211,7 @@ def export(
                     stack.callback(spools[name].close)
                 spools[name].add(table)
         if not spools:
-            raise LogError("holds nothing that could be exported", path=path)
+            raise LogError("contains nothing to export", path=path)
         if kind is Format.NPZ:
             _write_npz(output, spools)
             return [output]

@@ -356,7 +356,7 @@ def figure(
         piece = following
     if not chosen or ("position", chosen[0]) not in lines:
         when = "" if start is end is None else " in that time"
-        raise LogError(f"holds no states{when}", path=first.paths[0])
+        raise LogError(f"contains no states{when}", path=first.paths[0])
     efforts, label = _efforts(lines)
     rows = []
     for title, names in _groups(chosen, by, fingers or {}).items():

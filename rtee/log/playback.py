@@ -64,11 +64,11 @@ def write_hand(recording: Recording, folder: Path) -> Path:
         folder: Parent of the hand's folder.
 
     Raises:
-        LogError: if the recording holds no URDF.
+        LogError: if the recording contains no URDF.
         ConfigError: if the folder cannot be written.
     """
     if not recording.urdf:
-        raise LogError("holds no URDF", path=recording.paths[0])
+        raise LogError("contains no URDF", path=recording.paths[0])
     # The name comes from a file and must be checked before it becomes part of a path.
     name = check_name(recording.hand, "hand", path=recording.paths[0])
     home = folder.absolute() / name

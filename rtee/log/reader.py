@@ -72,7 +72,7 @@ def read(
             are recorded for viewers and follow from the joint states, are never read.
 
     Raises:
-        LogError: if a file cannot be opened, is not an MCAP file or holds no recording of a hand.
+        LogError: if a file cannot be opened, is no MCAP file or contains no recording of a hand.
     """
     return read_indexed([index_file(each) for each in paths_of(path, series=series)], only)
 
@@ -115,7 +115,7 @@ def _wanted(only: Iterable[str] | None) -> set[str]:
     wanted = set(topics.TYPES) - topics.FOR_VIEWERS if only is None else set(only)
     unknown = wanted - set(topics.TYPES)
     if unknown:
-        raise LogError(f"there are no topics {sorted(unknown)}; there are {sorted(topics.TYPES)}")
+        raise LogError(f"unknown topics {sorted(unknown)}; valid: {sorted(topics.TYPES)}")
     return wanted | {topics.TICKS} if wanted.intersection(_TABLES) else wanted
 
 
@@ -226,7 +226,7 @@ class _Collector:
     ) -> None:
         # Whatever is wanted of it: it is one if it has any topic of a hand.
         if not file.values and not any(c.topic in self._names for c in file.channels.values()):
-            raise LogError("holds no recording of a hand", path=file.path)
+            raise LogError("contains no recording of a hand", path=file.path)
         wanted = [
             place for place in places if not place.indexes or channels.keys() & place.indexes.keys()
         ]

@@ -73,7 +73,7 @@ def recover(
     """
     path = Path(path)
     if being_written(path):
-        raise LogError("is being written; stop the recording first", path=path)
+        raise LogError("is still being written; stop the recording first", path=path)
     content = index_file(path)
     beside = path if in_place else path.with_name(f"{path.stem}_recovered{path.suffix}")
     target = beside if output is None else Path(output)
@@ -91,7 +91,8 @@ def recover(
                 return _report(content, target, 0, untouched=True)
             if content.loose:
                 raise LogError(
-                    "has messages outside of chunks, as rtee never writes them; they would be lost",
+                    "has messages outside of chunks, which rtee never writes; recovering would "
+                    "lose them",
                     path=path,
                 )
             # Beside the target, since a file can be renamed only within its file system.

@@ -171,7 +171,7 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
     """Return the files that `read` would read; `LogError` if a folder holds no recording."""
     if not isinstance(path, (str, Path)):
         if not path:
-            raise LogError("no file is given")
+            raise LogError("give a recording")
         return [Path(each) for each in path]
     path = Path(path)
     if path.is_dir():

@@ -155,7 +155,7 @@ class DiskSink:
                     kept = f"{self._settings.reserve / 1e9:g} GB"
                     raise OSError(
                         errno.ENOSPC,
-                        f"less than {kept} of the disk are free, which log.reserve keeps",
+                        f"less than {kept} of the disk are free; log.reserve keeps that much",
                     )
             if not self._file.end:
                 # With the first chunk instead of at the opening: a file without ticks stays small.

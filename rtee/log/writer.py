@@ -130,7 +130,7 @@ class TickEncoder:
         # A single copy, which keeps the encoding of a tick at some 10 µs.
         block = b"".join(self._parts)
         if len(block) != self._size:
-            raise ValueError("the arrays of a tick do not fit the hand")
+            raise ValueError("the arrays of a tick have the wrong length for this hand")
         return block
 
 

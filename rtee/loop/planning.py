@@ -199,7 +199,7 @@ def _touching(fingers: Sequence[str], hand: Hand, library: ActionLibrary) -> Act
             candidates.append((key, action))
     if not candidates:
         whose = ", ".join(fingers) or f"'{hand.name}'"
-        raise GoalRejected(f"no action closes the fingertips of {whose}; name one")
+        raise GoalRejected(f"no action closes the fingertips of {whose}; give an action")
     return min(candidates, key=lambda each: each[0])[1]
 
 

@@ -197,7 +197,7 @@ def _pin(cpus: tuple[int, ...]) -> list[str]:
     except OSError as error:
         present = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
         wanted = ", ".join(map(str, cpus))
-        return [f"CPU {wanted} cannot be used ({error.strerror}); there are: {present}"]
+        return [f"CPU {wanted} cannot be used ({error.strerror}); this computer has {present}"]
     return []
 
 

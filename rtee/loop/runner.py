@@ -64,7 +64,7 @@ class Runner:
         resume, idle.resume = idle.resume, None
         if resume is None or task is None or idle.context is None:
             work.close()
-            raise RuntimeError("the task is at work")
+            raise RuntimeError("the task is running")
         event_loop = task.get_loop()
         # As asyncio's documentation of custom tasks describes: tell it which task is running.
         if outer is not None:

@@ -133,7 +133,7 @@ def restore(controller: Controller, nodes: list[Any]) -> None:
         _Restoring(controller, nodes).value([0], controller)
         controller.restored()
     except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
-        raise LogError(f"holds a state of the controller that makes no sense: {error}") from None
+        raise LogError(f"contains an invalid state of the controller: {error}") from None
 
 
 class _Restoring:

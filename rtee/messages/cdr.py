@@ -126,7 +126,7 @@ class Reader:
 
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         if len(data) > LONGEST:
-            raise MessageError(f"{len(data)} bytes are longer than any message")
+            raise MessageError(f"{len(data)} bytes is more than any message has")
         # `bytes`, the type of messages from the network, are decoded fastest.
         self._data = data if isinstance(data, bytes) else bytes(data)
         # The first two bytes name the encoding; the other two are options, unused in this version.

@@ -119,7 +119,7 @@ def _parts(entries: Sequence[Mapping[str, Any]]) -> tuple[ObjectPart, ...]:
             for entry in entries
         )
     except ValueError as error:
-        raise MessageError(f"an object cannot be drawn: {error}") from None
+        raise MessageError(f"the object cannot be drawn: {error}") from None
 
 
 OBJECT = Codec("rtee_msgs/msg/Object", ObjectDescription, parts=As({"parts": _part_fields}, _parts))
@@ -214,7 +214,7 @@ def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
                 stream, _, reason = text.partition(" ")
                 return EndStream(stream, reason)
     except (ValueError, KeyError) as error:
-        raise MessageError(f"a command '{kind}' makes no sense: {error}") from None
+        raise MessageError(f"the command '{kind}' is not valid: {error}") from None
     # The text comes from a file or the network and may have any length.
     raise MessageError(f"unknown command '{kind[:50]}'")
 

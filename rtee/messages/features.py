@@ -50,7 +50,7 @@ def quantities(names: Iterable[str]) -> tuple[ObservedQuantity, ...]:
     given = set(names)
     if unknown := sorted(given - set(ObservedQuantity)):
         raise ConfigError(
-            f"nothing is observed as '{unknown[0]}'; there are: {', '.join(ObservedQuantity)}"
+            f"unknown observed quantity '{unknown[0]}'; valid: {', '.join(ObservedQuantity)}"
         )
     return tuple(each for each in ObservedQuantity if each in given)
 

@@ -502,7 +502,7 @@ def recorded_type(name: str, schema: str) -> MessageType:
         if count > _MOST_FIELDS:
             raise MessageError(f"{name}: the recorded definition has too many fields")
         if not _readable(kind):
-            raise MessageError(f"{name}: the recorded definition makes no sense")
+            raise MessageError(f"{name}: the recorded definition is not valid")
         return kind
 
     return type_of(known.name)

@@ -104,7 +104,7 @@ def decode_ticks(message: bytes) -> tuple[Bytes, list[int]]:
         or max(words, default=0) + _WORD > len(first)
         or max(others, default=0) >= len(first)
     ):
-        raise MessageError("ticks whose columns do not fit their records")
+        raise MessageError("the columns of the ticks do not match their records")
     planes = columns[:split].reshape(len(words), _WORD, ticks).transpose(0, 2, 1)
     folded = np.ascontiguousarray(planes).view("<u8")[..., 0]
     values = (folded >> np.uint64(1)) ^ (np.uint64(0) - (folded & np.uint64(1)))

@@ -68,7 +68,7 @@ class ObjectPart(Value):
         if KINDS.get(self.kind) != len(self.size) or not all(0.0 < s < 1e3 for s in self.size):
             raise ValueError(f"'{self.kind[:20]}' with {len(self.size)} sizes is not a part")
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():
-            raise ValueError("the pose of a part is seven finite numbers")
+            raise ValueError("the pose of a part must be seven finite numbers")
         if not np.isfinite(self.vertices).all():
             raise ValueError("a mesh has a vertex that is not finite")
         if len(self.faces) and int(self.faces.max()) >= len(self.vertices):

@@ -242,7 +242,8 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
         raise ConfigError(f"{_no_object(text)}, each number from {SMALLEST:g} to {LARGEST:g}")
     if kind == "capsule" and size[1] < 2.0 * size[0]:
         raise ConfigError(
-            f"'{text}' is not an object: a capsule is at least as long as thick, {2 * size[0]:g} m"
+            f"'{text}' is not an object: a capsule's length is at least its diameter, "
+            f"{2 * size[0]:g} m"
         )
     return size
 
@@ -320,7 +321,7 @@ class Table:
     def __post_init__(self) -> None:
         up, height = self.up or (0.0, 0.0, 1.0), self.height or 0.0
         if len(up) != 3 or not all(map(math.isfinite, (*up, height))) or not any(up):
-            raise ConfigError("a table's normal is three finite numbers, not all of them 0")
+            raise ConfigError("a table's normal must be three finite numbers, not all of them 0")
 
 
 def parse_table(text: str) -> Table:
@@ -336,5 +337,5 @@ def parse_table(text: str) -> Table:
     except ValueError:
         x, height = math.nan, [0.0, 0.0]
     if len(height) > 1:
-        raise ConfigError(f"a table is {TABLE}, not '{text}'")
+        raise ConfigError(f"a table must be {TABLE}, not '{text}'")
     return Table((x, y, z), height[0] if height else None)

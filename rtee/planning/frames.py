@@ -34,7 +34,7 @@ def checked_pose(pose: object, what: str) -> FloatArray:
     except (TypeError, ValueError):
         found = np.empty(0)
     if found.shape != (4, 4) or not np.isfinite(found).all():
-        raise ConfigError(f"{what} is a matrix of 4 by 4 finite numbers")
+        raise ConfigError(f"{what} must be a matrix of 4 by 4 finite numbers")
     turn = found[:3, :3]
     # The determinant, too: the columns of a mirror image are orthonormal as well.
     if np.abs(turn.T @ turn - np.eye(3)).max() > _RIGID or np.linalg.det(turn) < 0.0:
@@ -60,7 +60,7 @@ def checked_direction(values: Sequence[float]) -> FloatArray:
         found = np.empty(0)
     length = float(np.linalg.norm(found)) if found.shape == (3,) else 0.0
     if not (np.isfinite(length) and length > 0.0):
-        raise ConfigError(f"an approach is three numbers, not all of them 0, not {values!r}")
+        raise ConfigError(f"an approach must be three numbers, not all of them 0, not {values!r}")
     return found / length
 
 
@@ -83,7 +83,7 @@ def retreated(pose: FloatArray, direction: FloatArray, by: float) -> FloatArray:
         ConfigError: if the length is not finite or negative.
     """
     if not (np.isfinite(by) and by >= 0.0):
-        raise ConfigError(f"a retreat is 0 m or more, not {by:g}")
+        raise ConfigError(f"a retreat must be 0 m or more, not {by:g}")
     moved = pose.copy()
     moved[:3, 3] -= by * direction / np.linalg.norm(direction)
     return moved

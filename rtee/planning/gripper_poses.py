@@ -124,13 +124,13 @@ def from_base_poses(
     found = _numbers(poses, "an array of poses")
     found = found[None] if found.ndim == 2 else found
     if found.shape[1:] != (4, 4):
-        raise ConfigError(f"poses are matrices of 4 by 4, not of the shape {found.shape}")
+        raise ConfigError(f"poses must be 4 by 4 matrices, not of the shape {found.shape}")
     if {approach, closing} - _AXES.keys() or approach == closing:
         raise ConfigError(
-            f"approach and closing are two of x, y and z, not '{approach}' and '{closing}'"
+            f"approach and closing must be two of x, y and z, not '{approach}' and '{closing}'"
         )
     if not math.isfinite(depth):
-        raise ConfigError(f"a depth is a finite number of metres, not {depth:g}")
+        raise ConfigError(f"a depth must be a finite number of metres, not {depth:g}")
     wide, good = (
         _for_each(values, len(found), what)
         for values, what in ((widths, "widths"), (0.0 if scores is None else scores, "scores"))
@@ -150,9 +150,9 @@ def _numbers(values: ArrayLike, what: str) -> FloatArray:
     try:
         found = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ConfigError(f"{what} consists of numbers") from None
+        raise ConfigError(f"{what} must consist of numbers") from None
     if not np.isfinite(found).all():
-        raise ConfigError(f"{what} consists of finite numbers")
+        raise ConfigError(f"{what} must consist of finite numbers")
     return found
 
 
@@ -161,13 +161,13 @@ def _for_each(values: ArrayLike, count: int, what: str) -> FloatArray:
     if found.ndim == 0:
         return np.full(count, float(found))
     if found.shape != (count,):
-        raise ConfigError(f"{count} poses have {count} {what}, not the shape {found.shape}")
+        raise ConfigError(f"{count} poses need {count} {what}, not the shape {found.shape}")
     return found
 
 
 def _grasp(pose: FloatArray, width: Any, score: Any, number: int) -> GripperPose:
     if not width >= 0.0:
-        raise ConfigError(f"the width of grasp {number} is 0 m or more, not {float(width):g}")
+        raise ConfigError(f"the width of grasp {number} must be 0 m or more, not {float(width):g}")
     return GripperPose(
         checked_pose(pose, f"the pose of grasp {number}"), float(width), float(score)
     )
@@ -214,7 +214,7 @@ def reach_gripper_pose(
         if name not in hand.finger_names:
             raise ConfigError(f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}")
     if not (math.isfinite(margin) and margin >= 0.0):
-        raise ConfigError(f"a margin is 0 m or more, not {margin:g}")
+        raise ConfigError(f"a margin must be 0 m or more, not {margin:g}")
     action, opening = _best(list(actions), grasp.width, fingers, margin, hand)
     tips = tips or Fingertips(hand)
     at = opening.intensity_at(grasp.width)
@@ -275,7 +275,7 @@ def _best(
     """Return the action that suits a width best; see `suitability`."""
     able = [pair for pair in actions if not fingers or set(fingers) == set(pair[1].fingers)]
     if not able:
-        raise ConfigError(f"no action of '{hand.name}' opposes {', '.join(fingers)} alone")
+        raise ConfigError(f"no action of '{hand.name}' opposes just {', '.join(fingers)}")
     # The order is last and unique, so that a tie never compares actions.
     fits = [
         ((*suitability(hand, action, opening, width, margin), order), action, opening)

@@ -179,9 +179,9 @@ def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject
         ModelError: if the mesh cannot be used.
     """
     if not (math.isfinite(mass) and 0.0 < mass <= 100.0):
-        raise ConfigError(f"the mass of an object is above 0 and at most 100 kg, not {mass:g}")
+        raise ConfigError(f"the mass of an object must be above 0 and at most 100 kg, not {mass:g}")
     if not (math.isfinite(scale) and scale > 0.0):
-        raise ConfigError(f"the scale of a mesh is above 0, not {scale:g}")
+        raise ConfigError(f"the scale of a mesh must be above 0, not {scale:g}")
     shape = parse_object(text, FORMATS)
     if shape.path is not None:
         pieces, notes = _mesh(shape.path, scale)
@@ -230,12 +230,12 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
             else f"--scale brings it to metres, and {scale:g} is too small"
         )
         raise ModelError(
-            f"the mesh is {extent:g} m in size, no object for a hand; {hint}", path=path
+            f"the mesh is {extent:g} m in size, which no hand can grasp; {hint}", path=path
         )
     parts = mesh_parts(faces, len(corners))
     if len(parts) > MOST_PARTS:
         raise ModelError(
-            f"the mesh is of {len(parts)} loose parts; at most {MOST_PARTS} can be planned for",
+            f"the mesh has {len(parts)} separate parts; the planner takes at most {MOST_PARTS}",
             path=path,
         )
     pieces, hollow = [], 0
@@ -281,6 +281,6 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
         mesh = repaired(mesh, loader)
     corners = np.array(mesh.vertices())
     if not np.isfinite(corners).all():
-        raise ModelError("the mesh has a corner that is not finite", path=path)
+        raise ModelError("the mesh has a vertex that is not finite", path=path)
     found = (mesh.tri_indices(i) for i in range(mesh.num_tris))
     return corners, np.array([(t[0], t[1], t[2]) for t in found], dtype=np.int64)

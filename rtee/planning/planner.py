@@ -143,19 +143,20 @@ class Planner:
     ) -> None:
         """Read the geometry; see `plan_grasps`."""
         if not (math.isfinite(friction) and 0.0 < friction <= 10.0):
-            raise ConfigError(f"a friction is above 0 and at most 10, not {friction:g}")
+            raise ConfigError(f"a friction must be above 0 and at most 10, not {friction:g}")
         self.hand, self.obj = hand, obj
         self.scene = GraspScene(hand, obj)
         self.out = outward(self.scene)
         axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
-            raise ConfigError("a weight axis is three finite numbers, not all of them 0")
+            raise ConfigError("the weight axis must be three finite numbers, not all of them 0")
         self.task = GraspTask(friction, axis / np.linalg.norm(axis))
         self.ground: Ground | None = None
         if table is not None:
             if table.up is not None and weight_axis is not None:
                 raise ConfigError(
-                    "a table with a normal says where the weight pulls: give it or a weight axis"
+                    "a table's normal already gives the direction of the weight; give the normal "
+                    "or a weight axis"
                 )
             self.ground = Ground(self.scene, table, self.task.weight_axis)
         self._firm = self.ground is not None and len(hand.fingers) > _JAWS

@@ -66,12 +66,12 @@ class Question:
         """Validate the question; raises `ConfigError`. Checks that need the object come later."""
         numbers = (self.mass, self.friction, self.scale, *self.weight_axis)
         if not all(map(math.isfinite, numbers)) or min(numbers[:3]) <= 0.0:
-            raise ConfigError("mass, friction and scale of an object are finite and above 0")
+            raise ConfigError("mass, friction and scale of an object must be finite and above 0")
         if len(self.weight_axis) not in (0, 3):
-            raise ConfigError("a weight axis is three numbers")
+            raise ConfigError("the weight axis must be three numbers")
         if self.mesh and self.format not in FORMATS:
             raise ConfigError(
-                f"a mesh has an unknown format '{self.format[:20]}'; there are {', '.join(FORMATS)}"
+                f"the mesh has the unknown format '{self.format[:20]}'; valid: {', '.join(FORMATS)}"
             )
         if len(self.mesh) > LONGEST:
             raise ConfigError(
@@ -79,7 +79,7 @@ class Question:
                 "be sent to a hand; simplify it, or plan with its files by rtee grasp-plan"
             )
         if not 0 < len(self.object) <= _LONGEST_SHAPE:
-            raise ConfigError("which object? write its shape, such as sphere:0.03")
+            raise ConfigError("which object? give its shape, such as sphere:0.03")
 
     def words(self) -> dict[str, Any]:
         """Return the question as plain data, ready for JSON."""
@@ -118,22 +118,24 @@ class ReachQuestion:
         """Validate the question; raises `ConfigError`. Checks that need the hand come later."""
         numbers = (*self.points, *self.normals, *self.pose, *self.approach, *self.object_pose)
         if not all(map(math.isfinite, (*numbers, self.width, self.retreat, self.tolerance))):
-            raise ConfigError("a grasp to reach consists of finite numbers")
+            raise ConfigError("a grasp to reach must consist of finite numbers")
         if len(self.points) % 3 or len(self.points) > 3 * _MOST_CONTACTS:
-            raise ConfigError(f"a grasp has at most {_MOST_CONTACTS} contacts of three numbers")
+            raise ConfigError(
+                f"a grasp may have at most {_MOST_CONTACTS} contacts, of three numbers each"
+            )
         if self.normals and len(self.normals) != len(self.points):
-            raise ConfigError("each contact has a normal, or none has one")
+            raise ConfigError("give a normal for each contact, or for none")
         if len(self.fingers) > _MOST_CONTACTS or (
             self.points and self.fingers and 3 * len(self.fingers) != len(self.points)
         ):
-            raise ConfigError("each contact has a finger, or none has one")
+            raise ConfigError("give a finger for each contact, or for none")
         poses = (self.pose, self.object_pose)
         if any(len(each) not in (0, 16) for each in poses) or len(self.approach) not in (0, 3):
-            raise ConfigError("a pose is 4 by 4 numbers, an approach three")
+            raise ConfigError("a pose must have 4 by 4 numbers, an approach 3")
         if not self.points and not self.pose:
             raise ConfigError("give contacts, or a gripper's pose and a width")
         if len(self.object) > _LONGEST_SHAPE:
-            raise ConfigError("the object is a shape, such as box:0.04x0.04x0.1")
+            raise ConfigError("the object must be a shape, such as box:0.04x0.04x0.1")
 
     def words(self) -> dict[str, Any]:
         """Return the question as plain data, ready for JSON."""
@@ -198,7 +200,7 @@ def ask(
         process.kill()
         # Collects the exit status: otherwise a zombie stays.
         process.wait()
-        raise RequestRejected(f"no grasp was planned within {_PATIENCE:g} s") from None
+        raise RequestRejected(f"planning did not end within {_PATIENCE:g} s") from None
     except ValueError:
         raise RequestRejected(
             f"planning ended with exit status {process.returncode}; see rtee grasp-plan"

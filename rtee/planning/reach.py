@@ -136,10 +136,10 @@ def reach_contacts(
     tips = tips or Fingertips(hand)
     wanted = _checked(hand, tips, contacts, base)
     if not (math.isfinite(tolerance) and tolerance > 0.0):
-        raise ConfigError(f"a tolerance is above 0 m, not {tolerance:g}")
+        raise ConfigError(f"a tolerance must be above 0 m, not {tolerance:g}")
     given = None if approach is None else checked_direction(approach)
     if not (math.isfinite(retreat) and retreat >= 0.0):
-        raise ConfigError(f"a retreat is 0 m or more, not {retreat:g}")
+        raise ConfigError(f"a retreat must be 0 m or more, not {retreat:g}")
     there = np.linalg.inv(base) @ checked_pose(object_pose, "the object's pose")
     collisions = GraspCollisions(hand, tips.geometry, obj, there)
     search = _PostureSearch(hand, tips, _starts(hand, actions), collisions)
@@ -174,7 +174,7 @@ def _checked(
 ) -> list[_Contact]:
     """Return the contacts in the base link's frame, each with a normal."""
     if not 2 <= len(contacts) <= _MOST:
-        raise ConfigError(f"a grasp has 2 to {_MOST} contacts, not {len(contacts)}")
+        raise ConfigError(f"a grasp must have 2 to {_MOST} contacts, not {len(contacts)}")
     if len(contacts) > len(tips.fingers):
         raise ConfigError(
             f"{len(contacts)} contacts for {len(tips.fingers)} fingertips: '{hand.name}' has "
@@ -198,7 +198,7 @@ def _checked(
         normal = middle - point if given is None else _finite(given, "a contact's normal")
         length = float(np.linalg.norm(normal))
         if length < 1e-9:
-            raise ConfigError("a contact's normal is not 0")
+            raise ConfigError("a contact's normal must not be 0")
         made.append(_Contact(turn.T @ (point - origin), turn.T @ normal / length, contact.finger))
     return made
 
@@ -206,7 +206,7 @@ def _checked(
 def _finite(values: Sequence[float], what: str) -> FloatArray:
     found = np.asarray(values, dtype=np.float64)
     if found.shape != (3,) or not np.isfinite(found).all():
-        raise ConfigError(f"{what} is three finite numbers, not {values!r}")
+        raise ConfigError(f"{what} must be three finite numbers, not {values!r}")
     return found
 
 

@@ -345,7 +345,7 @@ class ReachClient:
         if solution.action:
             return await self._by_action(solution, force, part)
         if force is not None:
-            raise ConfigError("a force needs a width; contacts are grasped with the effort limits")
+            raise ConfigError("a force needs a width; a grasp by contacts uses the effort limits")
         return await self._by_postures(solution, part)
 
     async def _by_action(
@@ -410,11 +410,11 @@ def _question(
             tolerance=quantity(tolerance, LENGTH, "tolerance"),
         )
     if width is not None or len(fingers):
-        raise ConfigError("contacts name their fingers themselves and have no width")
+        raise ConfigError("contacts name their own fingers and take no width")
     wanted = _contacts(contacts)
     normals = [contact.normal for contact in wanted]
     if any(n is None for n in normals) != all(n is None for n in normals):
-        raise ConfigError("each contact has a normal, or none has one")
+        raise ConfigError("give a normal for each contact, or for none")
     named = [contact.finger for contact in wanted]
     return ReachQuestion(
         points=tuple(float(v) for contact in wanted for v in contact.point),

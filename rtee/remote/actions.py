@@ -139,7 +139,7 @@ def _posture_from(fields: Fields) -> Posture:
     position = dict(zip(fields["name"], fields["position"].tolist(), strict=True))
     involved = tuple(fields["involved"])
     if not set(involved) <= set(position):
-        raise MessageError("a posture involves an actuator that it does not name")
+        raise MessageError("a posture involves an actuator without a position")
     return Posture(position, involved)
 
 
@@ -153,7 +153,7 @@ def _primitive_of(fields: Fields, postures: list[Posture]) -> Primitive:
     try:
         kind = PrimitiveKind(base)
     except ValueError:
-        raise MessageError(f"no primitive is called '{fields['name']}'") from None
+        raise MessageError(f"unknown primitive '{fields['name']}'") from None
     evidence = tuple(_evidence_of(entry) for entry in fields["evidence"])
     if not postures or len(evidence) not in (0, len(postures)):
         raise MessageError(f"the primitive '{fields['name']}' has no postures")
@@ -176,7 +176,7 @@ def _evidence_of(fields: Fields) -> Evidence:
     pairs, links, angles = fields["pair"], fields["colliding"], fields["angles"].tolist()
     depths = fields["pair_depth"].tolist()
     if len(pairs) != 2 * len(depths) or len(links) % 2 or len(angles) not in (0, 2):
-        raise MessageError("evidence with names that are not pairs")
+        raise MessageError("the evidence has names that are not pairs")
     opposition = None
     if angles:
         pair = (angles[0], angles[1])
@@ -217,7 +217,7 @@ def build_action(library: ActionLibrary, fields: Fields) -> Action:
             return library.sequence(name, plans, description=description)
         case "generic":
             if len(fields["postures"]) != 1:
-                raise MessageError("a generic action has one posture")
+                raise MessageError("a generic action must have one posture")
             posture = _posture_from(fields["postures"][0])
             # The positions of all other actuators are only there to draw the posture.
             chosen = {actuator: posture.position[actuator] for actuator in posture.involved}

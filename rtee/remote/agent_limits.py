@@ -78,7 +78,7 @@ class AgentLimits:
             name = goal.what.action
         if self.gate is Gate.WATCH:
             raise GoalRejected(
-                f"the gate is 'watch': nothing moves, so no {name}; a person allows more with "
+                f"the gate is 'watch', which allows no {name}; a person can allow more with "
                 "'rtee mcp --gate', or under 'agent' in hand.yaml"
             )
         if not self.allows(name):
@@ -87,7 +87,7 @@ class AgentLimits:
             )
         if goal.force is not None and goal.force.value > self.force:
             raise GoalRejected(
-                f"{goal.force.value:g} N is more than the {self.force:g} N that a person allows"
+                f"{goal.force.value:g} N is more than the {self.force:g} N that the operator allows"
             )
         if isinstance(goal.speed, TipSpeed) or goal.speed > self.speed:
             raise GoalRejected(

@@ -86,7 +86,7 @@ class Agents:
         """
         if is_agent(client):
             raise RequestRejected(
-                "an agent cannot let itself in; a person types 'rtee agent admit'"
+                "an agent cannot admit itself; a person must type 'rtee agent admit'"
             )
         try:
             self._file.unlink(missing_ok=True)

@@ -52,9 +52,9 @@ async def approve(question: str) -> None:
             "type 'rtee agent approve' in a terminal"
         ) from None
     except TimeoutError:
-        raise GoalRejected(f"no one has approved it within {WITHIN:g} s") from None
+        raise GoalRejected(f"nobody approved it within {WITHIN:g} s") from None
     if answer != b"yes\n":
-        raise GoalRejected("a person has refused")
+        raise GoalRejected("a person refused it")
 
 
 @contextlib.asynccontextmanager
@@ -68,7 +68,7 @@ async def listening() -> AsyncIterator[SocketListener]:
     path = _path()
     with contextlib.suppress(OSError):
         await (await anyio.connect_unix(path)).aclose()
-        raise ConfigError("another terminal, or the GUI, approves already", path=path)
+        raise ConfigError("another terminal, or the GUI, is approving already", path=path)
     with contextlib.suppress(FileNotFoundError):
         os.unlink(path)
     async with await anyio.create_unix_listener(path, mode=0o600) as listener:

@@ -67,8 +67,8 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     """
     if (folder / AUTHORITY_KEY).exists():
         raise ConfigError(
-            "is there already; without it the certificates of all clients are worthless, so remove"
-            " it yourself if you mean to begin again",
+            "exists already, and the certificates of all clients depend on it; remove it yourself"
+            " if you mean to start again",
             path=folder / AUTHORITY_KEY,
         )
     try:
@@ -109,7 +109,8 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
     """
     if _PERSON.match(who) is None:
         raise ConfigError(
-            f"{who[:50]!r} is not a name of a client; use up to 31 letters, digits, '_' and '-'"
+            f"{who[:50]!r} is not a valid name for a client; use up to 31 letters, digits, '_' and "
+            "'-'"
         )
     known = _known(folder)
     common = next((spare for spare, of in known.spare.items() if of is role), None)

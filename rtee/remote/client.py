@@ -379,8 +379,8 @@ class HandConnection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
             asyncio.get_running_loop()
         except RuntimeError:
             raise ConfigError(
-                "this client runs on asyncio; a program on trio connects by "
-                "rtee.connect_blocking, and calls its methods by trio.to_thread.run_sync"
+                "this client runs on asyncio; on trio, use "
+                "rtee.connect_blocking, and call its methods with trio.to_thread.run_sync"
             ) from None
         return await self._opened.__aenter__()
 
@@ -410,7 +410,7 @@ class HandConnection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
         def _refuse(self) -> None:
             raise ConfigError(
                 "the connection is not open: write 'async with rtee.connect(…) as hand:', or use "
-                "rtee.connect_blocking where there is no event loop"
+                "rtee.connect_blocking in a program without an event loop"
             )
 
 
@@ -436,7 +436,7 @@ def connect(
         endpoint: The hand's address, such as ``tcp/robot:7447``; by default that in
             ``RTEE_CONNECT``, else on this computer.
         client: A name for this client, shown to people.
-        wait: Time to wait for a hand that does not run yet [s]; `RemoteHand.ready` waits until its
+        wait: Time to wait until the hand runs [s]; `RemoteHand.ready` waits until its
             devices are active, too.
         on_wait: Called with the reason for waiting, in words, whenever it changes.
 

@@ -171,7 +171,7 @@ class CommandHandlers:
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
         if self._lease.runs(goal.goal_id):
-            raise GoalRejected(f"the goal '{goal.goal_id}' runs already")
+            raise GoalRejected(f"the goal '{goal.goal_id}' is running already")
         # Before `submit`, since the loop may end the goal before it returns.
         self._lease.started(goal.client, goal.goal_id)
         try:
@@ -200,7 +200,7 @@ class CommandHandlers:
         fields = request.fields
         stream, deadline = check_name(fields["stream"], "stream"), fields["deadline"]
         if self._lease.runs(stream):
-            raise GoalRejected(f"the stream '{stream}' runs already")
+            raise GoalRejected(f"the stream '{stream}' is running already")
         # Before `begin`, since the loop may end the stream before it returns.
         within = None if math.isnan(deadline) else deadline  # NaN: as configured
         waits = self._loop.settings.stream.deadline if within is None else within

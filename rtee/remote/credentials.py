@@ -143,7 +143,8 @@ class Credentials:
                 sticky = place == self.folder.parent and status.st_mode & stat.S_ISVTX
                 if not (sticky or is_trusted(status, os.getuid(), 0)):
                     raise ConfigError(
-                        "must belong to you or root, and nobody else may write there; remove it, or"
+                        "must belong to you or root, and only the owner may write to it; remove "
+                        "it, or"
                         f" type: chmod go-w {place}",
                         path=place,
                     )
@@ -215,7 +216,7 @@ def check_private(path: Path) -> None:
     """Raise `ConfigError` unless a file with a key is readable by its owner alone."""
     if path.stat().st_mode & 0o077:
         raise ConfigError(
-            "holds a key that others can read; type: chmod 600 " + str(path), path=path
+            "contains a key that others can read; type: chmod 600 " + str(path), path=path
         )
 
 

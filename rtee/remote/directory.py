@@ -245,7 +245,7 @@ def _named(hand: str, descriptor: int, folder: Path) -> Iterator[socket.socket |
             owner = _owner(name)
             # If another user occupies the name, maliciously, only the file decides.
             if owner is not None and owner[1] == os.getuid():
-                raise ConfigError(f"the hand '{hand}' runs already, in process {owner[0]}")
+                raise ConfigError(f"the hand '{hand}' is already running, in process {owner[0]}")
         yield named
 
 
@@ -282,7 +282,7 @@ def _locked(path: Path, hand: str) -> int:
         descriptor = os.open(path, os.O_RDONLY | _OPEN)
         pid = str(_read(descriptor).get("pid", pid))
         os.close(descriptor)
-    raise ConfigError(f"the hand '{hand}' runs already, in process {pid}")
+    raise ConfigError(f"the hand '{hand}' is already running, in process {pid}")
 
 
 def _lock(descriptor: int, kind: int) -> bool:

@@ -214,7 +214,7 @@ class _Gate:
         while all(str(each.zid) != zid for each in self._session.info.transports()):
             if monotonic.now() > until:
                 self.close()
-                raise ConfigError("the hand does not answer its door")
+                raise ConfigError("the hand's network process does not answer")
             monotonic.sleep(_POLL)
         # Stops go on from here through the hand's own socket for them: in the hand's session they
         # would wait behind what others have sent, since it has a single thread that receives.
@@ -337,7 +337,7 @@ class _Doorkeeper:
             first = self._first
             rules = first["rules"].get(name)
             if rules is None:
-                raise ConfigError(f"{name} is admitted from the next start on")
+                raise ConfigError(f"{name} is admitted from the next start")
             work = asyncio.to_thread(
                 _Gate, self._folder, first["hand"], first["zid"], name, rules, first["name"]
             )

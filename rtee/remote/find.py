@@ -25,7 +25,7 @@ VARIABLE = "RTEE_CONNECT"
 """Environment variable with the endpoint of a hand on another computer."""
 
 _POLL_PERIOD = 0.02
-"""Time between two searches for a hand that does not run yet [s]: too short to be noticed."""
+"""Time between two searches for a hand that is not running yet [s]: too short to be noticed."""
 
 _ANSWER_WITHIN = 1.0
 """Time for the hands at an endpoint to report that they are alive [s]: a round trip or two."""
@@ -61,7 +61,7 @@ async def open_hand(
     Args:
         hand: The hand's name; ``None`` if only one hand runs.
         endpoint: The hand's address; ``None``: that in ``RTEE_CONNECT``, else this computer.
-        wait: Time to wait for a hand that does not run yet [s].
+        wait: Time to wait for a hand that is not running yet [s].
         on_wait: Called with the reason for waiting, in words, whenever it changes.
         within: Time to open the session once the hand is found [s]; by default 10 s.
 
@@ -130,9 +130,11 @@ def _chosen(hand: str | None, names: Collection[str], where: str) -> str:
     if hand is not None:
         if hand in names:
             return hand
-        raise NoHand(f"the hand '{hand}' does not run {where}; {suggestion(hand, names)}")
+        raise NoHand(f"the hand '{hand}' is not running {where}; {suggestion(hand, names)}")
     if not names:
-        raise NoHand(f"no hand runs {where}; start one with 'rtee run HAND'")
+        raise NoHand(f"no hand is running {where}; start one with 'rtee run HAND'")
     if len(names) > 1:
-        raise ConfigError(f"several hands run {where}, name one: {', '.join(sorted(names))}")
+        raise ConfigError(
+            f"several hands are running {where}; name one of: {', '.join(sorted(names))}"
+        )
     return next(iter(names))

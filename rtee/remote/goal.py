@@ -324,7 +324,7 @@ class GoalClient:
         # Sent before anything else is prepared: the answer arrives through this event loop, and so
         # not before the goal is registered.
         if goal.goal_id in self._running:
-            raise GoalRejected(f"a goal '{goal.goal_id}' of this client runs already")
+            raise GoalRejected(f"a goal '{goal.goal_id}' of this client is running already")
         answer = self._link.send("do", GOAL.encode(goal), within=_ACCEPTED_WITHIN)
         running = self._running.add(RunningGoal(goal, partial(self.cancel, goal.goal_id)))
         try:

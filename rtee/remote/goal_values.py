@@ -163,10 +163,10 @@ def numbers(values: object, what: str) -> dict[str, float]:
     """Return numbers by name; raises `GoalRejected` for other values and names the wrong one."""
     if not isinstance(values, Mapping):
         raise GoalRejected(
-            f"each {what} is given by its name, as {{'thumb': 0.4}}, not {values!r:.100}"
+            f"give each {what} by name, such as {{'thumb': 0.4}}, not {values!r:.100}"
         )
     if wrong := [name for name in values if not isinstance(name, str)]:
-        raise GoalRejected(f"each {what} is given by its name, a text, not {wrong[0]!r:.100}")
+        raise GoalRejected(f"give each {what} by name, as text, not {wrong[0]!r:.100}")
     return {name: finite(value, f"{what} '{name}'") for name, value in values.items()}
 
 
@@ -192,7 +192,7 @@ def shares(
     """Return a share of effort limits [N·m | N], of some actuators; raises `GoalRejected`."""
     if not 0.0 < share <= 1.0:
         raise GoalRejected(
-            f"an effort for all actuators is a share of their limits, above 0 and at most 1 "
+            f"an effort for all actuators must be a share of their limits, above 0 and at most 1 "
             f"(100 %), not {share:g}"
         )
     chosen = [name for name in (limits if only is None else only) if name not in besides]
@@ -203,7 +203,8 @@ def shares(
             )
         if not math.isfinite(limits[name]):
             raise GoalRejected(
-                f"'{name}' has no effort limit to take a share of; give one under 'limits' "
+                f"'{name}' has no effort limit, so a share means nothing; give a limit under "
+                "'limits' "
                 "in hand.yaml, or its effort by name"
             )
     return {name: share * limits[name] for name in chosen}
@@ -300,7 +301,7 @@ def _use(action: object, elements: Sequence[str]) -> ActionReference:
     for name in elements:
         if not isinstance(name, str):
             raise GoalRejected(
-                f"an action and its elements are names, one argument each, not {name!r:.100}"
+                f"an action and its elements must be names, one argument each, not {name!r:.100}"
             )
     try:
         return ActionReference.of(action, elements)  # type: ignore[arg-type]
@@ -318,7 +319,7 @@ def _names(fingers: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of fingers; raises `GoalRejected` for a single text, a list of letters."""
     if isinstance(fingers, str) or not all(isinstance(name, str) for name in fingers or ()):
         raise GoalRejected(
-            f"the fingers are a list of names, such as ['index'], not {fingers!r:.100}"
+            f"the fingers must be a list of names, such as ['index'], not {fingers!r:.100}"
         )
     return tuple(fingers or ())
 
@@ -327,7 +328,7 @@ def _tolerances(pair: object) -> tuple[float, float]:
     """Return how much narrower and wider a width may be [m]; raises `GoalRejected`."""
     if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
         raise GoalRejected(
-            f"the tolerance is two lengths, narrower and wider, such as ('5mm', '5mm'), "
+            f"the tolerance must be two lengths, narrower and wider, such as ('5mm', '5mm'), "
             f"not {pair!r:.100}"
         )
     narrower, wider = (quantity(each, LENGTH, "tolerance") for each in pair)

@@ -226,7 +226,7 @@ def info_of(fields: Mapping[str, Any]) -> HandInfo:
         )
     # `reshape` raises it where sizes disagree.
     except ValueError as error:
-        raise MessageError(f"a hand's information does not fit together: {error}") from None
+        raise MessageError(f"the hand's information is not consistent: {error}") from None
 
 
 def _finger_of(fields: Mapping[str, Any], n: int) -> FingerInfo:

@@ -131,19 +131,21 @@ class Identities:
             raise RequestRejected(f"the certificate '{access_path[:50]}' is not admitted here")
         if not name.startswith(admitted.prefix):
             raise RequestRejected(
-                f"the names of clients of this certificate begin '{admitted.prefix}'"
+                f"with this certificate, a client's name must begin with '{admitted.prefix}'"
             )
         # Otherwise a client could pass for one of another person, whose name ends at the dot.
         if "." in name.removeprefix(admitted.prefix):
-            raise RequestRejected("a client's name has a dot after a certificate's person only")
+            raise RequestRejected(
+                "a client's name may have a dot only after the person of its certificate"
+            )
         if _TOKEN.match(token) is None:
-            raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
+            raise RequestRejected("a token's name must have 32 random hexadecimal digits")
         client = IdentifiedClient(
             name, admitted.role, access_path, token, user_of(token) if access_path == HERE else -1
         )
         with self._lock:
             if name in self._there or token in self._by_token:
-                raise RequestRejected(f"there is a client '{name}' already")
+                raise RequestRejected(f"a client '{name}' exists already")
             if sum(each.share == client.share for each in self._there.values()) >= CLIENTS_OF_SHARE:
                 raise RequestRejected(f"there are {CLIENTS_OF_SHARE} clients of this kind already")
             if token in self._tokens:

@@ -191,7 +191,7 @@ def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byte
     # The length first: copying the bytes holds Python's interpreter lock, which the loop needs.
     size = 0 if payload is None else len(payload)
     if size > LONGEST:
-        raise MessageError(f"{size} bytes are longer than any request")
+        raise MessageError(f"{size} bytes is more than any request has")
     if payload is None or not size:
         if request.question is not _EMPTY:
             raise MessageError(f"the request '{name}' needs a {request.question.name}")

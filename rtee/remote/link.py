@@ -138,7 +138,7 @@ class Link:
         """Return the error for pending and further requests after the hand was lost."""
         if self._left:
             return NoHand(f"this client has left the hand '{self.hand}'; connect again")
-        return NoHand(f"the hand '{self.hand}' has gone")
+        return NoHand(f"the hand '{self.hand}' is gone")
 
     def leave(self) -> None:
         """End all that waits for the hand, since this client leaves it; before `close`."""
@@ -276,7 +276,7 @@ class Link:
                 attachment=self._signer.attachment(self._signer.number(), name, question),
             )
         except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
+            raise NoHand(f"the hand '{self.hand}' cannot be reached: {error}") from None
         return future
 
     def put(self, question: bytes, label: str) -> None:
@@ -287,7 +287,7 @@ class Link:
         try:
             self._samples.put(question, attachment=attachment)
         except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
+            raise NoHand(f"the hand '{self.hand}' cannot be reached: {error}") from None
 
     def _on_match(self, status: zenoh.MatchingStatus) -> None:
         if status.matching:

@@ -43,7 +43,7 @@ def exposed(endpoints: RemoteSettings) -> list[str]:
     unsafe = [endpoint for endpoint in everywhere if not is_safe(endpoint)]
     if unsafe and not endpoints.security.insecure:
         raise ConfigError(
-            f"whoever reaches {', '.join(unsafe)} could move the hand: listen on"
+            f"anyone who reaches {', '.join(unsafe)} could move the hand; listen on"
             " tls/HOST:PORT with certificates ('rtee secure init'), or allow it with"
             " 'insecure: true'",
             key="remote.security",
@@ -67,7 +67,7 @@ class Protection:
         unsafe = exposed(endpoints)
         if unsafe:
             log.warning(
-                "%s: whoever reaches %s can move the hand (remote.security.insecure)",
+                "%s: anyone who reaches %s can move the hand (remote.security.insecure)",
                 hand,
                 ", ".join(unsafe),
             )
@@ -76,8 +76,8 @@ class Protection:
         routed = any(each.startswith(TLS) for each in endpoints.connect)
         if routed and any(each.startswith(TLS) for each in endpoints.listen):
             raise ConfigError(
-                "a hand listens on tls/… or connects to a router by tls/…, not both: the"
-                " certificates of the one are not those of the other",
+                "a hand listens on tls/… or connects to a router by tls/…, not both:"
+                " they need different certificates",
                 key="remote",
             )
         self._hand = hand
@@ -165,7 +165,7 @@ class Protection:
             # Empty at the start, when all listed names become known.
             if self._known:
                 log.warning(
-                    "%s: %s is admitted from the next start on: no spare name was left for it",
+                    "%s: %s is admitted from the next start: no spare name was left for it",
                     self._hand,
                     admitted[name].name,
                 )

@@ -244,7 +244,7 @@ class Streams:
         rate may be up to twice the given one. Raises `GoalRejected` if the rate is out of range.
         """
         if not 0.01 <= rate <= 1e5:
-            raise GoalRejected(f"the rate must be 0.01 Hz to that of the loop, not {rate:g}")
+            raise GoalRejected(f"the rate must be from 0.01 Hz to the loop's rate, not {rate:g}")
         every = self._every(rate)
         if every not in self._asked:
             every = every if self._has_room() else 1 << (every.bit_length() - 1)

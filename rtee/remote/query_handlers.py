@@ -63,12 +63,12 @@ class GraspPlanning:
         question = _reach_question(request.fields) if reach else _question(request.fields)
         question.check()
         if actions is None:
-            raise RequestRejected(f"{self._hand} has no folder with actions to plan with")
+            raise RequestRejected(f"{self._hand} has no actions folder to plan with")
         # Made by the first request: most hands get none, and need no thread for it.
         if self._queue is None:
             self._queue = CallQueue(f"plan {self._hand}", _WAITING)
         if not self._queue.put(partial(self._answer, request, actions.parent, question)):
-            raise RequestRejected(f"{_WAITING} plans are waiting already")
+            raise RequestRejected(f"{_WAITING} plans are already waiting")
 
     def _answer(
         self, request: IncomingRequest, folder: Path, question: Question | ReachQuestion
@@ -346,12 +346,14 @@ class QueryHandlers:
             case "mark":
                 if not 0 < len(text) <= _LONGEST_MARK or not text.isprintable():
                     raise RequestRejected(
-                        f"a mark is one line of 1 to {_LONGEST_MARK} characters, not {len(text)}"
+                        f"a mark must be one line of 1 to {_LONGEST_MARK} characters, not "
+                        f"{len(text)}"
                     )
                 recorder.mark(text)
             case _:
                 raise RequestRejected(
-                    f"unknown request '{verb[:50]}' for the recording; start, stop or mark it"
+                    f"unknown request '{verb[:50]}' for the recording; it must be start, stop or "
+                    "mark"
                 )
         return accepted(self._recording_path())
 

@@ -89,7 +89,7 @@ def router_settings(site: Credentials | None, listen: Sequence[str]) -> dict[str
         return settings
     if unsafe := [each for each in listen if not is_safe(each)]:
         raise ConfigError(
-            f"whoever reaches {', '.join(unsafe)} could move the hands: write tls/HOST:PORT"
+            f"anyone who reaches {', '.join(unsafe)} could move the hands; write tls/HOST:PORT"
         )
     settings |= router_certificates(site.files())
     # With the names of later certificates, since Zenoh reads its rules once.

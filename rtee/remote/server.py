@@ -437,7 +437,7 @@ class Server:
             nonlocal signed
             client = self._identities.signer(request, attachment, question)
             if client is None or client.name != owner:
-                raise RequestRejected(f"'{owner}' has not signed this")
+                raise RequestRejected(f"'{owner}' did not sign this request")
             signed = self._identities.admits(client)  # revoked clients get no answer
             return self._identities.permit(client, request)
 

@@ -149,7 +149,7 @@ def local_endpoint(path: Path) -> str:
     name = str(path.absolute())
     if not fits(path):
         raise ConfigError(
-            f"is longer than the {_LONGEST_SOCKET} bytes that the path of a socket may have; set"
+            f"is longer than {_LONGEST_SOCKET} bytes, the limit for the path of a socket; set"
             " RTEE_RUNTIME_DIR to a folder with a shorter one",
             path=path,
         )
@@ -308,7 +308,7 @@ def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.
         disable_linger()
         return session
     except (OSError, OverflowError, UnicodeError, zenoh.ZError) as error:
-        raise NoHand(f"nobody answers at {', '.join(endpoints)}: {_words(error)}") from None
+        raise NoHand(f"nothing answers at {', '.join(endpoints)}: {_words(error)}") from None
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:

@@ -183,7 +183,7 @@ def stop_at(path: Path, hand: str, client: str, within: float = ANSWER_WITHIN) -
 
 def silent(hand: str) -> NoHand:
     """Return the error of a stop that was not answered."""
-    return NoHand(f"the hand '{hand}' does not answer the stop: use the emergency stop")
+    return NoHand(f"the hand '{hand}' does not confirm the stop: use the emergency stop")
 
 
 @contextlib.contextmanager

@@ -80,7 +80,7 @@ class HandRenderer:
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         if not self._mesh.links:
             raise hand.urdf.error(
-                "no link has visual or collision geometry, so there is nothing to see in a picture"
+                "no link has visual or collision geometry, so a picture would be empty"
             )
         self._back, self._up = choose_view(self._mesh.geometry)
         rest = self._corners(hand.rest)

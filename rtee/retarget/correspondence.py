@@ -132,7 +132,9 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
     tips = {finger.name for finger in hand.fingers if finger.tip_links}
     for name in sorted(fingers):
         if name not in tips or name not in found.fingers:
-            raise ConfigError(f"the finger '{name}' has no tip, or follows no finger", path=path)
+            raise ConfigError(
+                f"the finger '{name}' has no tip, or no finger of the person to follow", path=path
+            )
     for name in sorted(actuators):
         hand.actuator_index(name)
     return found

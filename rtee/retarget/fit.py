@@ -60,7 +60,7 @@ class _Fit:
         self._fingers = [finger for finger in hand.fingers if finger.tip_links]
         if len(self._fingers) < 2:
             raise ConfigError(
-                f"a person's fingers need at least two fingertips; {hand.name} has "
+                f"retargeting needs a hand with at least two fingertips; {hand.name} has "
                 f"{len(self._fingers)}"
             )
         self._rest = np.array(hand.rest)

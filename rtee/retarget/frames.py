@@ -82,7 +82,7 @@ class FrameReader:
             entry = json.loads(line)
             if not isinstance(entry, dict):
                 raise ValueError(
-                    'a frame is an object such as {"t": 0.033, "points": [[x, y, z], …]}'
+                    'a frame must be an object such as {"t": 0.033, "points": [[x, y, z], …]}'
                 )
             if "layout" in entry:
                 self._layout = _layout(entry["layout"])
@@ -96,7 +96,7 @@ class FrameReader:
             raise self._error(str(error)) from None
 
     def _error(self, why: str) -> LogError:
-        return LogError(f"makes no sense: {why}", path=self._path, line=self._number)
+        return LogError(f"is not valid: {why}", path=self._path, line=self._number)
 
     def _frame(self, entry: Mapping[str, Any]) -> TrackerFrame:
         stamp = _time(entry)
@@ -145,7 +145,7 @@ def _layout(given: Any) -> Layout:
         return Layout("the layout", order, int(given["count"]), float(given.get("unit", 1.0)))
     except (KeyError, TypeError, AttributeError):
         raise ValueError(
-            "a layout is a name, or an object with the 'order' of 21 numbers of points, their "
+            "a layout must be a name, or an object with the 'order' of 21 numbers of points, their "
             "'count' and their 'unit' in metres"
         ) from None
 
@@ -173,7 +173,7 @@ def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
         why = getattr(error, "strerror", None) or error
         raise LogError(f"cannot be read: {why}", path=path) from None
     if not any(frame.points is not None for frame in frames):
-        raise LogError("holds no points of a hand", path=path)
+        raise LogError("contains no points of a hand", path=path)
     return frames
 
 

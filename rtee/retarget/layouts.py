@@ -67,13 +67,13 @@ class Layout:
         try:
             found = np.array(given, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ConfigError(f"points are {self.count} rows of 3 numbers") from None
+            raise ConfigError(f"points must be {self.count} rows of 3 numbers") from None
         if found.shape != (self.count, 3):
             shape = " x ".join(map(str, found.shape)) or "a single number"
             raise ConfigError(f"{self.name} gives {self.count} points of 3 numbers, not {shape}")
         odd = np.flatnonzero(~np.isfinite(found).all(axis=1))
         if len(odd):
-            raise ConfigError(f"point {odd[0]} is not three finite numbers")
+            raise ConfigError(f"point {odd[0]} must be three finite numbers")
         points: FloatArray = self._mean @ found
         return points
 
@@ -120,12 +120,12 @@ LAYOUTS: Final[Mapping[str, Layout]] = {
 def layout_named(name: str) -> Layout:
     """Return a layout; raises `ConfigError` if there is none of this name."""
     if name not in LAYOUTS:
-        raise ConfigError(f"there is no layout '{name}'; there are: {', '.join(LAYOUTS)}")
+        raise ConfigError(f"unknown layout '{name}'; valid: {', '.join(LAYOUTS)}")
     return LAYOUTS[name]
 
 
 def side_named(name: str) -> Side:
     """Return a side; raises `ConfigError` if the name is not one."""
     if name not in (*Side,):
-        raise ConfigError(f"a person's hand is left or right, not '{name}'")
+        raise ConfigError(f"the person's hand must be left or right, not '{name}'")
     return Side(name)

@@ -440,7 +440,7 @@ class Retargeter:
         if not _PALM[0] < palm < _PALM[1]:
             raise TrackingError(
                 f"the palm would be {palm:.3g} m long, from the wrist to the middle finger's "
-                "knuckle: points are in metres"
+                "knuckle; points must be in metres"
             )
         return points
 
@@ -513,7 +513,7 @@ class Retargeter:
         Raises:
             UnknownActuator: There is no such actuator.
             UnknownFinger: There is no such finger.
-            ConfigError: A finger has no tip with a shape.
+            ConfigError: A finger has no tip with geometry.
         """
         u = np.array(self.hand.rest)
         for name, value in at.items():
@@ -522,7 +522,7 @@ class Retargeter:
         for name in (first, second):
             links = self.hand.finger(name).tip_links
             if not links:
-                raise ConfigError(f"the finger '{name}' has no tip with a shape")
+                raise ConfigError(f"the finger '{name}' has no tip with geometry")
             sides.append(self._tips.geometry.of_links(*links))
         both, poses = (sides[0], sides[1]), self._tips.kinematics.placements(u)
         exact = self._tips.geometry.closest(both, poses, convex=False)[0]

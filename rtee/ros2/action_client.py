@@ -144,7 +144,7 @@ class ActionClient:
 
     async def result(self, goal: ClientGoal, timeout: float) -> ActionOutcome:
         """Wait for the end of a goal; see `ClientGoal.result`."""
-        gone = NoHand(f"the server of {self.name} has gone")
+        gone = NoHand(f"the server of {self.name} is gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
         # The query has no timeout and may outlive its server, hence the watch on the graph.
         call = asyncio.ensure_future(self._result.call(request, math.inf))
@@ -172,7 +172,7 @@ class ActionClient:
         with suppress(ValueError):
             goal.state = GoalState(answer.status)
         if goal.state is GoalState.UNKNOWN:
-            raise NoHand(f"the server of {self.name} does not know the goal: it was started anew")
+            raise NoHand(f"the server of {self.name} does not know the goal; it has restarted")
         return ActionOutcome(goal.state, answer.result)
 
     async def cancel(
@@ -196,7 +196,9 @@ class ActionClient:
         try:
             return Refusal(answer.return_code), ids
         except ValueError:
-            raise MessageError(f"{answer.return_code} is not an answer to a cancellation") from None
+            raise MessageError(
+                f"{answer.return_code} is not a valid answer to a cancellation"
+            ) from None
 
     def _on_feedback(self, message: Any) -> None:
         known = self._goals.get(message.goal_id.uuid)

@@ -141,7 +141,7 @@ class _Offered:
         if goal is None or goal.offered is not self:
             return self.type.get_result.response(status=GoalState.UNKNOWN)
         if goal.waiting >= _MOST_WAITING:
-            raise MessageError(f"{_MOST_WAITING} already wait for the end of this goal")
+            raise MessageError(f"{_MOST_WAITING} requests already wait for the end of this goal")
         goal.waiting += 1
         try:
             # Shielded: if this request is cancelled, the others still wait.

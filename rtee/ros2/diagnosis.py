@@ -62,7 +62,7 @@ def _gripper(row: Listed, settings: Ros2Settings, hand: str | None) -> list[Chec
             warning(
                 "gripper",
                 f"{', '.join(moveit)} seems to be MoveIt, which sends the value of a joint;"
-                " positions are taken as metres between the fingertips",
+                " this hand takes positions as metres between the fingertips",
                 "write 'ros2: {gripper: moveit}' in hand.yaml",
             )
         ]

@@ -74,8 +74,8 @@ def checked(full: str, called: str) -> str:
     parts = full.removeprefix("/").split("/")
     if not full.startswith("/") or not all(map(_NAME.fullmatch, parts)):
         raise ConfigError(
-            f"{called} is not a name of ROS 2: letters, digits, underscores, parted by slashes, and"
-            " no part begins with a digit"
+            f"{called} is not a ROS 2 name: use letters, digits and underscores, separated by"
+            " slashes, and begin no part with a digit"
         )
     if len(full) > _LONGEST_NAME:
         raise ConfigError(f"{called} is longer than {_LONGEST_NAME} characters")

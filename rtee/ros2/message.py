@@ -76,7 +76,7 @@ class Message:
         try:
             return cls.STRUCTURE.decode(data)
         except MessageError as error:
-            raise MessageError(f"no {cls.STRUCTURE.name}: {error}") from None
+            raise MessageError(f"not a valid {cls.STRUCTURE.name}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields by name, nested messages as dictionaries and arrays as lists."""

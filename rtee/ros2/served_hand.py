@@ -53,14 +53,14 @@ class ServedHand:
     def parameters(self) -> Parameters:
         """The parameters of all parts; available when the parts run."""
         if self._parameters is None:
-            raise RuntimeError("the parameters are declared when all parts are made")
+            raise RuntimeError("declare the parameters after all parts exist")
         return self._parameters
 
     def number(self, name: str) -> float:
         """Return the value of a numeric parameter."""
         value = self.parameters.values[name]
         if not isinstance(value, int | float):
-            raise TypeError(f"the parameter '{name}' is {value!r}, no number")
+            raise TypeError(f"the parameter '{name}' is {value!r}, not a number")
         return float(value)
 
     def message(self, name: str) -> type[Message]:

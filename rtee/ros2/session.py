@@ -93,12 +93,12 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
     if distro is not None:
         if distro not in list(Distro):
             known = ", ".join(Distro)
-            raise ConfigError(f"--distro {distro}: there are {known}")
+            raise ConfigError(f"--distro should be {known}, not {distro}")
         changes["distro"] = Distro(distro)
     try:
         return structs.replace(settings, **changes)
     except ValueError as error:
-        raise ConfigError(f"the command line: {error}") from None
+        raise ConfigError(f"the command line is wrong: {error}") from None
 
 
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
@@ -113,7 +113,9 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
     # Short and ASCII: `isdigit` accepts superscripts, which `int` refuses, as it does very long
     # numbers.
     if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _LARGEST_DOMAIN):
-        raise ConfigError(f"{DOMAIN}={text} is not a domain: a number, 0 to {_LARGEST_DOMAIN}")
+        raise ConfigError(
+            f"{DOMAIN}={text} is not a domain; it must be a number from 0 to {_LARGEST_DOMAIN}"
+        )
     return int(text)
 
 
@@ -166,7 +168,7 @@ def configuration(
         check_endpoints([router])
         if not insecure and not is_safe(router):
             raise ConfigError(
-                f"whoever reaches {router} could move the hand: use a router on this computer or"
+                f"anyone who reaches {router} could move the hand; use a router on this computer or"
                 " one with certificates (tls/HOST:PORT), or allow it with 'insecure: true' in"
                 " remote.security",
                 key="ros2.router",
@@ -244,7 +246,7 @@ async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[N
     """
     if not insecure and not is_safe(listen):
         raise ConfigError(
-            f"whoever reaches {listen} could move every hand in the ROS graph: listen on"
+            f"anyone who reaches {listen} could move every hand in the ROS graph; listen on"
             " tcp/localhost:PORT, or allow it with --insecure"
         )
     config = zenoh.Config()

@@ -89,12 +89,12 @@ def checked_names(names: Sequence[str], joints: Mapping[str, Range]) -> None:
     Raises `MessageError` if there are none, or a name is unknown or occurs twice.
     """
     if not names:
-        raise MessageError("it names no joints")
+        raise MessageError("the message names no joints")
     for name in names:
         if name not in joints:
             raise MessageError(f"there is no joint '{name[:100]}'; {suggestion(name, joints)}")
     if len(set(names)) < len(names):
-        raise MessageError("it names a joint twice")
+        raise MessageError("the message names a joint twice")
 
 
 def checked_position(name: str, value: float, limits: Range) -> float:
@@ -224,9 +224,9 @@ def trajectory_of(
     begin = began(message.header.stamp, now, ros_now)
     times = [seconds(point.time_from_start) for point in points]
     if times[0] < 0.0 or any(b <= a for a, b in pairwise(times)):
-        raise MessageError("the times of its points do not rise from 0")
+        raise MessageError("the times of its points must increase from 0")
     if times[-1] > _LONGEST or begin - now > _LONGEST:
-        raise MessageError(f"it begins late or takes more than {_LONGEST:g} s")
+        raise MessageError(f"it must begin at once and take at most {_LONGEST:g} s")
     if begin + times[-1] < now:
         raise OldTrajectory(f"it was over {now - begin - times[-1]:.3g} s ago")
     positions, velocities = [], []
@@ -240,14 +240,12 @@ def trajectory_of(
         positions.append([checked_position(name, value, joints[name]) for name, value in pairs])
         velocities.append([float(value) for value in point.velocities])
         if not all(map(math.isfinite, velocities[-1])):
-            raise MessageError("its velocities are not all finite")
+            raise MessageError("its velocities must be finite")
     given = all(velocities)
     if not given and any(velocities):
-        raise MessageError("some of its points have velocities and others none")
+        raise MessageError("either all or none of its points must have velocities")
     if any(abs(value) > _STILL for value in velocities[-1]):
-        raise MessageError(
-            "its last point has a velocity, and it must have none: the hand stops there"
-        )
+        raise MessageError("its last point must have velocity 0: the hand stops there")
     # Begin at rest at the present position, and move from there to the first point in the future.
     first = next((k for k, time in enumerate(times) if begin + time > now), len(times) - 1)
     start = max(begin, now)

@@ -130,7 +130,7 @@ def event_lines(where: Lines) -> Iterator[Callable[[Fields], None]]:
         try:
             journal.connect(_JOURNAL)
         except OSError as error:
-            raise ConfigError(f"--events journald: there is no journal: {error}") from None
+            raise ConfigError(f"--events journald: the journal is missing: {error}") from None
         with _queued(lambda fields: journal.send(entry(fields))) as put:
             yield put
 
@@ -147,4 +147,4 @@ def _queued(write: Callable[[Fields], object]) -> Iterator[Callable[[Fields], No
     finally:
         calls.close()
         if calls.dropped:
-            log.warning("%d events were not written: nobody read them", calls.dropped)
+            log.warning("%d events were not written, because nobody read them", calls.dropped)

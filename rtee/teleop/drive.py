@@ -64,7 +64,7 @@ def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
         if not mark:
             continue
         if axis not in axes:
-            raise ConfigError(f"there is no axis '{axis}'; there are: {', '.join(axes)}")
+            raise ConfigError(f"unknown axis '{axis}'; valid: {', '.join(axes)}")
         if axis in by_axis:
             raise ConfigError(f"the axis '{axis}' is given twice")
         by_axis[axis] = action.strip()
@@ -72,7 +72,7 @@ def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
     for action, mark, _ in given:
         if not mark:
             if not left:
-                raise ConfigError(f"there is no axis left for '{action}'")
+                raise ConfigError(f"no axis is left for '{action}'")
             by_axis[left.pop(0)] = action.strip()
     if len(set(by_axis.values())) != len(by_axis):
         raise ConfigError("an action is given twice")
@@ -117,7 +117,7 @@ def recorded(path: Path) -> list[Played]:
     """
     samples = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
     if not samples:
-        raise LogError("holds no samples of a stream", path=path)
+        raise LogError("contains no samples of a stream", path=path)
     begin = samples[0].time
     return [Played(each.time - begin, each.targets, each.velocity) for each in samples]
 
@@ -158,15 +158,15 @@ def _of_table(path: Path) -> list[Played]:
             values = {n: _number(n, cell, delimiter) for n, cell in cells if cell.strip()}
             when = values.pop("t", math.nan)
             if not when > (played[-1].time if played else -math.inf):
-                raise ValueError("the times must rise")
+                raise ValueError("the times must increase")
             if not values:
-                raise ValueError(f"no value in the columns {', '.join(names[1:])}")
+                raise ValueError(f"it has no value in the columns {', '.join(names[1:])}")
         except ValueError as error:
-            raise LogError(f"makes no sense: {error}", path=path, line=number) from None
+            raise LogError(f"is not valid: {error}", path=path, line=number) from None
         played.append(Played(when, values, {}))
     if rate_of(played) < _SLOWEST:
         apart = 1.0 / rate_of(played)
-        raise LogError(f"has rows {apart:g} s apart: times are in seconds", path=path, line=3)
+        raise LogError(f"has rows {apart:g} s apart; times must be in seconds", path=path, line=3)
     return played
 
 

@@ -175,8 +175,8 @@ def open_gamepad(path: str | None = None) -> Gamepad:
     except OSError as error:
         raise ConfigError(f"the gamepad cannot be read: {error}") from None
     raise ConfigError(
-        "there is no gamepad among the input devices that can be read here; your user may have to "
-        "be in the group 'input'"
+        "no gamepad can be read here; if one is connected, your user may have to be in the group "
+        "'input'"
     )
 
 

@@ -128,7 +128,8 @@ def running_hand(
     config = load_configured(hand)[1]
     if (other := running().get(config.name)) is not None:
         raise ConfigError(
-            f"the hand '{config.name}' runs already, in process {other.pid}, and a test must not"
+            f"the hand '{config.name}' is already running, in process {other.pid}, and a test must "
+            "not"
             f" move it: end it, or give the test a {VARIABLE} of its own, as the fixture rtee_hand"
             " does"
         )
@@ -195,7 +196,7 @@ def _endpoint(name: str, process: subprocess.Popen[bytes]) -> str:
     found = running().get(name)
     # By the process: another hand of this name may have started at the same moment.
     if found is None or found.pid != process.pid or not found.endpoints:
-        raise NoHand(f"the hand '{name}' does not run yet")
+        raise NoHand(f"the hand '{name}' is not running yet")
     return found.endpoints[0]
 
 

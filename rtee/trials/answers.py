@@ -61,7 +61,7 @@ class Answers:
             try:
                 yield from self._parquet.read_table(path, columns=names).to_pylist()
             except (OSError, ValueError) as error:
-                raise ConfigError(f"these are not results of a sweep: {error}", path=path) from None
+                raise ConfigError(f"not the results of a sweep: {error}", path=path) from None
 
     def find(self, task: Task, made_with: MadeWith) -> Answer | None:
         """Return the answer of a task that was made with the same."""

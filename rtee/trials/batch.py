@@ -49,7 +49,7 @@ def run_trials(
         library.find(trial.action, trial.elements)
         parse_object(trial.object, MESHES)
     if len(set(trials)) != len(trials):
-        raise ConfigError("the same trial stands twice in the batch, and would end the same")
+        raise ConfigError("the batch has the same trial twice; remove one")
     found: dict[Trial, TrialResult] = {}
     processes = min(jobs or len(os.sched_getaffinity(0)), len(trials))
     sweep = Sweep(Local(processes))

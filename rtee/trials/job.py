@@ -68,14 +68,17 @@ class TrialJob:
         """Raise `ConfigError` unless it makes sense; what only the object tells is left out."""
         if not (math.isfinite(self.mass) and _LIGHTEST <= self.mass <= _HEAVIEST):
             raise ConfigError(
-                f"the mass of an object is {_LIGHTEST:g} to {_HEAVIEST:g} kg, not {self.mass:g}"
+                f"the mass of an object must be {_LIGHTEST:g} to {_HEAVIEST:g} kg, not "
+                f"{self.mass:g}"
             )
         if self.friction is not None and not 0.0 <= self.friction <= 10.0:
-            raise ConfigError(f"a friction is 0 to 10, not {self.friction:g}")
+            raise ConfigError(f"a friction must be 0 to 10, not {self.friction:g}")
         if not 0 <= self.variations <= MOST_VARIATIONS:
-            raise ConfigError(f"there are 0 to {MOST_VARIATIONS} variations, not {self.variations}")
+            raise ConfigError(
+                f"the number of variations must be 0 to {MOST_VARIATIONS}, not {self.variations}"
+            )
         if self.actions is not None and not 0 < len(self.actions) <= MOST_ACTIONS:
-            raise ConfigError("there is no action to try")
+            raise ConfigError("give an action to try")
         if not 0 < len(self.object) <= 500:
             raise ConfigError("which object? choose one")
 

@@ -81,7 +81,7 @@ class _Strip:
         self._recording = recording
         states = recording.actuator_states
         if set(states.names) != set(hand.actuator_names):
-            raise LogError("does not hold the hand it is of", path=recording.paths[0])
+            raise LogError("does not contain its hand", path=recording.paths[0])
         # A recording may list the actuators in another order than the hand.
         self._order = [states.names.index(name) for name in hand.actuator_names]
         self._mesh = HandMesh(HandGeometry(hand, visual=True))

@@ -107,7 +107,7 @@ def rehearse(
     if thing:
         places = Places(simulation, hand, library.find(plan.action, plan.elements)).find(1)
         if not places:
-            raise GoalRejected(f"{thing} fits nowhere between the fingers of {plan.action}")
+            raise GoalRejected(f"{thing} does not fit between the fingers of {plan.action}")
         simulation.reset()
         around.place(around.base_pose @ places[0].pose)
     else:

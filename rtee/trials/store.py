@@ -93,7 +93,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
     survived = int(varied["held"]) if varied else 0
     left = trial.variations - int(varied["tried"]) if varied else 0
     if not 0 <= survived <= trial.variations - left:
-        raise ValueError(f"{survived} of {trial.variations} variations are held")
+        raise ValueError(f"{survived} of {trial.variations} variations were held")
     x, y, z = (float(value) for value in entry["position"])
     return TrialResult(
         trial,
@@ -192,7 +192,7 @@ def _results(read: YamlDocument, made_with: Fingerprints | None) -> dict[str, Tr
             ]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(
-            f"these are not results of trials ({error}); remove the file to make them anew",
+            f"these are not results of trials ({error}); remove the file to make them again",
             path=read.path,
         ) from error
     return {result.trial.key: result for result in results}

@@ -211,7 +211,7 @@ def present(ready: TrialBench, trial: TaskTrial, number: int) -> TrialScene:
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
     places = Places(simulation, hand, library.find(trial.action, trial.elements)).find(1)
     if not places:
-        raise ConfigError(f"{trial.object} fits nowhere between the fingers")
+        raise ConfigError(f"{trial.object} does not fit between the fingers")
     simulation.reset()
     pose = places[0].pose.copy()
     pose[:3, 3] += varied.uniform(-_BESIDE, _BESIDE, 3)

@@ -125,7 +125,7 @@ def run_trial(
     # Geometry ranks the places, since each one tried in dynamics takes a second.
     places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
-        return TrialResult(trial, False, "the object fits nowhere between the fingers")
+        return TrialResult(trial, False, "the object does not fit between the fingers")
     if skip >= len(places):
         raise ConfigError(
             f"there are {len(places)} places for the object, so that leaving out {skip} leaves none"
@@ -373,7 +373,7 @@ class _Varied:
             here.held.append(self.run(here.place, variation).held())
 
     def measured(self, here: _Tried) -> TrialResult:
-        """Return the result at a place, with how many of the trial's variations are held there."""
+        """Return the result at a place, with how many of the trial's variations were held there."""
         survived, count = 0, self._trial.variations
         for number in range(count):
             variation = draw(self._trial.seed, number)

@@ -69,7 +69,7 @@ def test_the_deepest_posture_of_a_pinch_is_asked_for_by_name(
 
 def test_elements_are_needed_only_where_there_is_a_choice(library: ActionLibrary) -> None:
     assert library.find("SingleJointMultipleTips_3").name == "SingleJointMultipleTips_3"
-    with pytest.raises(ActionError, match="Trig needs elements; there are: index, middle, thumb"):
+    with pytest.raises(ActionError, match="Trig needs elements; valid: index, middle, thumb"):
         library.find("trig")
 
 

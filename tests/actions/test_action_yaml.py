@@ -161,7 +161,7 @@ def test_stored_limit_may_be_rounded(library: ActionLibrary, tmp_path: Path) -> 
 
 BAD = {
     "tab": ("name: point\nset_points:\n\tmiddle_joint: 0.8\n", 3, "tab"),
-    "unknown key": (GENERIC + "colour: red\n", 4, "colour: unknown key; there are"),
+    "unknown key": (GENERIC + "colour: red\n", 4, "colour: unknown key; valid"),
     "misspelled key": (GENERIC.replace("set_points", "set_point"), 2, "did you mean 'set_points'"),
     "NaN": (GENERIC.replace("0.8", ".nan"), 3, "finite"),
     "infinite": (GENERIC.replace("0.8", ".inf"), 3, "finite"),
@@ -248,7 +248,7 @@ def test_one_name_in_two_files_is_refused(library: ActionLibrary, tmp_path: Path
     library.save(tmp_path)
     text = "name: Point\nparts:\n- action: trig\n  elements: [index]\n"
     (tmp_path / "composed" / "Point.yaml").write_text(text)
-    with pytest.raises(ActionError, match=r"Point.yaml:1: the name 'Point' is already that of"):
+    with pytest.raises(ActionError, match=r"Point.yaml:1: the name 'Point' is already taken by"):
         ActionLibrary.load(library.hand, tmp_path)
 
 

@@ -92,7 +92,7 @@ async def test_by_default_an_agent_reads_only(hand: Hand, library: ActionLibrary
         assert {"untrusted": "both"} in [each.get("about") for each in described["actions"]]
         assert (await agent.done("state"))["devices"][0]["device"] == "sim"
         for tool, arguments in (("do", TRIG), ("open", {}), ("grasp", {"width": 0.03, "force": 1})):
-            assert "the gate is 'watch': nothing moves" in await agent.refused(tool, **arguments)
+            assert "the gate is 'watch', which allows no" in await agent.refused(tool, **arguments)
         assert served.watcher.goals == []
         model_ = await agent.client.read_resource("rtee://small/model")
         assert "small" in json.loads(model_.contents[0].text)["untrusted"]  # type: ignore[union-attr]
@@ -152,7 +152,7 @@ async def test_a_flood_waits_for_its_turn(hand: Hand, library: ActionLibrary) ->
         group.start_soon(lambda: agent.call("do", **LONG))
         await until(lambda: bool(served.watcher.goals))
         for _ in range(50):
-            assert "a motion of this agent is under way" in await agent.refused("open")
+            assert "a motion of this agent is still running" in await agent.refused("open")
         assert len(served.watcher.goals) == 1
         assert (await agent.done("stop"))["confirmed"] == {"sim": True}
 
@@ -187,7 +187,7 @@ async def test_after_a_stop_agents_are_out_until_a_person_lets_them_in(
         async with rtee.connect("small", client=AGENT) as disguised:
             with pytest.raises(RequestRejected, match="agents are out since the hand was stopped"):
                 await disguised.open()
-            with pytest.raises(RequestRejected, match="an agent cannot let itself in"):
+            with pytest.raises(RequestRejected, match="an agent cannot admit itself"):
                 await disguised.admit_agents()
         assert served.watcher.goals == []
         async with rtee.connect("small", client="ann") as person:
@@ -221,7 +221,7 @@ async def test_a_person_approves(hand: Hand, library: ActionLibrary, yes: bool) 
 async def test_what_cannot_be_simulated_is_not_done(hand: Hand, library: ActionLibrary) -> None:
     async with both(hand, library, Gate.SIMULATE) as (served, agent):
         text = await agent.refused("do", **TRIG)
-        assert "it cannot be played in simulation first: " in text
+        assert "the rehearsal in simulation is not possible: " in text
         assert served.watcher.goals == []
 
 
@@ -246,7 +246,7 @@ def test_the_command_line_only_narrows_hand_yaml() -> None:
 
 async def test_it_finds_the_hand_again(hand: Hand, library: ActionLibrary) -> None:
     async with model(Gate.ACT) as agent:
-        assert "the hand 'small' does not run" in await agent.refused("stop")
+        assert "the hand 'small' is not running" in await agent.refused("stop")
         for _ in range(2):
             async with serving(hand, library) as served:
                 # Refused until it has seen that the first one has gone.
@@ -262,8 +262,8 @@ def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("mcp", "no hand runs here; name those that will: rtee mcp HAND"),
-        ("mcp clew", "the hand 'clew' does not run on this computer; there are none"),
+        ("mcp", "no hand is running here; name those that will: rtee mcp HAND"),
+        ("mcp clew", "the hand 'clew' is not running on this computer; there are none"),
         ("mcp claw --force 21", "--force 21.0 is more than hand.yaml allows an agent: 20.0"),
         ("mcp claw --gate act", "--gate act is more than hand.yaml allows an agent: approve"),
         ("agent admit claw", "'rtee agent admit' needs a person at a terminal, not a script"),

@@ -25,7 +25,7 @@ def test_the_gui_of_a_hand_that_does_not_run(
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err.count("\n") == 1
-    assert "the hand 'schunk_svh' does not run on this computer" in output.err
+    assert "the hand 'schunk_svh' is not running on this computer" in output.err
     assert "'rtee run schunk_svh'" in output.err
 
 

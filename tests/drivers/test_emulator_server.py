@@ -92,7 +92,7 @@ def test_typing_makes_faults() -> None:
         assert "did you mean 'overcurrent'" in player.command("fault overcurrrent")
         assert player.command("wire drop=0.5 noise=0.1") == ""
         assert player.simulation.faults.drop == 0.5
-        assert "unknown fault of the wire 'drip'" in player.command("wire drip=1")
+        assert "unknown wire fault 'drip'" in player.command("wire drip=1")
         for share in ("much", "5", "-1", "nan"):
             assert "should look like drop=0.05" in player.command(f"wire drop={share}")
         assert player.simulation.faults.drop == 0.5

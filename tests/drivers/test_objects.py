@@ -79,7 +79,7 @@ def test_every_device_closes_as_far_as_its_object_lets_it(name: str) -> None:
     for one in closings:
         settled(one)
         assert one.part == pytest.approx(1.0, abs=0.01)
-    with pytest.raises(ConfigError, match="closed further than that; open them first"):
+    with pytest.raises(ConfigError, match="further than the object is wide; open them first"):
         grasping(emulator).place_object(ObjectInHand(0.5))
 
 

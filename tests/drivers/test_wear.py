@@ -100,7 +100,7 @@ def test_every_device_is_ideal_unless_it_is_asked_to_be_worn() -> None:
 @pytest.mark.parametrize(
     ("wear", "text"),
     [
-        ("rusty", "write worn, ideal, or what differs"),
+        ("rusty", "write worn, ideal, or the values that differ"),
         ({"lags": 0.1}, "did you mean 'lag'"),
         ({"lag": -1.0}, "wear 'lag'"),
         ({"pace": "slow"}, "wear 'pace'"),

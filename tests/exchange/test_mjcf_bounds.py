@@ -32,10 +32,14 @@ def keys(count: int) -> str:
 @pytest.mark.parametrize(
     ("inside", "more", "said"),
     [
-        (BODY.format(0) + "</body>", keys(100_000), "100009 elements; more than 5000"),
-        (BODY.format(0) + "</body>", keys(1001), "1001 elements <key>; more than 1000"),
-        ("".join(map(BODY.format, range(90))) + 90 * "</body>", "", "more than 40 bodies inside"),
-        ("".join(BODY.format(k) + "</body>" for k in range(999)), "", "1000 bodies; more than 300"),
+        (BODY.format(0) + "</body>", keys(100_000), "100009 elements; a hand has at most 5000"),
+        (BODY.format(0) + "</body>", keys(1001), "1001 elements <key>; a hand has at most 1000"),
+        ("".join(map(BODY.format, range(90))) + 90 * "</body>", "", "nested more than 40 deep"),
+        (
+            "".join(BODY.format(k) + "</body>" for k in range(999)),
+            "",
+            "1000 bodies; a hand has at most 300",
+        ),
     ],
 )
 def test_what_is_no_hand_is_refused_at_once(

@@ -44,7 +44,7 @@ def test_a_box_is_carried_from_above_without_a_turn() -> None:
         # The open tips, 86 mm apart, meet a ball of 100 mm above its middle, and slip off upwards.
         (0.05, "it fell while it was lifted", MOMENTS[:4]),
         # They do not reach around one of 120 mm.
-        (0.06, "the object fits nowhere between the fingers", ()),
+        (0.06, "the object does not fit between the fingers", ()),
     ],
 )
 def test_what_is_wider_than_the_gripper_is_not_lifted(

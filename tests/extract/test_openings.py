@@ -110,7 +110,7 @@ def test_a_stale_table_is_refused_and_one_command_makes_it_again(tmp_path: Path)
     with pytest.raises(ActionError, match="are not known; `rtee openings"):
         known.openings.of(known.find("Grasp"))
     (home / "openings.yaml").write_text("format: 1\nmodel: x\nopenings: [{action: 3}]\n")
-    with pytest.raises(ConfigError, match="these are not openings"):
+    with pytest.raises(ConfigError, match="is not a valid file of openings"):
         _ = known.openings
 
 
@@ -134,7 +134,7 @@ def test_measured_pairs_that_leave_no_way_are_a_mistake(pairs: list[tuple[float,
     known = library("robotiq_2f_85")
     wrong = replace(known.hand, openings={"Grasp": tuple(pairs)})
     openings = replace(known.openings, hand=wrong)
-    with pytest.raises(ActionError, match=r"of Grasp measured in hand\.yaml do not fall"):
+    with pytest.raises(ActionError, match=r"of Grasp measured in hand\.yaml do not decrease"):
         openings.of(known.find("Grasp"))
 
 

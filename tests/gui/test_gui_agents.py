@@ -68,7 +68,7 @@ async def test_a_person_answers_in_the_page(
         await until(lambda: button(server, "Do it") is None)
         group.cancel_scope.cancel()
     assert "no one is available to approve" in asked[0]
-    assert asked[1:] == ["yes", "a person has refused"]
+    assert asked[1:] == ["yes", "a person refused it"]
 
 
 async def pressed_when_shown(server: viser.ViserServer, scope: anyio.CancelScope) -> None:

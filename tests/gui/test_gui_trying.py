@@ -144,7 +144,7 @@ async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Pat
     async with anyio.create_task_group() as group:
         group.start_soon(run)
         await begun.wait()
-        with pytest.raises(RequestRejected, match="a trial is under way"):
+        with pytest.raises(RequestRejected, match="a trial is still running"):
             await jobs.run(job, "another", print)
         jobs.cancel()
     assert ended == [False]

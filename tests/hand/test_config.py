@@ -79,7 +79,12 @@ WRONG = [
         "limits.right.upper: 0.9 is outside the URDF's limits 0 … 0.8",
         None,
     ),
-    ("upper: 0.7", "upper: 0.0", "limits.right: the limits 0 … 0 are empty", None),
+    (
+        "upper: 0.7",
+        "upper: 0.0",
+        "limits.right: the lower limit 0 is not below the upper limit 0",
+        None,
+    ),
     ("velocity: 1.0", "velocity: 3", "limits.right.velocity: 3 is above the URDF's velocity", None),
     ("velocity: 1.0", "velocity: -1", "limits.right.velocity: should be greater than 0", None),
     ("velocity: 1.0", "velocty: 1", "limits.right.velocty: unknown key; did you mean", "velocty"),

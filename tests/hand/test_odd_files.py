@@ -90,7 +90,7 @@ def test_an_srdf_that_is_a_xacro_file_is_expanded(
 def test_one_that_is_not_called_so_is_refused_as_a_urdf_is(tmp_path: Path) -> None:
     path = tmp_path / "jaws.srdf"
     path.write_text(XACRO_SRDF)
-    with pytest.raises(ModelError, match="let its name end with") as refused:
+    with pytest.raises(ModelError, match="rename it to end with") as refused:
         read_srdf(path)
     assert refused.value.line == 2
 

@@ -256,7 +256,7 @@ def test_a_copy_that_would_be_hidden_is_refused(
     monkeypatch.setenv("RTEE_CONFIG_PATH", str(fixed))
     monkeypatch.setattr(own_copy, "SHIPPED", fixed)
     monkeypatch.setattr(own_copy, "_can_be_made", lambda place: place != fixed)
-    with pytest.raises(ConfigError, match=r"would be hidden by .*RTEE_CONFIG_PATH"):
+    with pytest.raises(ConfigError, match=r"would be shadowed by .*RTEE_CONFIG_PATH"):
         own_copy.own(fixed / GRIPPER)
     assert not Path("config").exists()
 

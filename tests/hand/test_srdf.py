@@ -32,7 +32,7 @@ def test_fingers_are_the_members_of_the_group_of_groups(load: Load) -> None:
 
 
 def test_a_urdf_in_its_place_is_refused(load: Load) -> None:
-    with pytest.raises(ModelError, match=r"a joint is defined here, as in a URDF") as refusal:
+    with pytest.raises(ModelError, match=r"an SRDF cannot define joints") as refusal:
         load(srdf=GRIPPER)
     assert refusal.value.line == GRIPPER[: GRIPPER.index("<joint")].count("\n") + 1
 

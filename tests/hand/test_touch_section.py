@@ -88,7 +88,7 @@ def test_a_scale_alone_leaves_the_place_to_the_driver(tmp_path: Path) -> None:
     [
         ("{link: left_tpi}", "unknown link 'left_tpi'; did you mean 'left_tip'?"),
         ("{link: left_tip, grid: [2, 2], positions: [[0, 0, 0]]}", "a grid or positions, not both"),
-        ("{link: left_tip, positions: [[0, 0, 0]], normals: [[0, 0, 0]]}", "longer than 0"),
+        ("{link: left_tip, positions: [[0, 0, 0]], normals: [[0, 0, 0]]}", "of non-zero length"),
         ("{link: left_tip, positions: [[0, 0, 0]], normals: []}", ""),
         ("{link: left_tip, normals: [[0, 0, 1]]}", "as many normals as positions"),
         ("{link: left_tip, grid: [0, 2]}", "greater than or equal to 1"),

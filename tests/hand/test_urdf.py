@@ -102,14 +102,14 @@ def test_text_in_other_encodings(tmp_path: Path) -> None:
 # --- wrong files: the change, the message, and where the error should point ----------------------
 
 WRONG = [
-    (LIMIT, "", "joint 'left' is revolute but has no <limit>", '<joint name="left"'),
+    (LIMIT, "", "joint 'left' is revolute, so it needs a <limit>", '<joint name="left"'),
     (LIMIT, "<limit/>", "actuator 'left' has empty limits", '<joint name="left"'),
-    ('upper="0.8"', 'upper="-1"', "lower limit 0 above its upper -1", 'upper="-1"'),
+    ('upper="0.8"', 'upper="-1"', "lower limit 0 above its upper limit -1", 'upper="-1"'),
     ('upper="0.8"', 'upper="nan"', 'upper="nan" is not a finite number', 'upper="nan"'),
     ('upper="0.8"', 'upper="1e400"', "is not a finite number", 'upper="1e400"'),
-    ('upper="0.8"', 'upper="1e7"', 'upper="1e7" is beyond 1e+06, too much', 'upper="1e7"'),
+    ('upper="0.8"', 'upper="1e7"', 'upper="1e7" is beyond 1e+06, the largest', 'upper="1e7"'),
     ('xyz="-0.04 0 0.01"', 'xyz="-4e3 0 0"', 'xyz="-4e3" is beyond 1000', 'xyz="-4e3'),
-    ('"0.1 0.1 0.02"', '"1e20 1 1"', 'size="1e20" is beyond 1000, too much', '"1e20'),
+    ('"0.1 0.1 0.02"', '"1e20 1 1"', 'size="1e20" is beyond 1000, the largest', '"1e20'),
     ('upper="0.8"', 'upper="wide"', 'upper="wide" is not a finite number', 'upper="wide"'),
     ('velocity="2"', 'velocity="-2"', "negative velocity limit", 'velocity="-2"'),
     ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "axis of joint 'left' is zero", '"0 0 0"'),
@@ -194,7 +194,7 @@ BOX = "<collision><geometry><box size='1 1 1'/></geometry></collision>"
         ("<html/>", "is <html>, not a URDF"),
         ("<robot/>", "has 0 links instead of 1 to 300"),
         (f"<robot>{LINKS}</robot>", "has 301 links instead of 1 to 300"),
-        (f"<robot><link name='a'>{BOX * 1001}</link></robot>", "has 1001 shapes for collisions"),
+        (f"<robot><link name='a'>{BOX * 1001}</link></robot>", "has 1001 collision shapes"),
         ("", "URDF is not XML: no element found"),
         ("not xml", "URDF is not XML: syntax error"),
         ("<robot>\x00</robot>", "URDF is not XML"),

@@ -232,7 +232,7 @@ def test_all_hands_keep_a_reserve_of_the_disk(
     log.run(100, 4000)
     assert not old.exists(), "the oldest makes room, of whichever hand it is"
     assert [event.kind for event in log.told] == ["log_failed"]
-    assert "which log.reserve keeps" in log.told[0].text
+    assert "log.reserve keeps that much" in log.told[0].text
     disk[0] += 200_000
     log.run(4000, 4100)
     log.writer.close()

@@ -67,5 +67,5 @@ def test_every_command_reads_it(
 def test_a_file_without_joint_states_is_refused_by_all(tmp_path: Path) -> None:
     path = foreign(tmp_path / "other.mcap", "/arm/other_states")
     for use in (lambda: read(path), lambda: info([path])):
-        with pytest.raises(LogError, match="holds no recording of a hand"):
+        with pytest.raises(LogError, match="contains no recording of a hand"):
             use()

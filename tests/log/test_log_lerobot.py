@@ -204,7 +204,7 @@ def test_goals_are_episodes_and_intensities_actions(demonstrations: Path, tmp_pa
     [
         (Choice(fps=0), "1 to 100 frames, not 0"),
         (Choice(fps=101), "1 to 100 frames, not 101"),
-        (Choice(actions=("Trig two",)), "asks for no Trig two"),
+        (Choice(actions=("Trig two",)), "has no stream with targets for Trig two"),
         (
             Choice(observe=(ObservedQuantity.EFFORT,)),
             r"effort is not known throughout: second\.effort",
@@ -231,7 +231,7 @@ def test_marks_another_hand_and_a_folder_that_is_there(
 
     assert "no mark begins with 'episode:'" in said(story)
     assert "no recording of a hand" in said(filmed)
-    assert "is there already" in said(demonstrations, out=tmp_path)
+    assert "exists already" in said(demonstrations, out=tmp_path)
 
 
 def test_a_camera_whose_video_begins_in_the_middle(filmed: Path) -> None:

@@ -193,7 +193,7 @@ def test_npz_needs_no_pickle(recording: Recording, tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_exported_is_said(recording: Recording, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="nothing that could be exported"):
+    with pytest.raises(LogError, match="nothing to export"):
         export(replace(recording, goals=()), tmp_path, Format.CSV, ["goals"])
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(LogError, match="cannot be written"):

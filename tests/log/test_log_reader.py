@@ -159,7 +159,7 @@ def test_only_what_is_asked_for_is_read(story: Path) -> None:
     recording = read(story, only=["reference"])
     assert len(recording.reference) == 200
     assert len(recording.joint_states) == len(recording.goals) == 0
-    with pytest.raises(LogError, match="no topics"):
+    with pytest.raises(LogError, match="unknown topics"):
         read(story, only=["referenz"])
 
 

@@ -85,7 +85,7 @@ def test_a_file_that_is_being_written_is_left_alone(claw: Hand, tmp_path: Path) 
     log = Log(claw, settings(tmp_path))
     log.run(0, 100)
     (path,) = recorded(tmp_path)
-    with pytest.raises(LogError, match="is being written"):
+    with pytest.raises(LogError, match="is still being written"):
         recover(path, in_place=True)
     log.run(100, 200)
     log.writer.close()

@@ -205,5 +205,5 @@ def test_a_search_takes_no_square_of_the_damage(story: Path, tmp_path: Path, gap
 
 def test_a_recording_within_another_file_is_none_of_it(tmp_path: Path) -> None:
     path = _written(tmp_path / "nonsense.mcap", MAGIC + bytes(100_000))
-    with pytest.raises(LogError, match="holds no recording"):
+    with pytest.raises(LogError, match="contains no recording"):
         read(path)

@@ -54,6 +54,6 @@ def test_a_state_from_a_file_calls_back_nothing_but_what_a_controller_does(hand:
         _, owner, name = nodes[place]
         for tampered in (["method", owner, "__init__"], ["method", [0], "accept"]):
             nodes[place] = tampered
-            with pytest.raises(LogError, match="makes no sense"):
+            with pytest.raises(LogError, match="invalid state"):
                 restore(Controller(hand, settings), nodes)
         nodes[place] = ["method", owner, name]

@@ -456,7 +456,7 @@ def test_stamps_that_do_not_agree_stay_refused() -> None:
         for k in range(50):
             assert base.place(100.0 + k / 50.0, k / 50.0) == 100.0 + k / 50.0
         for k in range(50, 300):
-            with pytest.raises(GoalRejected, match="stamps come from one clock"):
+            with pytest.raises(GoalRejected, match="take all stamps from one clock"):
                 base.place(wrong(k, random), k / 50.0)
 
 
@@ -597,7 +597,7 @@ def test_joints_are_inverted_through_the_transmission(geared: Hand) -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"half": -0.2, "square": 0.04}, "mean different positions of 'drive'"),
+        ({"half": -0.2, "square": 0.04}, "need different positions of 'drive'"),
         ({"hump": 0.1}, "several positions of 'drive'"),
         ({"free": 0.1}, "no actuator moves the joint 'free'"),
         ({"drive": 45.0}, "are these degrees"),
@@ -637,7 +637,7 @@ def test_a_blend_adds_the_ways_from_rest(hand: Hand, library: ActionLibrary) -> 
         ({"Trig index": 1.6}, {}, "must be 0 to 1"),
         ({"Trig index": -0.6}, {}, "must be 0 to 1"),
         ({"Trig index": 40.0}, {}, "must be 0 to 1"),
-        ({"Trig index": 0.2, "index_base": 0.1}, {}, "meant twice"),
+        ({"Trig index": 0.2, "index_base": 0.1}, {}, "given twice"),
         ({"drill": 0.5}, {}, "timed"),
         ({"Trig nose": 0.5}, {}, "Trig"),
         ({"": 0.5}, {}, "is not an action"),

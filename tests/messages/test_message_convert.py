@@ -133,8 +133,8 @@ def test_what_is_decoded_is_what_was_encoded(
     ("kind", "text", "numbers", "reason"),
     [
         ("dance", "", {}, "unknown command 'dance'"),
-        ("jog", "fast", {"thumb_flexion": 0.5}, "'jog' makes no sense: .*'fast'"),
-        ("holding", "", {}, "'holding' makes no sense: 'effort'"),
+        ("jog", "fast", {"thumb_flexion": 0.5}, "'jog' is not valid: .*'fast'"),
+        ("holding", "", {}, "'holding' is not valid: 'effort'"),
     ],
 )
 def test_what_is_no_command_is_said(

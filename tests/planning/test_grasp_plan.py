@@ -302,7 +302,7 @@ def test_a_drill_is_planned_for_as_a_handle_with_a_motor_above_it(library: Actio
         ("sphere:nan", "is not an object"),
         ("sphere:inf", "is not an object"),
         ("box:0.1x0.1", "is not an object"),
-        ("capsule:0.05x0.02", "at least as long as thick"),
+        ("capsule:0.05x0.02", "at least its diameter"),
         ("missing.stl", "no such mesh"),
         ("missing.step", "is not an object"),
     ],

@@ -131,7 +131,7 @@ def test_a_forgotten_async_with_is_named() -> None:
 def test_another_event_loop_is_named() -> None:
     """What trio runs has no loop of asyncio; neither has a coroutine that is only sent to."""
     entering = rtee.connect("small").__aenter__()
-    with pytest.raises(ConfigError, match="a program on trio connects by rtee"):
+    with pytest.raises(ConfigError, match="on trio, use rtee"):
         entering.send(None)
 
 

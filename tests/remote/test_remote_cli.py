@@ -162,7 +162,7 @@ def test_no_hand_runs() -> None:
         (stop, []),
         (open, []),
     ):
-        with pytest.raises(NoHand, match="no hand runs on this computer"):
+        with pytest.raises(NoHand, match="no hand is running on this computer"):
             run(module, *words)
 
 
@@ -282,7 +282,7 @@ def test_a_hand_is_an_argument_or_an_option(
 
 def test_a_hand_that_does_not_run_is_named(served: Served) -> None:
     for command in (stop, open, state, status):
-        with pytest.raises(NoHand, match=r"'smal' does not run .* did you mean 'small'"):
+        with pytest.raises(NoHand, match=r"'smal' is not running .* did you mean 'small'"):
             run(command, "smal")
     with pytest.raises(RequestRejected, match="unknown action 'smal'"):
         run(do, "smal", "fist")

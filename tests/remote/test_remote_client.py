@@ -388,7 +388,7 @@ async def test_a_hand_whose_run_is_cancelled_leaves_the_network(
 async def test_a_goal_that_runs_is_not_started_again(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library), rtee.connect("small") as remote:
         running = await remote.start("fist", **LASTING)
-        with pytest.raises(GoalRejected, match="runs already"):
+        with pytest.raises(GoalRejected, match="is running already"):
             await remote._goals.start_goal(running.goal)
         await running.cancel()
         assert (await running.result()).cancelled, "it is still followed"
@@ -433,10 +433,10 @@ async def test_a_hand_that_goes_ends_everything(hand: Hand, library: ActionLibra
             await anext(states)
             running = await remote.start("fist", **LASTING)
             end.set()
-            with pytest.raises(NoHand, match="has gone"):
+            with pytest.raises(NoHand, match="is gone"):
                 async for _ in states:
                     pass
-            with pytest.raises(NoHand, match="has gone"):
+            with pytest.raises(NoHand, match="is gone"):
                 await running.result()
             with pytest.raises(NoHand):
                 await remote.status()
@@ -449,24 +449,24 @@ async def test_what_came_before_a_hand_goes_is_told(hand: Hand, library: ActionL
             remote._monitoring._on_event(EVENT.encode(Event("note", "sim", text, 0.0), wall=0))
         remote._link._on_gone()  # before anybody had a chance to look
         assert [(await anext(events)).text for _ in range(2)] == ["first", "last"]
-        with pytest.raises(NoHand, match="has gone"):
+        with pytest.raises(NoHand, match="is gone"):
             await anext(events)
-        with pytest.raises(NoHand, match="has gone"):
+        with pytest.raises(NoHand, match="is gone"):
             await anext(remote.events())
 
 
 async def test_no_hand_and_several_hands(
     hand: Hand, library: ActionLibrary, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    with pytest.raises(NoHand, match="no hand runs"):
+    with pytest.raises(NoHand, match="no hand is running"):
         async with rtee.connect():
             pass
     other = make_hand(tmp_path_factory.mktemp("other"), "other")
     async with serving(hand, library), serving(other, make_library(other)):
-        with pytest.raises(ConfigError, match=r"several hands run .*: other, small"):
+        with pytest.raises(ConfigError, match=r"several hands are running .*: other, small"):
             async with rtee.connect():
                 pass
-        with pytest.raises(NoHand, match=r"'smal' does not run .* did you mean 'small'"):
+        with pytest.raises(NoHand, match=r"'smal' is not running .* did you mean 'small'"):
             async with rtee.connect("smal"):
                 pass
         async with rtee.connect("small") as one, rtee.connect("other") as two:
@@ -476,7 +476,7 @@ async def test_no_hand_and_several_hands(
 
 async def test_the_same_hand_runs_once(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served:
-        with pytest.raises(ConfigError, match="'small' runs already"):
+        with pytest.raises(ConfigError, match="'small' is already running"):
             async with Server.open(served.loop, Config().remote):
                 pass
         async with rtee.connect("small") as remote:
@@ -514,7 +514,7 @@ async def test_a_hand_elsewhere_is_reached_by_its_endpoint(
         monkeypatch.setenv("RTEE_CONNECT", endpoint)
         async with rtee.connect() as remote:
             assert remote.name == "small"
-        with pytest.raises(NoHand, match="'large' does not run at"):
+        with pytest.raises(NoHand, match="'large' is not running at"):
             async with rtee.connect("large"):
                 pass
 
@@ -526,7 +526,7 @@ async def test_an_endpoint_that_cannot_be_used_is_a_mistake(
     with pytest.raises(ConfigError, match=r"256\.1\.1\.1"):
         async with serving(hand, library, config=config):
             pass
-    with pytest.raises(NoHand, match="nobody answers"):
+    with pytest.raises(NoHand, match="nothing answers"):
         async with rtee.connect("small", endpoint="tcp/127.0.0.1:1"):
             pass
     for wrong in ("robot", "tcp/robot", "robot:7447", "http/robot:7447"):

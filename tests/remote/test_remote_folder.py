@@ -178,7 +178,9 @@ def test_a_hand_runs_once_though_its_file_was_removed(
         place.write(["tcp/127.0.0.1:1"])
         for _ in range(2):  # the second time its file is one that was written again
             remove(place.path)
-            refused = pytest.raises(ConfigError, match=f"runs already, in process {os.getpid()}")
+            refused = pytest.raises(
+                ConfigError, match=f"is already running, in process {os.getpid()}"
+            )
             with refused, claimed("svh"):
                 pass
             while "svh" not in running():
@@ -194,7 +196,9 @@ def test_who_is_asked_often_still_says_who_it_is(runtime: Path) -> None:
     with claimed("svh") as place:
         place.path.unlink()
         for _ in range(5):
-            refused = pytest.raises(ConfigError, match=f"runs already, in process {os.getpid()}")
+            refused = pytest.raises(
+                ConfigError, match=f"is already running, in process {os.getpid()}"
+            )
             with refused, claimed("svh"):
                 pass
 

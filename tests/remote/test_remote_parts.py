@@ -148,7 +148,9 @@ def test_announced_hands_are_found(runtime: Path) -> None:
 
 def test_a_hand_is_announced_once(runtime: Path) -> None:
     with announced("svh", ["a"]):
-        twice = pytest.raises(ConfigError, match=f"'svh' runs already, in process {os.getpid()}")
+        twice = pytest.raises(
+            ConfigError, match=f"'svh' is already running, in process {os.getpid()}"
+        )
         with twice, announced("svh", ["b"]):
             pass
         assert running()["svh"].endpoints == ("a",)

@@ -106,13 +106,13 @@ def test_do_waits_for_a_hand_that_does_not_run_yet(
         with portal.wrap_async_context_manager(serving(hand, library)):
             answer, _ = waiting.communicate()
     assert said == (
-        "rtee: waiting: no hand runs on this computer; start one with 'rtee run HAND'\n"
+        "rtee: waiting: no hand is running on this computer; start one with 'rtee run HAND'\n"
     )
     assert "fist: reached" in answer
 
 
 def test_who_waits_is_told_why_and_for_how_long(runtime: object) -> None:
-    with pytest.raises(NoHand, match="no hand runs"):
+    with pytest.raises(NoHand, match="no hand is running"):
         run(do, "fist", "--wait", "0.1")
 
 

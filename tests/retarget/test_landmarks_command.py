@@ -62,9 +62,9 @@ def test_a_hand_follows_a_persons(served: Served, tmp_path: Path, live: bool) ->
         (json.dumps({"t": 1, "points": [[0, 0, float("nan")]] * 21}), "finite"),
         ('{"t": -1, "points": null}', "not later"),
         ('{"t": 1, "hand_world_landmarks": [[{"x": 1}]]}', "MediaPipe"),
-        ('{"layout": {"order": [1]}}', "a layout is"),
-        ('{"layout": "octopus"}', "there is no layout"),
-        ("not json", "makes no sense"),
+        ('{"layout": {"order": [1]}}', "a layout must be"),
+        ('{"layout": "octopus"}', "unknown layout"),
+        ("not json", "is not valid"),
     ],
 )
 def test_a_line_without_sense_moves_nothing(tmp_path: Path, line: str, said: str) -> None:

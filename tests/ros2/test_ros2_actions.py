@@ -259,7 +259,7 @@ async def test_a_server_that_ends_tells_its_clients(settings: Ros2Settings) -> N
             await until(lambda: works.server.goals[0].waiting == 1)
             await works.server.finish()
         assert [one.state for one in ends] == [GoalState.ABORTED]
-        with pytest.raises(NoHand, match="has gone"):
+        with pytest.raises(NoHand, match="is gone"):
             await goal.result(20)
         assert not works.client.available
 

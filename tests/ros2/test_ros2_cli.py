@@ -175,7 +175,7 @@ def test_a_goal_that_takes_too_long_is_cancelled(talker: Callable[..., str]) -> 
     [
         (["echo", "/left/joint_state"], ConfigError, "did you mean '/left/joint_states'"),
         (["echo", "/x", "std_msgs/msg/Strin"], Exception, "there is no type"),
-        (["echo", "/x", "std_msgs/msg/String", "--timeout", "0.2"], RemoteError, "nothing came"),
+        (["echo", "/x", "std_msgs/msg/String", "--timeout", "0.2"], RemoteError, "no message came"),
         (["call", "/left/talker/sett"], ConfigError, "did you mean '/left/talker/set'"),
         (["call", "/left/talker/set", "{dada: true}"], ConfigError, "has no field 'dada'"),
         (["call", "/left/talker/set", "{data: [}"], ConfigError, "request"),

@@ -140,10 +140,10 @@ def test_axes_are_assigned(actions: list[str], found: dict[str, str]) -> None:
 @pytest.mark.parametrize(
     ("actions", "said"),
     [
-        (["zz=Grasp"], "no axis 'zz'"),
+        (["zz=Grasp"], "unknown axis 'zz'"),
         (["rt=a", "rt=b"], "given twice"),
         (["rt=a", "lt=a"], "given twice"),
-        (["a", "b", "c", "d"], "no axis left for 'd'"),
+        (["a", "b", "c", "d"], "no axis is left for 'd'"),
     ],
 )
 def test_axes_that_cannot_be_assigned(actions: list[str], said: str) -> None:
@@ -266,13 +266,13 @@ def test_targets_in_another_unit_are_refused() -> None:
     [
         ("", "'t'"),
         ("near,t\n0,0\n", "'t'"),
-        ("t,near\n", "holds no samples"),
-        ("t,near\n0,0.1\n0,0.2\n", "wave.csv:3: makes no sense: the times must rise"),
+        ("t,near\n", "contains no samples"),
+        ("t,near\n0,0.1\n0,0.2\n", "wave.csv:3: is not valid: the times must increase"),
         ("t,near\n0,0.1,5\n", "3 cells for 2 names"),
-        ("t,near\n0,much\n", "wave.csv:2: makes no sense: 'much' in the column 'near' is not"),
+        ("t,near\n0,much\n", "wave.csv:2: is not valid: 'much' in the column 'near' is not"),
         ("t,near\n0,nan\n", "'nan' in the column 'near' is not a finite number"),
-        ("t,near\n0,0\n0.02,\n", "wave.csv:3: makes no sense: no value in the columns near"),
-        ("t,near\n0,0\n20,0\n40,0\n", "wave.csv:3: has rows 20 s apart: times are in seconds"),
+        ("t,near\n0,0\n0.02,\n", "wave.csv:3: is not valid: it has no value in the columns near"),
+        ("t,near\n0,0\n20,0\n40,0\n", "wave.csv:3: has rows 20 s apart; times must be in seconds"),
     ],
 )
 def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None:

@@ -115,7 +115,9 @@ def test_a_test_does_not_move_a_hand_that_runs_already(
         other.mkdir()
         if not connect:
             with (
-                pytest.raises(ConfigError, match=r"runs already, in process .* must not move it"),
+                pytest.raises(
+                    ConfigError, match=r"is already running, in process .* must not move it"
+                ),
                 running_hand("robotiq_2f_85", folder=other, driver="kinematic") as hand,
             ):
                 hand.do("grasp")

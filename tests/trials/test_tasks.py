@@ -94,7 +94,7 @@ def test_a_force_too_small_to_move_the_hand_is_told() -> None:
     [
         (["Grasp", "--task", "eg"], ConfigError, "unknown task 'eg'; did you mean 'egg'?"),
         (["--task", "egg"], ConfigError, "which action?"),
-        (["Grasp", "--task", "egg", "--all"], ConfigError, "--task goes without --all"),
+        (["Grasp", "--task", "egg", "--all"], ConfigError, "--task cannot be combined with --all"),
         (["Grasp", "--reflexes"], ConfigError, "need --task"),
         (["Grasp", "--task", "egg", "--force", "3kg"], GoalRejected, "the force must be a force"),
         (
@@ -102,7 +102,7 @@ def test_a_force_too_small_to_move_the_hand_is_told() -> None:
             ConfigError,
             "--max-force must be at least --force, 5 N, not 4 N",
         ),
-        (["Grasp", "--task", "egg", "--object", "sphere:0.2"], ConfigError, "fits nowhere"),
+        (["Grasp", "--task", "egg", "--object", "sphere:0.2"], ConfigError, "does not fit"),
     ],
 )
 def test_mistakes_are_told_in_one_sentence(

@@ -400,5 +400,5 @@ def test_tries_that_decide_nothing_are_left_out(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_sweep_takes_no_friction_of_its_own() -> None:
     words = [GRIPPER, "--all", "--friction", "0.5"]
-    with pytest.raises(ConfigError, match="--all takes the friction"):
+    with pytest.raises(ConfigError, match="--all varies the usual friction"):
         CliRunner().invoke(app_of(try_), words, catch_exceptions=False)

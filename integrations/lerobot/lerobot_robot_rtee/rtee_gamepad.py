@@ -73,7 +73,7 @@ class RteeGamepad(Uncalibrated, Teleoperator):
         try:
             moved = self._pad.read()
         except OSError as error:
-            raise ConfigError(f"the gamepad is gone: {error}") from None
+            raise ConfigError(f"the gamepad was disconnected: {error}") from None
         return {action: moved.get(axis, 0.0) for axis, action in self._axes.items()}
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:

@@ -94,7 +94,9 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
         name, positions = self._running
         retargeter = Retargeter.of(name, side=side)
         if set(retargeter.hand.actuator_names) != set(positions):
-            raise ConfigError(f"the running {name} has other actuators than the hand of that name")
+            raise ConfigError(
+                f"the running {name} differs in its actuators from the hand of that name"
+            )
         retargeter.begin(positions)
         self._newest, self._failed = positions, None
         path, ended = Path(config.source), threading.Event()

@@ -243,7 +243,8 @@ class AbilityHandDriver(Driver):
         if not self._plausible(reply, now):
             self._doubted = reply
             raise FrameError(
-                self.options.port, "a finger would have jumped; is the line disturbed?"
+                self.options.port,
+                "the reported position of a finger jumps; is there noise on the line?",
             )
         self._reply, self._doubted, self._stamp = reply, None, now
         return reply
@@ -277,7 +278,8 @@ class AbilityHandDriver(Driver):
         if self._moved:
             raise self.fault(
                 _LEFT,
-                f"it received nothing for {codec.API_TIME:g} s, left API mode, and moved by itself",
+                f"the hand received nothing for {codec.API_TIME:g} s, left API mode, and moved by "
+                "itself",
                 hint="check that nothing was dropped, then `rtee recover`",
             )
 

@@ -165,7 +165,8 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
         if len(names) != JOINTS:
             raise ConfigError(
                 f"device '{spec.name}': an Allegro Hand has {JOINTS} actuators "
-                f"({', '.join(NAMES)}, four each), not {len(names)}; name those there are by the "
+                f"({', '.join(NAMES)}, four each), not {len(names)}; name the actuators that it "
+                "has by the "
                 "option 'joints'"
             )
         return list(range(JOINTS))

@@ -214,7 +214,8 @@ class DriveCycle:
                 raise DeviceFault(
                     self._device,
                     _NOT_ENABLED,
-                    f"node {slow.id} ({slow.name}) stays {slow.state.name.lower()}",
+                    f"node {slow.id} ({slow.name}) does not leave the state "
+                    f"{slow.state.name.lower()}",
                     hint="is the motor's supply on, and no safe stop active?",
                 )
             with contextlib.suppress(BusTimeout):

@@ -44,7 +44,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
         raise NotConnected(
             device,
             f"node {drive.id} ({drive.name}) does not answer on {channel}",
-            hint="check supply, wiring, termination, node id and bit rate; `rtee scan` helps",
+            hint="check supply, wiring, termination, node id and bit rate; `rtee scan` searches",
         ) from error
     if kind != codec.DEVICE_TYPE:
         raise HandshakeError(

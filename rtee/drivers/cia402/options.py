@@ -80,4 +80,4 @@ class Cia402Options(DeviceOptions, frozen=True, kw_only=True):
         if len(set(ids)) != len(ids):
             raise ValueError("two drives have the same node id")
         if self.host in ids:
-            raise ValueError("the host's node id is that of a drive")
+            raise ValueError("the host has the node id of a drive")

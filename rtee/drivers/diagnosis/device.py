@@ -205,7 +205,7 @@ def _rate(driver: Driver) -> Check:
     if asked > best * 1.001:
         return warning(
             "rate",
-            f"{asked:.0f} Hz are asked for, its wire gives {best:.0f} Hz",
+            f"hand.yaml asks for {asked:.0f} Hz, the wire allows {best:.0f} Hz",
             f"set every: {math.ceil(driver.spec.rate / best)} in hand.yaml, or leave it out",
         )
     return ok("rate", f"up to {best:.0f} Hz")

@@ -51,7 +51,7 @@ def _governor(root: Path) -> Check:
         return ok("CPU governor", "performance")
     return warning(
         "CPU governor",
-        f"{', '.join(sorted(governors))}: the clock slows down between ticks",
+        f"{', '.join(sorted(governors))}, which lowers the clock rate between ticks",
         "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
     )
 
@@ -81,10 +81,12 @@ def _memory() -> Check:
 def _processors() -> Check:
     count = len(os.sched_getaffinity(0))
     if count < 2:
-        return warning("processors", "one", "a loop at 1 kHz wants a second one for the rest")
+        return warning(
+            "processors", "one", "a loop at 1 kHz needs a second CPU for everything else"
+        )
     load = os.getloadavg()[0]
     if load > count:
-        return warning("processors", f"{count}, load {load:.1f}", "end what else is running")
+        return warning("processors", f"{count}, load {load:.1f}", "end other programs")
     return ok("processors", f"{count}, load {load:.1f}")
 
 

@@ -31,7 +31,7 @@ def check_model(name: str) -> list[Check]:
     if has_devices(name):
         return [found]
     remedy = "describe them under 'devices:' in hand.yaml"
-    return [found, warning("devices", "there are none: it moves on the screen only", remedy)]
+    return [found, warning("devices", "there are none; the hand only moves on the screen", remedy)]
 
 
 def has_devices(name: str) -> bool:
@@ -53,7 +53,7 @@ def _by_geometry(hand: Hand) -> Check:
     try:
         closed = closed_rest_of(hand)
     except UserError as error:  # a mesh; the loop needs none
-        return warning(_REST, f"cannot be looked at: {error}", "mend the model")
+        return warning(_REST, f"cannot be examined: {error}", "mend the model")
     if closed is None:
         return ok(_REST, "no two fingertips pinch there")
     remedy = f"type into hand.yaml: {closed.line}; then: rtee extract {hand.name} --save"

@@ -68,11 +68,13 @@ def _tty(address: str, root: Path) -> list[Check]:
 def _exists(path: Path) -> Check:
     if not path.exists():
         return wrong(
-            "port", f"there is no {path}", "plug it in, then `rtee scan` lists the ports there are"
+            "port",
+            f"there is no {path}",
+            "plug it in, then `rtee scan` lists the ports of this computer",
         )
     if not stat.S_ISCHR(path.stat().st_mode):
         return wrong(
-            "port", f"{path} is not a serial port", "`rtee scan` lists the ports there are"
+            "port", f"{path} is not a serial port", "`rtee scan` lists the ports of this computer"
         )
     target = path.resolve()
     text = str(path) if target == path else f"{path} ({target})"
@@ -158,6 +160,6 @@ def _latency(path: Path, root: Path) -> Check | None:
         return ok("latency timer", f"{timer} ms")
     return warning(
         "latency timer",
-        f"{timer} ms: every answer waits for so long",
+        f"{timer} ms, which delays every answer",
         f"echo 1 | sudo tee {file}   # the udev rule of `rtee doctor --files DIR` makes it last",
     )

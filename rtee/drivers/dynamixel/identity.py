@@ -70,7 +70,7 @@ async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -
         # A servo with the new rate does not answer at the old one.
         if await model_at(pool, port, new, number) is not None:
             return
-    raise DriverError(port, f"servo {number} does not take the rate of {new} baud")
+    raise DriverError(port, f"servo {number} does not accept {new} baud")
 
 
 async def _store(link: DynamixelLink, number: int, register: table.Register, value: int) -> None:

@@ -189,7 +189,8 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         if low < high and not low <= first <= last <= high:
             raise ConfigError(
                 f"device '{self.spec.name}': servo {number} ({self.names[number]}) would have to "
-                f"go from {first} to {last}, but takes {low} to {high}; set its 'zero', or tighten "
+                f"move from {first} to {last}, but accepts {low} to {high}; set its 'zero', or "
+                "tighten "
                 "the limits of its actuator"
             )
 

@@ -55,8 +55,8 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
         if model is None:
             raise DriverError(
                 port,
-                f"servo {old} is of a model that is not known "
-                f"({data.hex(' ').upper()}), nor where its settings are locked",
+                f"servo {old} is of an unknown model "
+                f"({data.hex(' ').upper()}), so its settings cannot be unlocked",
             )
         family = FAMILIES[model.family]
         link = FeetechLink(bus, family, _DEADLINE, 2)

@@ -73,14 +73,14 @@ class DifferentialOptions(Section, frozen=True, kw_only=True):
         (a, b), (c, d) = self.matrix
         # Relative to its terms, since the matrix has no scale of its own.
         if abs(a * d - b * c) < 1e-6 * max(abs(a * d), abs(b * c), 1e-9):
-            raise ValueError("the matrix cannot be inverted: its rows must not be alike")
+            raise ValueError("the matrix cannot be inverted; its rows must be independent")
         for name in ("flexion", "tilt", "tilt_share"):
             points: Points = getattr(self, name)
             steps = list(itertools.pairwise(points))
             if any(there[0] <= here[0] for here, there in steps):
-                raise ValueError(f"the first numbers of the points of '{name}' must rise")
+                raise ValueError(f"the first numbers of the points of '{name}' must increase")
             if name != "tilt_share" and any(there[1] <= here[1] for here, there in steps):
-                raise ValueError(f"the second numbers of the points of '{name}' must rise")
+                raise ValueError(f"the second numbers of the points of '{name}' must increase")
         # The tilt is divided by its share.
         if any(share <= 0.0 for _, share in self.tilt_share):
             raise ValueError("the shares of 'tilt_share' must be above 0")
@@ -115,7 +115,8 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
         for name, servo in self.servos.items():
             if servo.zero is not None and servo.zero >= counts:
                 raise ValueError(
-                    f"servo '{name}': zero is a position from 0 to {counts - 1}, not {servo.zero:g}"
+                    f"servo '{name}': zero must be a position from 0 to {counts - 1}, not "
+                    f"{servo.zero:g}"
                 )
         if self.differential is not None:
             self._check_pairs(self.differential)

@@ -260,7 +260,7 @@ class HeriEthercatDriver(Driver):
                 raise self._fault(position, fault)
             raise self.fault(
                 _REFUSED,
-                f"board {position} does not take '{code.name.lower().replace('_', ' ')}'",
+                f"board {position} refuses '{code.name.lower().replace('_', ' ')}'",
                 hint="is its motor supply on?",
             )
 

@@ -106,7 +106,7 @@ async def calibrate(
         if angle != KEEP and abs(grams) > _IDLE:
             raise CalibrationError(
                 device,
-                f"{finger} reads {grams} g although the hand is idle: does it touch something?",
+                f"{finger} measures {grams} g although the hand is idle; does it touch something?",
             )
     write_json(path, structs.asdict(zeros))
     return zeros
@@ -127,7 +127,7 @@ async def _opened(
         if not away:
             return
         if monotonic.now() > end:
-            raise CalibrationError(device, f"it does not open: {', '.join(away)}")
+            raise CalibrationError(device, f"the hand does not open: {', '.join(away)}")
         await asyncio.sleep(0.05)
 
 
@@ -210,7 +210,8 @@ class InspireRh56Driver(Driver):
             self.identifying(
                 "an RH56",
                 f"no RH56 answers as unit {options.unit} at {options.port}",
-                "check supply, wires, `unit`, `baudrate`, and `protocol`: some speak Modbus alone",
+                "check supply, wires, `unit`, `baudrate`, and `protocol`: some hands speak Modbus "
+                "only",
                 ModbusRefusal,
                 CodecError,
             ),

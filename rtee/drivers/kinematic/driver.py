@@ -210,11 +210,11 @@ class KinematicDriver(Driver):
         """
         self._check_names({name: fraction}, fingers=True)
         if not 0.0 <= fraction <= 1.0:
-            raise ConfigError(f"an object is 0 to 1 of the travel, not {fraction:g}")
+            raise ConfigError(f"an object must be at 0 to 1 of the travel, not {fraction:g}")
         for plant in self.plants:
             endless = not math.isfinite(plant.spec.farthest)
             if name == plant.spec.name and endless:
-                raise ConfigError(f"'{name}' turns without end, so an object has no place there")
+                raise ConfigError(f"'{name}' turns endlessly, so no object can be placed there")
             if not endless and (name == plant.spec.name or name in plant.spec.fingers):
                 plant.obstacle = plant.at(fraction)
 

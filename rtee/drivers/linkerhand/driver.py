@@ -185,8 +185,8 @@ class LinkerHandDriver(Driver):
             self.identifying(
                 name,
                 f"no {name[2:]} answers as unit {options.unit} on {options.where}",
-                "check supply, wires, `model` and `unit`: 39 is a right hand, 40 a left one; one "
-                "that stays silent wants its supply cut",
+                "check supply, wires, `model` and `unit`: 39 is a right hand, 40 a left one; "
+                "power-cycle a hand that stays silent",
                 ModbusRefusal,
                 check=check,
             ),

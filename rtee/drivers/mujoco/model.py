@@ -96,7 +96,7 @@ def _check(hand: Hand) -> None:
         if joint.role is JointRole.PASSIVE and not _has_substance(hand, joint.child):
             links = ", ".join(f"'{link}'" for link in _below(hand, joint.child))
             raise ModelError(
-                f"passive joint '{joint.name}' carries no mass and no collision geometry (links "
+                f"passive joint '{joint.name}' carries neither mass nor collision geometry (links "
                 f"{links}), so its motion is undetermined; give a link mass, or fix the joint",
                 path=hand.urdf.path,
                 line=joint.line or None,

@@ -272,7 +272,7 @@ class Simulation:
         Raises `KeyError` for an unknown one, `ValueError` for a negative or infinite value.
         """
         if not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f"gain '{name}' must be zero or more, not {value:g}")
+            raise ValueError(f"gain '{name}' must be 0 or more, not {value:g}")
         kind, _, actuator = name.partition(".")
         if kind not in ("kp", "ki", "kd") or actuator not in self.actuators:
             raise KeyError(name)

@@ -162,7 +162,7 @@ class QbSoftHandDriver(Driver):
         self.options = read_options(QbSoftHandOptions, spec)
         if len(spec.actuators) != self.options.motors:
             raise ConfigError(
-                f"device '{spec.name}': a hand with {self.options.motors} motor(s) has as many "
+                f"device '{spec.name}': a hand with {self.options.motors} motor(s) needs as many "
                 f"actuators, not {len(spec.actuators)}"
             )
         self.mapping: Motors = OneMotor() if self.options.motors == 1 else TwoMotors()

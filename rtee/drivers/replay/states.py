@@ -108,7 +108,7 @@ class RecordedStates:
     def _choose(self, hand: str) -> str:
         summary = self._summary
         if summary is None:
-            raise LogError("was not closed; `rtee log recover` makes it whole", path=self.path)
+            raise LogError("was not closed; `rtee log recover` repairs it", path=self.path)
         topics = sorted(
             channel.topic
             for channel in summary.channels.values()
@@ -119,14 +119,14 @@ class RecordedStates:
             return wanted
         # With several other hands in the recording, there is no reason to choose one.
         if len(topics) != 1:
-            raise LogError(f"holds no states of the hand '{hand}'", path=self.path)
+            raise LogError(f"contains no states of the hand '{hand}'", path=self.path)
         return topics[0]
 
     def _find(self, actuators: tuple[str, ...]) -> list[int]:
         # A channel may have no messages, and only a message holds the names of the actuators.
         first = next(self._messages(), None)
         if first is None:
-            raise LogError(f"holds no states in {self._topic}", path=self.path)
+            raise LogError(f"contains no states in {self._topic}", path=self.path)
         names = list(first[0]["name"])
         missing = [name for name in actuators if name not in names]
         if missing:

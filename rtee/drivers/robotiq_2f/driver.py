@@ -257,7 +257,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             return there and status.grasp is not Grasp.MOVING
 
         def blocked() -> CalibrationError:
-            return CalibrationError(self.spec.name, "the fingers did not come to an end")
+            return CalibrationError(self.spec.name, "the fingers did not reach an end")
 
         async with time_limit(self.options.activation_timeout, blocked):
             await self._write(command.to_registers())
@@ -270,8 +270,8 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         if travel < _LEAST_RANGE:
             raise CalibrationError(
                 self.spec.name,
-                f"it moved {travel} counts between open and closed, at least {_LEAST_RANGE} are "
-                "expected: is something between the fingers?",
+                f"the gripper moved {travel} counts between open and closed instead of at least "
+                f"{_LEAST_RANGE}; is something between the fingers?",
             )
         return stops
 

@@ -260,5 +260,5 @@ class SchunkSvhOptions(DeviceOptions, frozen=True):
         names = [channel.name for channel in CHANNELS]
         for name in self.channels:
             if name not in names:
-                reason = f"there is no channel '{name}'; there are: {', '.join(names)}"
+                reason = f"unknown channel '{name}'; valid: {', '.join(names)}"
                 raise Misfit(reason, "channels")

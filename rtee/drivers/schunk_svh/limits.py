@@ -62,9 +62,9 @@ class ControllerLimits:
                 if not (position.max_rate > 0.0 and current.maximum > 0.0):
                     raise HandshakeError(
                         name,
-                        "a hand with controller settings of its own",
+                        "a hand with its own controller settings",
                         f"none in channel {channel.name}",
-                        hint="the table for firmware 1.x is used with 'settings: library'",
+                        hint="'settings: library' uses the table for firmware 1.x",
                     )
             given = options.get(channel.name)
             if given is not None and given.current_limit is not None:

@@ -122,8 +122,8 @@ class XBot2Driver(Driver):
         for name in self.options.joints:
             if name not in names:
                 raise ConfigError(
-                    f"device '{spec.name}': option 'joints' names '{name}', which is none of its "
-                    f"actuators; {suggestion(name, names)}"
+                    f"device '{spec.name}': option 'joints' names '{name}', which is not one of "
+                    f"its actuators; {suggestion(name, names)}"
                 )
         given = [self.options.joints.get(a.name, JointOptions()) for a in spec.actuators]
         self._names = [g.joint or a.name for g, a in zip(given, spec.actuators, strict=True)]
@@ -347,9 +347,7 @@ def _scale(ends: tuple[float, float] | None, actuator: ActuatorSpec, device: str
     lower, upper = actuator.lower, actuator.upper
     if not math.isfinite(upper - lower):
         if ends is not None:
-            raise ConfigError(
-                f"device '{device}': '{actuator.name}' has no limits that could be mapped"
-            )
+            raise ConfigError(f"device '{device}': '{actuator.name}' has no limits to map")
         # An unlimited joint is not mapped: the server's units are the actuator's.
         return LinearScale((0.0, 1.0), (0.0, 1.0))
     return LinearScale((lower, upper) if ends is None else ends, (lower, upper))

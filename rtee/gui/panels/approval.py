@@ -64,7 +64,7 @@ class Approval:
             style = f"padding:0 0.75em;{WRAPS}"
             gui.add_html(f'<div role="alert" style="{style}">{escape(question)}</div>')
             yes = gui.add_button("Do it", color=APPROVE, hint="Let the agent do this, once")
-            no = gui.add_button("No", hint="The agent is told that a person has refused")
+            no = gui.add_button("No", hint="The agent is told that a person refused it")
         yes.on_click(self._bridge.clicked(lambda: answer(True)))
         no.on_click(self._bridge.clicked(lambda: answer(False)))
         try:

@@ -61,7 +61,9 @@ class Jobs:
     def check_free(self) -> None:
         """Raise `RequestRejected` if a job is running."""
         if self.running:
-            raise RequestRejected(f"{self.running} is under way; wait for its end, or cancel it")
+            raise RequestRejected(
+                f"{self.running} is still running; wait for it to end, or cancel it"
+            )
 
     async def run(self, job: TrialJob, title: str, report: Report) -> bool:
         """Run a job to its end; return whether it was not cancelled.
@@ -298,7 +300,7 @@ class TryPanel:
 
     async def _cancel(self) -> None:
         if not self._jobs.running:
-            raise RequestRejected("nothing is under way")
+            raise RequestRejected("nothing is running")
         self._jobs.cancel()
 
     async def _start(self, *, planning: bool) -> None:

@@ -164,13 +164,13 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         # Only failures are reported, by rtee.
         av.logging.set_level(av.logging.PANIC)
     if output.exists():
-        raise LogError("is there already; a dataset is written into a new folder", path=output)
+        raise LogError("exists already; give a new folder for the dataset", path=output)
     files = [paths_of(path) for path in paths]
     indexes = {path: index_file(path) for parts in files for path in parts}
     cameras = cameras_in(indexes, choice.cameras)
     hands = [parts for parts in files if any(_has_hand(indexes[path]) for path in parts)]
     if not hands:
-        raise LogError("holds no recording of a hand", path=paths[0])
+        raise LogError("contains no recording of a hand", path=paths[0])
     check_hands({parts[0]: indexes[parts[0]].hand for parts in hands})
     shots = sorted(
         (shot for parts in hands for shot in _shots(read(parts), choice)),
@@ -179,7 +179,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
     notes: list[str] = []
     kept = list(_kept(shots, cameras, notes))
     if not kept:
-        raise LogError(f"no episode is left: {notes[0]}", path=hands[0][0])
+        raise LogError(f"no episode remains: {notes[0]}", path=hands[0][0])
     features = _features(kept, choice, notes)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -201,7 +201,7 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
     """Yield the episodes of a recording, each at the times of its frames."""
     path, rate = recording.paths[0], recording.rate
     if not len(recording.actuator_states):
-        raise LogError("holds no states of actuators", path=path)
+        raise LogError("contains no states of actuators", path=path)
     if not 1 <= choice.fps <= max(rate, 1.0):
         raise LogError(
             f"has {rate:g} states a second: a dataset of it has 1 to {rate:g} frames, not "
@@ -211,7 +211,7 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
     signals, reference = list(observed(recording)), sent(recording)
     wanted = intensities(recording, choice.actions) if choice.actions else asked(recording)
     if choice.actions and not np.isfinite(wanted.values).any():
-        raise LogError(f"asks for no {' and no '.join(choice.actions)} in any stream", path=path)
+        raise LogError(f"has no stream with targets for {' or '.join(choice.actions)}", path=path)
     for episode in episodes_of(recording, choice.by):
         count = int((episode.end - episode.start) * choice.fps // SECOND) + 1
         when = episode.start + np.arange(count, dtype=np.int64) * SECOND // choice.fps
@@ -277,7 +277,7 @@ def _features(shots: Sequence[_Shot], choice: Choice, notes: list[str]) -> dict[
         state += known
     actuators = list(shots[0].state[ObservedQuantity.POSITION])
     if any(list(shot.state[ObservedQuantity.POSITION]) != actuators for shot in shots):
-        raise LogError("the recordings are of hands with other actuators", path=shots[-1].path)
+        raise LogError("the recordings are of hands with different actuators", path=shots[-1].path)
     return {STATE: state, ACTION: list(choice.actions) or actuators, SENT: actuators}
 
 

@@ -81,7 +81,9 @@ class TimeBase:
         else:
             self._doubted.clear()
         if wrong:
-            raise GoalRejected(f"{wrong}: stamps come from one clock that never jumps, in seconds")
+            raise GoalRejected(
+                f"{wrong}: take all stamps from one clock that never jumps, in seconds"
+            )
         self._newest = max(self._newest, placed)
         self._offset, self._offset_at = min(now - placed, self._least(now)), now
         return placed

@@ -106,7 +106,7 @@ class Targets:
         for joint in self._joints:
             if joint.index in blended:
                 raise GoalRejected(
-                    f"'{hand.actuator_names[joint.index]}' is meant twice: by '{joint.name}' and "
+                    f"'{hand.actuator_names[joint.index]}' is given twice: by '{joint.name}' and "
                     "by an action"
                 )
         self.indices = frozenset(blended | {joint.index for joint in self._joints})
@@ -212,7 +212,7 @@ class Targets:
             )
         if index in positions and abs(positions[index] - at) > _AGREE * span:
             raise GoalRejected(
-                f"'{joint.name}' and another target mean different positions of '{spec.name}', "
+                f"'{joint.name}' and another target need different positions of '{spec.name}', "
                 f"which moves both: {at:g} and {positions[index]:g}"
             )
         positions.setdefault(index, at)

@@ -86,12 +86,12 @@ def test_the_second_reply_tells_velocities_and_touch() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda f: b"", "no header of a reply"),
-        (lambda f: b"\x13" + f[1:], "no header of a reply: 13"),
-        (lambda f: b"\x50" + f[1:], "no header of a reply: 50"),
+        (lambda f: b"", "not the header of a reply"),
+        (lambda f: b"\x13" + f[1:], "not the header of a reply: 13"),
+        (lambda f: b"\x50" + f[1:], "not the header of a reply: 50"),
         (lambda f: f[:-1], "70 bytes are not a reply of variant 1"),
         (lambda f: b"\x12" + f[1:], "71 bytes are not a reply of variant 3"),
-        (lambda f: f[:-1] + b"\x40", "no status of six motors: 0x40"),
+        (lambda f: f[:-1] + b"\x40", "not the status of six motors: 0x40"),
     ],
 )
 def test_what_no_hand_can_reply_is_refused(change: object, text: str) -> None:

@@ -239,7 +239,7 @@ async def test_a_zero_that_cannot_be_right_is_told_with_what_to_do() -> None:
         spec = replace(spec, driver="feetech", actuators=(actuator("jaw", 0.0, 0.8),))
         async with BusPool() as pool:
             check = named(await check_device(spec, pool), "fault")
-    assert "would have to go from 4000 to 4522, but takes 0 to 4095" in check.text
+    assert "would have to move from 4000 to 4522, but accepts 0 to 4095" in check.text
     assert check.remedy == "correct its options in hand.yaml, or calibrate it"
 
 

@@ -79,7 +79,10 @@ async def test_end_stops_are_found_stored_and_used(tmp_path: Path) -> None:
             '{"model": "2f_140", "unit": 9, "open_count": 3, "closed_count": 230}',
             "made with model 2f_140, not 2f_85",
         ),
-        ('{"model": "2f_85", "unit": 9, "open_count": 100, "closed_count": 150}', "it moved 50"),
+        (
+            '{"model": "2f_85", "unit": 9, "open_count": 100, "closed_count": 150}',
+            "the gripper moved 50",
+        ),
     ],
 )
 async def test_a_calibration_of_another_gripper_is_refused(
@@ -112,5 +115,5 @@ async def test_a_device_without_offsets_says_so(tmp_path: Path) -> None:
 
     async with BusPool() as pool:
         driver = find_driver("onrobot_3fg")(gripper("onrobot_3fg"), pool)
-        with pytest.raises(ConfigError, match="has nothing to calibrate"):
+        with pytest.raises(ConfigError, match="needs no calibration"):
             await calibrate(driver, tmp_path / "x.json", ready)

@@ -403,7 +403,7 @@ async def test_calibration_is_taken_stored_and_compared(tmp_path: Path) -> None:
         async with connected(pool, stored) as made:
             assert (await made.sense()).position == pytest.approx([0.0, 0.5], abs=1e-3)
         line(pool).servos[1].set(table.HOMING_OFFSET, 7)
-        with pytest.raises(CalibrationError, match=r"'j1' is not as it was.*homing offset is 7"):
+        with pytest.raises(CalibrationError, match=r"'j1' has changed since.*homing offset is 7"):
             async with connected(pool, stored):
                 pass
 
@@ -423,7 +423,7 @@ def test_a_missing_calibration_is_told(tmp_path: Path) -> None:
     [
         ({"servos": {"j0": {"id": 1}}}, "these do not match: j1"),
         ({"servos": {"j0": {"id": 1}, "j1": {"id": 1}}}, "same id"),
-        ({"baudrate": 1234}, "baudrate is one of"),
+        ({"baudrate": 1234}, "baudrate must be one of"),
         ({"mode": "velocity"}, "mode"),
     ],
 )

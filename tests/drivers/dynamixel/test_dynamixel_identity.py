@@ -82,7 +82,7 @@ async def test_what_cannot_be_done_is_told_and_changes_nothing() -> None:
     servos = line(1, 2)
     with SimulatedLine([servos], wire_time=False) as wire:
         async with BusPool() as pool:
-            with pytest.raises(ConfigError, match="there is a servo 2"):
+            with pytest.raises(ConfigError, match="a servo 2 is already"):
                 await set_id(pool, wire.address, 57_600, 1, 2)
             with pytest.raises(NotConnected, match="no servo 9 answers"):
                 await set_id(pool, wire.address, 57_600, 9, 3)
@@ -99,7 +99,7 @@ def test_the_one_servo_on_a_line_gets_its_id_by_the_command() -> None:
         assert said == "XL330-M288: 4 is now 5, at 4000000 baud\n"
         assert "has the id 5 already" in set_id_command("5", "--port", wire.address, status=2)
         said = set_id_command("253", "--port", wire.address, status=2)
-        assert "the largest id of a dynamixel servo is 252" in said
+        assert "the id of a dynamixel servo must be at most 252" in said
         only = ("--port", wire.address, "--family", "feetech")
         assert "there is no servo" in set_id_command("6", *only, status=2)
     assert servos.ordered[0].number == 5

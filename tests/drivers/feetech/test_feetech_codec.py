@@ -203,9 +203,9 @@ def test_frames_survive_and_are_found_in_garbage(device: int, code: int, params:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("FF FE 01 02 01 FB", "begins with FF FF"),
-        ("FF FF FF 02 01 FB", "begins with FF FF"),
-        ("FF FF 01 03 01 FB", "does not fit"),
+        ("FF FE 01 02 01 FB", "begin with FF FF"),
+        ("FF FF FF 02 01 FB", "begin with FF FF"),
+        ("FF FF 01 03 01 FB", "declares a length"),
         ("FF FF 01 02 01 FA", "checksum"),
     ],
 )

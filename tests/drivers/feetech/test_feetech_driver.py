@@ -193,7 +193,7 @@ async def test_a_servo_that_turns_without_end_is_refused() -> None:
 async def test_limits_of_a_servo_that_are_too_tight_are_told() -> None:
     async with Session(case(emulator={"servo": {"limits": [1500, 2600]}})) as session:
         await session.connect()
-        with pytest.raises(ConfigError, match="from 1396 to 2961, but takes 1500 to 2600"):
+        with pytest.raises(ConfigError, match="from 1396 to 2961, but accepts 1500 to 2600"):
             await session.driver.activate()
 
 
@@ -324,7 +324,9 @@ async def test_a_setting_that_a_servo_does_not_take_is_told() -> None:
         third = session.emulator.ordered[2]
         kept = [(register, third.get(register)) for register in (table.P, table.RETURN_DELAY)]
         session.wire.call(lambda: setattr(third, "_act", lambda: [third.set(*one) for one in kept]))
-        with pytest.raises(DriverError, match="servo 3 does not take 20 at address 21; it has 32"):
+        with pytest.raises(
+            DriverError, match="servo 3 does not accept 20 at address 21; it has 32"
+        ):
             await session.driver.activate()
     async with Session(case(return_delay=5)) as session:
         await session.connect()

@@ -51,14 +51,14 @@ async def test_what_cannot_be_done_is_told_and_changes_nothing() -> None:
     servos = line("scs", (1, 2))
     with SimulatedLine([servos], wire_time=False) as wire:
         async with BusPool() as pool:
-            with pytest.raises(ConfigError, match="there is a servo 2"):
+            with pytest.raises(ConfigError, match="a servo 2 is already"):
                 await set_id(pool, wire.address, 1_000_000, 1, 2)
             with pytest.raises(NotConnected, match="no servo 9 answers"):
                 await set_id(pool, wire.address, 1_000_000, 9, 3)
     assert [servo.number for servo in servos.ordered] == [1, 2]
     with SimulatedLine([line("sts", (1,), model=0x1234)], wire_time=False) as wire:
         async with BusPool() as pool:
-            with pytest.raises(DriverError, match=r"not known \(34 12\)"):
+            with pytest.raises(DriverError, match=r"unknown model \(34 12\)"):
                 await set_id(pool, wire.address, 1_000_000, 1, 3)
 
 
@@ -71,19 +71,19 @@ def test_the_one_servo_on_a_line_gets_its_id_by_the_command() -> None:
     assert servos.ordered[0].number == 4
     with SimulatedLine([line("scs", (1, 2))], wire_time=False) as wire:
         text = set_id_command("4", "--port", wire.address, status=2)
-        assert f"there are servos 1, 2 at {wire.address}: plug in one alone" in text
+        assert f"there are servos 1, 2 at {wire.address}; connect only one" in text
         assert set_id_command("4", "--port", wire.address, "--from", "2") == "SCS0009: 2 is now 4\n"
     with SimulatedLine([], wire_time=False) as wire:
         text = set_id_command("4", "--port", wire.address, status=2)
         assert f"there is no servo at {wire.address} (feetech at 1000000 baud, dynamixel" in text
         text = set_id_command("4", "--port", wire.address, "--from", "2", status=1)
         assert "no servo 2 answers (feetech at" in text
-        assert "--baudrate is one of" in set_id_command(
+        assert "--baudrate must be one of" in set_id_command(
             "4", "--port", wire.address, "--baudrate", "9601", status=2
         )
     with SimulatedLine([line("scs", (1,))], wire_time=False) as wire:
         text = set_id_command(
             "4", "--port", wire.address, "--from", "1", "--new-baudrate", "1000000", status=2
         )
-        assert "Feetech servos keep theirs" in text
+        assert "Feetech servos keep their rate" in text
     set_id_command("254", "--port", "/dev/null", status=2)

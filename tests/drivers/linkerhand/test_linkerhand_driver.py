@@ -65,7 +65,7 @@ def test_motors_are_found_by_their_names_or_as_told() -> None:
     assert motors_of(spec, LinkerHandOptions(model="l10")) == tuple(range(10))
     other = replace(CASE, actuators=(actuator("a", 0.0, 1.0),)).spec()
     assert motors_of(other, LinkerHandOptions(motors={"a": "ring"})) == (4,)
-    with pytest.raises(ConfigError, match="a motor of its own; missing: a"):
+    with pytest.raises(ConfigError, match="its own motor; missing: a"):
         motors_of(other, LinkerHandOptions())
     with pytest.raises(ConfigError, match="must name the device's actuators"):
         motors_of(other, LinkerHandOptions(motors={"b": "ring"}))

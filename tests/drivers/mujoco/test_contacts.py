@@ -146,7 +146,7 @@ def test_nothing_gets_deeper_than_a_millimetre_into_an_object(name: str, shape: 
     simulation = make_simulation(hand, options, names, ready.settings.period)
     places = Places(simulation, hand, action).find(1)
     if not places:
-        pytest.skip("it fits nowhere between the fingers")
+        pytest.skip("it does not fit between the fingers")
     around = simulation.surroundings
     simulation.reset()
     around.place(around.base_pose @ places[0].pose)

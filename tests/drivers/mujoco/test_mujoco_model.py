@@ -136,7 +136,7 @@ def test_a_massless_passive_chain_is_refused(tmp_path: Path) -> None:
     joints = tuple(
         replace(j, role=JointRole.PASSIVE) if j.name == "loose" else j for j in hand.joints
     )
-    with pytest.raises(ModelError, match=r"'loose' carries no mass.*'nothing', 'end'"):
+    with pytest.raises(ModelError, match=r"'loose' carries neither mass.*'nothing', 'end'"):
         build_hand(replace(hand, joints=joints), SimOptions())
 
 

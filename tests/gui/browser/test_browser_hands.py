@@ -218,7 +218,7 @@ def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: 
     window.button("Try").click()
     window.says("a trial begins …")
     window.button("Try").click()
-    window.told("a trial is under way; wait for its end, or cancel it")
+    window.told("a trial is still running; wait for it to end, or cancel it")
     window.button("Cancel").last.click()
     window.says("cancelled")
     window.choose("Table", "below it")
