@@ -84,17 +84,19 @@ class Framing:
         except ValueError:  # more than a byte
             length = -1
         if not self.least <= length <= self.most:
-            raise CodecError(f"no frame can carry {len(body)} bytes with {list(fields)}")
+            raise CodecError(f"a frame cannot carry {len(body)} bytes with {list(fields)}")
         return raw + self.check(raw)
 
     def opened(self, raw: bytes) -> tuple[bytes, bytes]:
         """Return the fields and the body of a frame; raises `CodecError`."""
         if len(raw) < self.head + self.tail or not raw.startswith(self.header):
             start = self.header.hex(" ").upper()
-            raise CodecError(f"a frame begins with {start} and has at least {self.around} bytes")
+            raise CodecError(
+                f"a frame must begin with {start} and have at least {self.around} bytes"
+            )
         if len(raw) != self.length(raw):
             length = raw[self.head - self.size : self.head].hex(" ")
-            raise CodecError(f"a length of {length} does not fit {len(raw)} bytes")
+            raise CodecError(f"the frame declares a length of {length}, but has {len(raw)} bytes")
         sealed, tail = raw[: -self.tail], raw[-self.tail :]
         if self.check(sealed) != tail:
             raise CodecError("the checksum does not match")

@@ -183,7 +183,7 @@ class Command:
     def from_frame(cls, frame: bytes) -> Self:
         """Read it from a frame without its checksum; raises `CodecError`."""
         if len(frame) < _LEAST:
-            raise CodecError(f"{len(frame)} bytes are not a command")
+            raise CodecError(f"a command cannot have {len(frame)} bytes")
         words: tuple[int, ...] = ()
         if frame[1] & 0xF0 in SET_POINTS:
             if len(frame) != 2 + _WORDS.size:
@@ -228,11 +228,11 @@ class Reply:
         size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)
         # The echoed class is documented for positions only, so any is accepted.
         if not 1 <= variant <= NO_TOUCH or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
-            raise CodecError(f"no header of a reply: {frame[:1].hex()}")
+            raise CodecError(f"not the header of a reply: {frame[:1].hex()}")
         if len(frame) != size:
             raise CodecError(f"{len(frame)} bytes are not a reply of variant {variant}")
         if frame[-1] & 0xC0:
-            raise CodecError(f"no status of six motors: {frame[-1]:#04x}")
+            raise CodecError(f"not the status of six motors: {frame[-1]:#04x}")
         pairs = _PAIRS.unpack_from(frame, 1)
         second, rest = pairs[1::2], frame[1 + _PAIRS.size : -1]
         return cls(

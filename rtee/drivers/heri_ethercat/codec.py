@@ -148,7 +148,7 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
     Raises `CodecError` if it is not an acknowledgement.
     """
     if len(raw) < ORDER_SIZE:
-        raise CodecError("an acknowledgement has two bytes")
+        raise CodecError("an acknowledgement must have two bytes")
     word = raw[0] | raw[1] << 8
     # The acknowledgement of the previous command stays until the board accepts this one.
     if word & 0xFF != code:

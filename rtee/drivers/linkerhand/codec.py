@@ -175,7 +175,7 @@ def checked(table: Table, registers: Sequence[int], count: int) -> tuple[int, ..
     """
     known = set(Fault) if table is Table.FAULT else range(MOST + 1)
     if len(registers) != count or not all(value in known for value in registers):
-        raise CodecError(f"no {count} values of a LinkerHand: {list(registers)}")
+        raise CodecError(f"not {count} values of a LinkerHand: {list(registers)}")
     return tuple(registers)
 
 

@@ -259,7 +259,7 @@ def connected(data: bytes) -> tuple[str, ...]:
     for byte, bit in _SLOTS.values():
         known[byte] |= 1 << bit
     if len(data) != CONNECTED_SIZE or any(b & ~k for b, k in zip(data, known, strict=True)):
-        raise CodecError(f"connected slots {data.hex(' ')} are none of a touch board's")
+        raise CodecError(f"a touch board cannot have the connected slots {data.hex(' ')}")
     return tuple(name for name, (byte, bit) in _SLOTS.items() if data[byte] >> bit & 1)
 
 

@@ -184,7 +184,7 @@ class Parameter:
     def from_bytes(cls, slot: bytes) -> Self:
         """Read a slot; raises `CodecError` if it is not a slot."""
         if len(slot) != SLOT or slot[0] not in _FORMS:
-            raise CodecError("a parameter has fifty bytes and begins with its type")
+            raise CodecError("a parameter must have fifty bytes and begin with its type")
         form = f">{slot[1]}{_FORMS[slot[0]]}"
         size = struct.calcsize(form)
         if size + 2 > SLOT:
@@ -253,7 +253,7 @@ class ListParser:
         whole = len(slots) - len(slots) % SLOT
         # Refused early: after a false header, the parser would wait for slots that never come.
         if whole < len(slots) and slots[whole] not in _FORMS:
-            raise CodecError("a parameter begins with its type")
+            raise CodecError("a parameter must begin with its type")
         return {
             at // SLOT + 1: Parameter.from_bytes(slots[at : at + SLOT])
             for at in range(0, whole, SLOT)

@@ -72,7 +72,7 @@ class Packet:
     def to_bytes(self, *, pad: bool = True) -> bytes:
         """Return the packet as sent; the host always pads its data to 64 bytes."""
         if not 0 <= self.channel <= 0xF:
-            raise CodecError(f"no packet can carry {self}")
+            raise CodecError(f"a packet cannot carry {self}")
         data = self.data.ljust(PAYLOAD, b"\x00") if pad else self.data
         return _FRAMING.sealed((self.index, self.command | self.channel << 4), data)
 

@@ -183,7 +183,7 @@ class Frame:
     def status(self) -> Status:
         """The status of an answer; raises `CodecError` where it has none."""
         if len(self.payload) < _STATUS:
-            raise CodecError("an answer without a status")
+            raise CodecError("the answer has no status")
         try:
             return Status(int.from_bytes(self.payload[:2], "little"))
         except ValueError as error:
@@ -307,7 +307,7 @@ class Limits(Packed):
         """Read them from an answer; raises `CodecError`."""
         stroke, slow, fast, weak, strong, least, nominal, most = numbers(frame, 8)
         if not (stroke > 0.0 and 0.0 <= slow < fast and weak < strong and least < nominal):
-            raise CodecError("limits that are none")
+            raise CodecError("not valid limits")
         return cls(stroke, (slow, fast), (weak, strong), (least, nominal, most))
 
 
@@ -321,5 +321,5 @@ def state_of(frame: Frame) -> State:
 def grasping_of(frame: Frame) -> Grasping:
     """Return the state of a grasp of an answer; raises `CodecError`."""
     if len(frame.payload) != _STATUS + 1 or frame.payload[2] > max(Grasping):
-        raise CodecError("no state of a grasp")
+        raise CodecError("not the state of a grasp")
     return Grasping(frame.payload[2])

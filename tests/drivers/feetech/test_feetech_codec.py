@@ -216,7 +216,7 @@ def test_what_is_no_frame_is_refused(text: str, problem: str) -> None:
 
 
 def test_a_frame_too_long_to_send_is_refused() -> None:
-    with pytest.raises(CodecError, match="no frame can carry 250 bytes"):
+    with pytest.raises(CodecError, match="a frame cannot carry 250 bytes"):
         Frame(1, WRITE, bytes(LONGEST - 1)).to_bytes()
 
 

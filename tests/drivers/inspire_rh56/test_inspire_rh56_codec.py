@@ -126,7 +126,7 @@ def test_what_no_frame_can_be_is_refused() -> None:
         with pytest.raises(CodecError):
             Frame.from_bytes(raw)
     for data in (b"", bytes(253)):
-        with pytest.raises(CodecError, match="no frame can carry"):
+        with pytest.raises(CodecError, match="a frame cannot carry"):
             Frame(1, READ, 1000, data).to_bytes(REPLY)
 
 

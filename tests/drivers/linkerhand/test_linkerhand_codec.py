@@ -172,9 +172,9 @@ def test_tables_have_a_value_for_each_motor() -> None:
         assert len(model.ranges) == model.count
         for block in model.tables.values():
             assert sum(count for _, count in block.properties) == model.count
-    with pytest.raises(CodecError, match="no 6 values"):
+    with pytest.raises(CodecError, match="not 6 values"):
         codec.checked(Table.POSITION, [1, 2], 6)
-    with pytest.raises(CodecError, match="no 2 values"):
+    with pytest.raises(CodecError, match="not 2 values"):
         codec.checked(Table.POSITION, [1, 256], 2)
 
 
