@@ -1,4 +1,4 @@
-"""The contract of a sans-I/O frame parser, and one for frames that begin with a header."""
+"""The contract of a sans-I/O frame parser; one for frames with a header, and one for lines."""
 
 from __future__ import annotations
 
@@ -235,3 +235,35 @@ class FramedParser(ABC, Generic[F]):
                 return start
             start = buffer.find(self.HEADER, start + 1)
         return 0
+
+
+class LineParser:
+    """Finds lines of printable ASCII characters.
+
+    Attributes:
+        errors: Number of lines dropped: too long, or with other bytes.
+    """
+
+    def __init__(self, end: bytes = b"\r\n", most: int = 256) -> None:
+        """Look for lines that end with ``end`` and have at most ``most`` characters before it."""
+        self.errors = 0
+        self._end, self._most = end, most
+        self._buffer = b""
+
+    def reset(self) -> None:
+        """Forget an incomplete line."""
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Receive bytes and return the lines that they complete, without their ends."""
+        *found, rest = (self._buffer + data).split(self._end)
+        # Of a line that is too long, enough is kept to see that it is.
+        self._buffer = rest[-self._most - len(self._end) :]
+        lines = []
+        for raw in found:
+            text = raw.decode("ascii", "replace")
+            if len(raw) <= self._most and raw.isascii() and text.isprintable():
+                lines.append(text)
+            else:
+                self.errors += 1
+        return lines

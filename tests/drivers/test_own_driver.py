@@ -13,7 +13,7 @@ import pytest
 from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import driver_names, find_driver
-from rtee.errors import ConfigError, DeviceFault
+from rtee.errors import CommandRejected, ConfigError, DeviceFault
 from rtee.hand.load import load_model
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop, drive
@@ -82,9 +82,9 @@ def examples(repository: Path) -> dict[str, Any]:
     assert len(code[0].splitlines()) < 30
     assert len(code[1].splitlines()) < 120
     names: dict[str, object] = {}
-    for part in code[:2]:
+    for part in code[:3]:
         exec(compile(part, "write-a-driver.md", "exec", dont_inherit=True), names)
-    return {name: names[name] for name in ("JawDriver", "ModbusJawDriver")}
+    return {name: names[name] for name in ("JawDriver", "ModbusJawDriver", "LineJawDriver")}
 
 
 async def test_the_example_on_modbus_drives_its_gripper(examples: dict[str, Any]) -> None:
@@ -101,6 +101,30 @@ async def test_the_example_on_modbus_drives_its_gripper(examples: dict[str, Any]
         pool.played("jaw/jaw").faults.add("overload")
         with pytest.raises(DeviceFault, match="overload"):
             await jaw.sense()
+        await jaw.close()
+
+
+async def test_the_example_in_lines_of_text_is_homed_and_drives_its_gripper(
+    examples: dict[str, Any],
+) -> None:
+    spec = DeviceSpec(
+        "jaw", "jaw", "jaw", (actuator("slide", 0.0, 0.04),), {"port": "/dev/jaw"}, emulated=True
+    )
+    async with BusPool() as pool:
+        jaw = examples["LineJawDriver"](spec, pool)
+        await jaw.configure()
+        with pytest.raises(DeviceFault, match="not homed"):
+            await jaw.activate()
+        with pytest.raises(CommandRejected, match="ERR 1"):
+            await jaw.move(Reference.at([0.02]))
+        await jaw.recover()
+        await jaw.activate()
+        await jaw.move(Reference.at([0.02]))
+        while abs((await jaw.sense()).position[0] - 0.02) > 1e-4:
+            pass
+        await jaw.move(Reference.at([0.0]))
+        await jaw.stop()
+        assert not pool.played("jaw/jaw").axes[0].moving
         await jaw.close()
 
 

@@ -322,10 +322,12 @@ async def test_a_dead_client_is_noticed(hand: Hand, library: ActionLibrary, how:
 async def test_the_blocking_twin(hand: Hand, library: ActionLibrary, tmp_path: Path) -> None:
     def use() -> None:
         with rtee.connect_blocking("small") as remote, remote.stream(rate=50) as stream:
-            count = 0
+            count, before = 0, 0.0
             for _ in stream.pace():
-                if abs(position(served) - 0.4) < 1e-3:
+                # Twice: samples of a busy computer come late, and the hand may pass it first.
+                if max(abs(before - 0.4), abs(position(served) - 0.4)) < 1e-3:
                     break
+                before = position(served)
                 stream.send({"near": 0.4}, {"near": 0.0})
                 count += 1
             assert stream.status().samples == count
