@@ -79,7 +79,7 @@ class Frame:
     def from_bytes(cls, raw: bytes) -> Self:
         """Return the frame that ``raw`` is; raises `CodecError`."""
         if raw[2:3] > bytes([BROADCAST]):
-            raise CodecError("a frame begins with FF FF and an id")
+            raise CodecError("a frame must begin with FF FF and an id")
         [device], body = _FRAMING.opened(raw)
         return cls(device, body[0], body[1:])
 

@@ -101,7 +101,7 @@ def test_what_no_hand_can_reply_is_refused(change: object, text: str) -> None:
 
 
 def test_incomplete_commands_and_escapes_are_refused() -> None:
-    with pytest.raises(CodecError, match="1 bytes are not a command"):
+    with pytest.raises(CodecError, match="a command cannot have 1 bytes"):
         Command.from_frame(b"\x50")
     with pytest.raises(CodecError, match="not set-points"):
         Command.from_frame(b"\x50\x10\x00")

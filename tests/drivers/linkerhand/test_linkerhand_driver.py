@@ -160,7 +160,7 @@ async def test_values_that_are_no_fault_codes_are_no_answer() -> None:
                 emulator, "table", lambda t: told(t if t < Table.FAULT else Table.POSITION)
             )
         )
-        with pytest.raises(FrameError, match="no 6 values of a LinkerHand"):
+        with pytest.raises(FrameError, match="not 6 values of a LinkerHand"):
             await session.driver.examine()
 
 

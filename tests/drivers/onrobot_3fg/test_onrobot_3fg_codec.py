@@ -57,9 +57,9 @@ def test_the_diameter_with_offset_is_signed() -> None:
 
 
 def test_what_is_no_status_or_command_is_refused() -> None:
-    with pytest.raises(FrameError, match="no status of a 3FG"):
+    with pytest.raises(FrameError, match="not a valid status of a 3FG"):
         Status.from_registers((0x0100, 0, 0, 0))
-    with pytest.raises(FrameError, match="no command of a 3FG"):
+    with pytest.raises(FrameError, match="not a valid command of a 3FG"):
         Command.from_registers((0, 0, 0, 3))
 
 

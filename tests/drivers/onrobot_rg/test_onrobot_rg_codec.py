@@ -68,9 +68,9 @@ def test_the_status_tells_of_the_safety_switches(frame: str, status: Status) -> 
 def test_a_width_may_be_negative_and_unknown_bits_are_refused() -> None:
     assert Status.from_registers((0xFFF6, 0)).width == -10
     assert Status(width=-10).to_registers() == (0xFFF6, 0)
-    with pytest.raises(FrameError, match="no status of an RG"):
+    with pytest.raises(FrameError, match="not a valid status of an RG"):
         Status.from_registers((0, 0x0080))
-    with pytest.raises(FrameError, match="no command of an RG"):
+    with pytest.raises(FrameError, match="not a valid command of an RG"):
         Command.from_registers((0, 0, 4))
 
 

@@ -123,7 +123,7 @@ def test_the_current_is_ten_milliamperes_a_count() -> None:
 
 @pytest.mark.parametrize("words", [(0x39C0, 0, 0), (0x3700, 0, 0), (0x3901, 0, 0)])
 def test_another_grippers_status_is_refused(words: tuple[int, int, int]) -> None:
-    with pytest.raises(FrameError, match="no status of a 2-finger gripper"):
+    with pytest.raises(FrameError, match="not a valid status of a 2-finger gripper"):
         Status.from_registers(words)
 
 

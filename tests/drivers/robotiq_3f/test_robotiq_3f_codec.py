@@ -154,7 +154,7 @@ def test_the_network_carries_the_same_registers() -> None:
 
 
 def test_another_devices_registers_are_refused() -> None:
-    with pytest.raises(FrameError, match="no status of a 3-finger gripper"):
+    with pytest.raises(FrameError, match="not a valid status of a 3-finger gripper"):
         Status.from_registers([0x3900, 0xF000, 0, 0, 0, 0, 0, 0])
 
 
