@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtee import monotonic
 from rtee.buses.bus import Bus, listen
-from rtee.buses.can_guard import Guarded, frame_of, message_of, open_bus
+from rtee.buses.can_guard import GuardedCan, frame_of, message_of, open_bus
 from rtee.buses.emulator import CanFrame
 from rtee.errors import BusBroken, BusTimeout
 
@@ -194,7 +194,7 @@ class CanBus(Bus):
 
     def _opened(self) -> Any:
         raw = open_bus(self.interface, self.name, self.bitrate)
-        return Guarded(raw, self._failed_elsewhere)
+        return GuardedCan(raw, self._failed_elsewhere)
 
     async def _close(self) -> None:
         bus, notifier, direct = self._bus, self._notifier, self._direct

@@ -87,7 +87,7 @@ def open_bus(interface: str, channel: str, bitrate: int | None = None) -> Any:
     return Unechoed(bus) if interface in _RETURNING else bus
 
 
-class Guarded:
+class GuardedCan:
     """A python-can bus whose `recv` never raises: an error would end its notifier's thread."""
 
     def __init__(self, bus: Any, failed: Callable[[str], None]) -> None:

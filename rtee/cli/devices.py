@@ -169,12 +169,12 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
     """Go through the first contact with each device; return the exit status."""
     from rtee.buses.pool import BusPool
     from rtee.drivers.connection import owner_of
-    from rtee.drivers.diagnosis.contact_report import Conclusion, Question
-    from rtee.drivers.diagnosis.first_contact import FirstContact
+    from rtee.drivers.diagnosis.contact_report import Conclusion, ContactQuestion
+    from rtee.drivers.diagnosis.first_contact import ContactGuide
     from rtee.drivers.registry import find_driver
     from rtee.log.first_contact import write
 
-    async def ask(question: Question) -> str:
+    async def ask(question: ContactQuestion) -> str:
         tail = {"yes": " [y/n] ", "number": " ", "enter": " "}[question.kind]
         try:
             # In a thread: the driver goes on reading while a person thinks.
@@ -193,7 +193,7 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
                     wire.unplug() if off else wire.replug()
 
                 print(f"{spec.name}: first contact; q ends it at every question", flush=True)
-                contact = FirstContact(driver, ask, unplug=unplug if spec.emulated else None)
+                contact = ContactGuide(driver, ask, unplug=unplug if spec.emulated else None)
                 report = await contact.run()
                 names = [actuator.name for actuator in spec.actuators]
                 recording, page = write(report, names, out or Path("logs"))

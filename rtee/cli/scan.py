@@ -12,7 +12,7 @@ import typer
 from rtee.cli._common import JsonOption
 
 if TYPE_CHECKING:
-    from rtee.drivers.diagnosis.scan import Address, Plan
+    from rtee.drivers.diagnosis.scan import Address, ScanPlan
 
 
 def scan(
@@ -69,16 +69,16 @@ def _plans(
     interface: str,
     bitrate: int,
     units: list[int] | None,
-) -> list[Plan]:
+) -> list[ScanPlan]:
     from rtee.drivers.diagnosis.can_probe import can as can_probe
-    from rtee.drivers.diagnosis.scan import Plan, network_probes, serial_ports, serial_probes
+    from rtee.drivers.diagnosis.scan import ScanPlan, network_probes, serial_ports, serial_probes
 
     # Where an address is given, the other ports of this computer are left alone.
     given = ports or hosts or channels
     described = [(port, "") for port in ports or ()] if given else serial_ports()
-    plans = [Plan(port, about, serial_probes(units)) for port, about in described]
-    plans += [Plan(f"tcp://{host}", probes=network_probes(units)) for host in hosts or ()]
-    plans += [Plan(c, probes=(can_probe(interface, bitrate),)) for c in channels or ()]
+    plans = [ScanPlan(port, about, serial_probes(units)) for port, about in described]
+    plans += [ScanPlan(f"tcp://{host}", probes=network_probes(units)) for host in hosts or ()]
+    plans += [ScanPlan(c, probes=(can_probe(interface, bitrate),)) for c in channels or ()]
     return plans
 
 

@@ -17,7 +17,7 @@ def text(raw: bytes) -> str:
     return raw.split(b"\0")[0].decode("ascii", "replace").strip()
 
 
-class Part(NamedTuple):
+class PackedPart(NamedTuple):
     """The place of a value, behind those declared before it.
 
     Attributes:
@@ -70,8 +70,8 @@ def part(
     skip: int = 0,
     default: Any = MISSING,
 ) -> Any:
-    """Declare a value of `Packed`. Arguments as for `Part`."""
-    return field(default=default, metadata={"at": Part(code, many, kind, per, skip)})
+    """Declare a value of `Packed`. Arguments as for `PackedPart`."""
+    return field(default=default, metadata={"at": PackedPart(code, many, kind, per, skip)})
 
 
 class Packed:
@@ -129,7 +129,7 @@ class _Layout(NamedTuple):
 
 def _laid_out(block: Any) -> _Layout:
     form, codes, getters = "<", "", []
-    parts: list[Part] = [one.metadata["at"] for one in fields(block)]
+    parts: list[PackedPart] = [one.metadata["at"] for one in fields(block)]
     for at in parts:
         form += f"{at.skip}x{at.many or ''}{at.code}"
         getters.append(at.getter(len(codes)))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Self, cast
 from rtee.errors import FrameError
 
 
-class Field(NamedTuple):
+class RegisterField(NamedTuple):
     """The place of a value in a block of registers.
 
     Attributes:
@@ -53,7 +53,7 @@ class Group(NamedTuple):
     """
 
     kind: Callable[..., Any] | None
-    members: tuple[tuple[Field, ...], ...]
+    members: tuple[tuple[RegisterField, ...], ...]
 
     def get(self, words: Sequence[int]) -> tuple[Any, ...]:
         """Return the tuple; raises `ValueError` for a number that is no value."""
@@ -79,8 +79,10 @@ def at(
     signed: bool = False,
     default: int = 0,
 ) -> Any:
-    """Declare a value of `Registers`; by default a whole register. Arguments as for `Field`."""
-    return field(default=kind(default), metadata={"at": Field(word, bit, width, kind, signed)})
+    """Declare a value of `Registers`, by default a whole register, as a `RegisterField`."""
+    return field(
+        default=kind(default), metadata={"at": RegisterField(word, bit, width, kind, signed)}
+    )
 
 
 def flag(word: int, bit: int) -> Any:
@@ -88,7 +90,7 @@ def flag(word: int, bit: int) -> Any:
     return at(word, bit, 1, bool)
 
 
-def each(kind: Callable[..., Any] | None, *members: Sequence[Field]) -> Any:
+def each(kind: Callable[..., Any] | None, *members: Sequence[RegisterField]) -> Any:
     """Declare a tuple of `Registers`; arguments as for `Group`."""
     group = Group(kind, tuple(map(tuple, members)))
     count = 1 + max(place.word for member in group.members for place in member)
@@ -136,7 +138,7 @@ def _read(block: Any, registers: tuple[int, ...]) -> Any:
 
 
 @cache
-def _layout(block: Any) -> tuple[tuple[str, Field | Group], ...]:
+def _layout(block: Any) -> tuple[tuple[str, RegisterField | Group], ...]:
     return tuple((one.name, one.metadata["at"]) for one in fields(block))
 
 

@@ -120,7 +120,7 @@ class RobotiqStatus(Registers):
         return self.progress is Progress.RESET
 
 
-class Grip:
+class SteadyContact:
     """Contact as one motor reports it, debounced.
 
     A gripper clears its report of contact at every new request, and sets it again when it has found

@@ -310,7 +310,7 @@ class ServoScale:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MeasuredServos:
     """The measurements of the servos of a device, arrays ``(n,)``.
 
     Attributes:
@@ -347,7 +347,7 @@ class ServoScales:
         self._effort = sense * np.array([s.effort_unit for s in scales])
         self._current = sense * np.array([s.current_unit for s in scales])
 
-    def measured(self, columns: FloatArray) -> Measured:
+    def measured(self, columns: FloatArray) -> MeasuredServos:
         """Return measurements in SI units.
 
         Args:
@@ -355,7 +355,7 @@ class ServoScales:
                 servo ``(6, n)`` [counts].
         """
         position, speed, effort, current, temperature, voltage = columns
-        return Measured(
+        return MeasuredServos(
             (position - self._origin) * self._rad,
             speed * self._speed,
             effort * self._effort,

@@ -32,7 +32,7 @@ from rtee.drivers.json_files import write_json
 from rtee.drivers.servo_lines import (
     Calibrated,
     LineOptions,
-    Measured,
+    MeasuredServos,
     ServoOptions,
     ServoScale,
     ServoScales,
@@ -103,7 +103,7 @@ class ServoLink(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundServo:
     """The registers of a servo as found.
 
     Attributes:
@@ -237,7 +237,7 @@ class ServoDriver(Driver, Generic[L]):
         self.ids = [servo.id for servo in servos.values()]
         self.names = dict(zip(self.ids, servos, strict=True))
         self.scales = list(scales)
-        self.found: dict[int, Found] = {}
+        self.found: dict[int, FoundServo] = {}
         self._servos = dict(servos)
         self._coupling = coupling
         self._pairs = [] if coupling is None else list(coupling.pairs)
@@ -269,15 +269,15 @@ class ServoDriver(Driver, Generic[L]):
         """Raise `HandshakeError` if a servo's model cannot be driven."""
 
     @abstractmethod
-    def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
+    def _as_found(self, number: int, stored: bytes, powered: bool) -> FoundServo:
         """Return the registers of a servo from the first bytes of its table."""
 
     @abstractmethod
-    def _check_found(self, name: str, found: Found) -> None:
+    def _check_found(self, name: str, found: FoundServo) -> None:
         """Raise `HandshakeError` if a servo is set up in a way that excludes driving it."""
 
     @abstractmethod
-    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
+    def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
         """Set the units of a servo according to what was found."""
 
     @abstractmethod
@@ -528,7 +528,7 @@ class ServoDriver(Driver, Generic[L]):
         named = ", ".join(f"{n} ({self.names[n]})" for n in numbers)
         return DeviceFault(self.spec.name, code, f"{what}: servo {named}", hint=hint or self.LOST)
 
-    def _take(self, readings: Readings) -> Measured:
+    def _take(self, readings: Readings) -> MeasuredServos:
         measured = self._units.measured(readings.columns)
         self._angles = measured.angle
         return measured

@@ -14,7 +14,7 @@ _RELEASE = 0.2
 while something touched is wrong as soon as that is gone; one noisy reading must not change it."""
 
 
-class Tare:
+class SensorTare:
     """The rest values of contact sensors, and what is above them.
 
     The first readings are taken for those of sensors that nothing touches, so what a hand holds

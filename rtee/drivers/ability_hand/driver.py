@@ -25,7 +25,7 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
-from rtee.drivers.tare import Tare
+from rtee.drivers.tare import SensorTare
 from rtee.errors import FrameError, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
@@ -139,7 +139,7 @@ class AbilityHandDriver(Driver):
         )
         self.connection: Connection[SerialBus] = Connection(spec)
         self._attached = Attached(spec.actuators)
-        self._tare = Tare(options.touch_threshold)
+        self._tare = SensorTare(options.touch_threshold)
         self._parser = codec.ReplyParser()
         self._pace = RelaxedDeadline()
         self._pace.deadline = RelaxedDeadline.PATIENCE

@@ -37,7 +37,12 @@ _SERIALS = {
     (5, False): "V5AR0001",
     (5, True): "V5AL0001",
 }
-"""Serial numbers by version and whether it is a left hand."""
+"""Serial numbers by version and whether it is a left hand: with the side and, in version 5, the
+type, where the vendor's program looks for them."""
+_CLOSED = 1.6
+"""Angle of the flexing joints of a closed finger, for objects [rad]."""
+_HOT = 90.0
+"""Temperature at which it switches off [°C]; no source gives it."""
 
 
 class AllegroProperties(Section, frozen=True):
@@ -47,28 +52,21 @@ class AllegroProperties(Section, frozen=True):
         hand: Its number on the bus, 0 to 3.
         version: 4 or 5.
         left: Whether it is a left hand.
-        serial: Its serial number, eight characters; by default one with its side and, in version 5,
-            its type, where the vendor's program looks for them.
         torque_timeout: Time for which a torque is applied [s]; 0: until the next one.
         inertia: Inertia of a joint [kg·m²].
         damping: Damping of a joint [N·m·s/rad].
         friction: Friction of a joint [N·m].
         start: Angle of all joints at power-up [rad].
-        closed: Angle of the flexing joints of a closed finger, for objects [rad].
-        hot: Temperature at which it switches off [°C].
     """
 
     hand: int = 0
     version: Literal[4, 5] = 4
     left: bool = False
-    serial: str = ""
     torque_timeout: Duration = 0.0
     inertia: Positive = 5e-4
     damping: float = 0.02
     friction: float = 0.005
     start: float = 0.4
-    closed: Positive = 1.6
-    hot: float = 90.0
 
 
 @dataclass(slots=True)
@@ -161,7 +159,7 @@ class AllegroEmulator(Emulator, Grasps):
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close: with all joints but the first of each, which spreads it."""
-        closed = self.properties.closed
+        closed = _CLOSED
         return [
             Closing(joint, 0.0, closed, _STRONG)
             for number, joint in enumerate(self.joints)
@@ -193,7 +191,7 @@ class AllegroEmulator(Emulator, Grasps):
                     joint.advance(dt / steps, self.properties)
         load = max(abs(j.torque) for j in self.joints)
         self.temperature += dt * (8.0 * load - 0.02 * (self.temperature - 30.0))
-        if self.temperature > self.properties.hot:
+        if self.temperature > _HOT:
             self._fail(codec.Status.OVER_TEMPERATURE)
 
     def _pose(self, finger: int) -> CanFrame:
@@ -233,7 +231,7 @@ class AllegroEmulator(Emulator, Grasps):
             )
             return [self._frame(command, info.to_bytes())]
         if command == codec.Command.SERIAL:
-            serial = made.serial or _SERIALS[made.version, made.left]
+            serial = _SERIALS[made.version, made.left]
             return [self._frame(command, serial.encode("ascii", "replace").ljust(8)[:8])]
         finger = command - codec.Command.FINGER_POSE
         return [self._pose(finger)] if 0 <= finger < codec.FINGERS else []

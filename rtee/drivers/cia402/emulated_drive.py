@@ -15,7 +15,7 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
 from rtee.drivers.cia402.codec import Object
-from rtee.drivers.cia402.node import Entry, Node
+from rtee.drivers.cia402.node import EmulatedNode, ObjectEntry
 from rtee.drivers.options import Positive
 from rtee.hand.validation import Section
 
@@ -37,12 +37,16 @@ _TRANSITIONS = {
 
 _LOST_HOST = 0x8130
 """Error code of a missing host heartbeat."""
+_VENDOR = 0xFF
+"""Vendor id, of nobody in particular."""
+_RATED_CURRENT = 1000
+"""Rated current [mA], of no motor in particular."""
 RATED = 1000.0
 """The rated torque in the drives' unit of torque [0.1 %]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class HomingLeg:
     """A part of a homing motion: its end [counts of the axis] and its speed [counts/s]."""
 
     end: float
@@ -55,14 +59,11 @@ class DriveProperties(Section, frozen=True):
     Attributes:
         nodes: Their node ids.
         device_type: Profile they report; 402 is that of drives.
-        vendor: Vendor id.
         product: Product code.
         name: Device name.
         modes: Supported modes of operation, by number.
         increments: Encoder increments per motor turn.
-        gear: Motor turns per turn of the shaft.
         rated_torque: Rated torque [mN·m].
-        rated_current: Rated current [mA].
         start: Position at power-up [counts].
         lower: Lower mechanical stop [counts].
         upper: Upper mechanical stop [counts].
@@ -70,7 +71,6 @@ class DriveProperties(Section, frozen=True):
             stops; they have an effect only on homing.
         speed: Largest speed [counts/s].
         closed: Position with closed fingers, which are open at 0, for objects [counts].
-        following_error: Following error that is a fault in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
         homing_methods: Supported homing methods (object 6098h); any other is a homing error.
         sampled: Whether the answer to a SYNC reports the state ``before`` the drive applies the
@@ -79,21 +79,17 @@ class DriveProperties(Section, frozen=True):
 
     nodes: tuple[int, ...] = (1,)
     device_type: int = 402
-    vendor: int = 0x000000FF
     product: int = 0x00000402
     name: str = "emulated CiA 402 drive"
     modes: tuple[int, ...] = (1, 6, 8)
     increments: int = 4096
-    gear: int = 1
     rated_torque: int = 500
-    rated_current: int = 1000
     start: float = 0.0
     lower: float = -1e9
     upper: float = 1e9
     switches: tuple[float, float] = (-10_000.0, 50_000.0)
     speed: Positive = 40_000.0
     closed: float = 40_000.0
-    following_error: int = 0
     homed: bool = True
     homing_methods: tuple[Method, ...] = METHODS
     sampled: Literal["before", "after"] = "before"
@@ -111,7 +107,7 @@ class Drive:
 
     def __init__(self, number: int, properties: DriveProperties) -> None:
         self.properties = properties
-        self.node = Node(number)
+        self.node = EmulatedNode(number)
         self.axis = Axis(
             properties.start,
             lower=properties.lower,
@@ -131,7 +127,7 @@ class Drive:
         self._acknowledged = False
         self._goal = properties.start
         self._halted = False
-        self._legs: list[Leg] = []
+        self._legs: list[HomingLeg] = []
         self._homing_error = False
         self._describe()
         self.node.on_reset = self.reset
@@ -142,12 +138,12 @@ class Drive:
         made, node = self.properties, self.node
         node.add(Object.DEVICE_TYPE, 0, "I", 0x0002_0000 | made.device_type, writable=False)
         node.add(Object.ERROR_REGISTER, 0, "B", 0, writable=False)
-        node.objects[Object.DEVICE_NAME, 0] = Entry(made.name.encode(), writable=False)
+        node.objects[Object.DEVICE_NAME, 0] = ObjectEntry(made.name.encode(), writable=False)
         node.add(Object.CONSUMER_HEARTBEAT, 0, "B", 1, writable=False)
         node.add(Object.CONSUMER_HEARTBEAT, 1, "I", 0, changed=node.watch_anew)
         node.add(Object.PRODUCER_HEARTBEAT, 0, "H", 0)
         node.add(Object.IDENTITY, 0, "B", 4, writable=False)
-        for subindex, value in enumerate((made.vendor, made.product, 1, 4711), start=1):
+        for subindex, value in enumerate((_VENDOR, made.product, 1, 4711), start=1):
             node.add(Object.IDENTITY, subindex, "I", value, writable=False)
         node.add_pdos()
         node.add(Object.ABORT_CONNECTION, 0, "h", 1)
@@ -159,7 +155,7 @@ class Drive:
         node.add(Object.POSITION, 0, "i", 0, writable=False)
         node.add(Object.VELOCITY, 0, "i", 0, writable=False)
         node.add(Object.MAX_TORQUE, 0, "H", 1000)
-        node.add(Object.RATED_CURRENT, 0, "I", made.rated_current)
+        node.add(Object.RATED_CURRENT, 0, "I", _RATED_CURRENT)
         node.add(Object.RATED_TORQUE, 0, "I", made.rated_torque)
         node.add(Object.TORQUE, 0, "h", 0, writable=False)
         node.add(Object.CURRENT, 0, "h", 0, writable=False)
@@ -167,13 +163,14 @@ class Drive:
         node.add(Object.PROFILE_VELOCITY, 0, "I", int(made.speed))
         node.add(Object.PROFILE_ACCELERATION, 0, "I", 1_000_000)
         node.add(Object.PROFILE_DECELERATION, 0, "I", 1_000_000)
-        for index, values in (
-            (Object.ENCODER_RESOLUTION, (made.increments, 1)), (Object.GEAR_RATIO, (made.gear, 1)),
-            (Object.FEED_CONSTANT, (made.increments * made.gear, 1)),
-        ):  # fmt: skip
+        for index, value in (
+            (Object.ENCODER_RESOLUTION, made.increments),
+            (Object.GEAR_RATIO, 1),
+            (Object.FEED_CONSTANT, made.increments),
+        ):
             node.add(index, 0, "B", 2, writable=False)
-            for subindex, value in enumerate(values, start=1):
-                node.add(index, subindex, "I", value)
+            node.add(index, 1, "I", value)
+            node.add(index, 2, "I", 1)
         node.add(Object.HALT_OPTION, 0, "h", 1)
         node.add(Object.HOMING_METHOD, 0, "b", 0)
         node.add(Object.HOMING_SPEEDS, 0, "B", 2, writable=False)
@@ -293,8 +290,8 @@ class Drive:
             self._legs = way_home(
                 method,
                 self.axis.position,
-                negative=Leg(max(self.axis.lower, switches[0]), fast),
-                positive=Leg(min(self.axis.upper, switches[1]), fast),
+                negative=HomingLeg(max(self.axis.lower, switches[0]), fast),
+                positive=HomingLeg(min(self.axis.upper, switches[1]), fast),
                 turn=max(1, self.properties.increments),
                 slow=slow,
             )
@@ -353,12 +350,7 @@ class Drive:
         if self.state is not codec.State.ENABLED:
             return
         if self.node.get(Object.MODE_DISPLAY) == codec.Mode.CYCLIC_POSITION:
-            target = float(self.node.get(Object.TARGET_POSITION, signed=True)) + self.zero
-            allowed = self.properties.following_error
-            if allowed and not self._halted and abs(target - self.axis.position) > allowed:
-                self.fail(0x8611)
-                return
-            self._aim(target)
+            self._aim(float(self.node.get(Object.TARGET_POSITION, signed=True)) + self.zero)
 
     def step(self, now: float) -> list[CanFrame]:
         """Let time pass; return the frames that the drive sends by itself."""
@@ -404,8 +396,8 @@ class Drive:
 
 
 def way_home(
-    method: int, here: float, *, negative: Leg, positive: Leg, turn: int, slow: float
-) -> list[Leg]:
+    method: int, here: float, *, negative: HomingLeg, positive: HomingLeg, turn: int, slow: float
+) -> list[HomingLeg]:
     """Return the legs of one of the homing `METHODS`; the last one ends at home.
 
     Args:
@@ -418,9 +410,9 @@ def way_home(
         slow: Speed of the search for an index pulse [counts/s].
     """
 
-    def pulse(start: float, direction: int) -> Leg:
+    def pulse(start: float, direction: int) -> HomingLeg:
         # The next pulse ahead, even if it starts on one.
-        return Leg((math.floor(direction * start / turn) + 1) * turn * direction, slow)
+        return HomingLeg((math.floor(direction * start / turn) + 1) * turn * direction, slow)
 
     return {
         1: [negative, pulse(negative.end, 1)],
@@ -429,6 +421,6 @@ def way_home(
         18: [positive],
         33: [pulse(here, -1)],
         34: [pulse(here, 1)],
-        35: [Leg(here, slow)],
-        37: [Leg(here, slow)],
+        35: [HomingLeg(here, slow)],
+        37: [HomingLeg(here, slow)],
     }[method]

@@ -20,7 +20,7 @@ _SYNCHRONOUS = 240
 
 
 @dataclass(slots=True)
-class Entry:
+class ObjectEntry:
     """One value of an object dictionary.
 
     Attributes:
@@ -37,7 +37,7 @@ class Entry:
 class _SdoServer(SdoServer):
     """The server of a node's objects: one answer to each request."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: EmulatedNode) -> None:
         super().__init__(cia301.SDO_REQUEST, cia301.SDO_ANSWER, node)  # type: ignore[no-untyped-call]
         # As after a transfer, so that a request in the middle of none is answered.
         self._index = self._subindex = 0
@@ -55,7 +55,7 @@ class _SdoServer(SdoServer):
 
 
 @dataclass(slots=True)
-class Node:
+class EmulatedNode:
     """A node; the emulated drive reads and writes its `objects`.
 
     Attributes:
@@ -68,7 +68,7 @@ class Node:
     """
 
     number: int
-    objects: dict[tuple[int, int], Entry] = field(default_factory=dict)
+    objects: dict[tuple[int, int], ObjectEntry] = field(default_factory=dict)
     state: cia301.NmtState = cia301.NmtState.BOOT
     on_reset: Callable[[], None] = lambda: None
     on_silence: Callable[[], None] = lambda: None
@@ -84,7 +84,7 @@ class Node:
 
     def add(self, index: int, subindex: int, form: str, value: int, **access: object) -> None:
         """Add a value of a struct format."""
-        self.objects[index, subindex] = Entry(struct.pack(f"<{form}", value), **access)  # type: ignore[arg-type]
+        self.objects[index, subindex] = ObjectEntry(struct.pack(f"<{form}", value), **access)  # type: ignore[arg-type]
 
     def get(self, index: int, subindex: int = 0, *, signed: bool = False) -> int:
         """Return a value as an integer; 0 if it does not exist."""
@@ -215,7 +215,7 @@ class Node:
             entry.value = before
             raise canopen.SdoAbortedError(refused)
 
-    def _entry(self, index: int, subindex: int) -> Entry:
+    def _entry(self, index: int, subindex: int) -> ObjectEntry:
         if (index, subindex) in self.objects:
             return self.objects[index, subindex]
         known = any(index == known for known, _ in self.objects)

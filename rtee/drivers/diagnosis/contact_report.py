@@ -18,7 +18,7 @@ class Conclusion(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ContactQuestion:
     """A question to the person at the device.
 
     Attributes:
@@ -88,7 +88,7 @@ class ContactReport:
     driver: str
     identity: dict[str, str] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
-    answers: list[tuple[Question, str]] = field(default_factory=list)
+    answers: list[tuple[ContactQuestion, str]] = field(default_factory=list)
     samples: list[Sample] = field(default_factory=list)
     ended: str = ""
 

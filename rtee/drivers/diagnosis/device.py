@@ -15,7 +15,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.diagnosis.can_probe import can
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 from rtee.drivers.diagnosis.port import check_address
-from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
+from rtee.drivers.diagnosis.scan import ScanPlan, network_probes, scan, serial_probes
 from rtee.drivers.registry import find_driver
 from rtee.errors import (
     BusBusy,
@@ -47,16 +47,16 @@ def address_of(options: Mapping[str, Any]) -> str | None:
     return f"tcp://{host}" if isinstance(host, str) and host else None
 
 
-def _search(options: Mapping[str, Any]) -> Plan | None:
+def _search(options: Mapping[str, Any]) -> ScanPlan | None:
     """Return how to search for another device there, ``None`` if that is impossible."""
     address = address_of(options)
     if address is not None:
         network = address.startswith("tcp://")
-        return Plan(address, probes=network_probes() if network else serial_probes())
+        return ScanPlan(address, probes=network_probes() if network else serial_probes())
     if {"channel", "interface"} <= options.keys():
         # An Allegro Hand's bus has one bit rate, so it is not an option.
         probe = can(str(options["interface"]), int(options.get("bitrate", _CAN_RATE)))
-        return Plan(str(options["channel"]), probes=(probe,))
+        return ScanPlan(str(options["channel"]), probes=(probe,))
     return None
 
 
@@ -104,7 +104,7 @@ def _unreached(found: list[Check]) -> bool:
     return any(check.verdict is Verdict.WRONG and check.subject == "bus" for check in found)
 
 
-async def _connected(driver: Driver, pool: BusPool, plan: Plan | None) -> list[Check]:
+async def _connected(driver: Driver, pool: BusPool, plan: ScanPlan | None) -> list[Check]:
     try:
         await driver.configure()
     except HandshakeError as error:
@@ -145,7 +145,7 @@ async def _fit(driver: Driver) -> Check:
     return ok("fault", "none")
 
 
-async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
+async def _elsewhere(driver: Driver, pool: BusPool, plan: ScanPlan) -> str:
     """Search for other devices at the address, and return how to reach them, in words."""
     # The scan has to open the same port.
     await driver.close()

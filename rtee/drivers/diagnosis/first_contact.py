@@ -19,9 +19,9 @@ from rtee.drivers.assumptions import Topic
 from rtee.drivers.base import Driver
 from rtee.drivers.diagnosis.contact_report import (
     Conclusion,
+    ContactQuestion,
     ContactReport,
     Finding,
-    Question,
     Sample,
 )
 from rtee.errors import BusError, DeviceFault, NotConnected, RteeError
@@ -50,7 +50,7 @@ _LEAST_FORCE, _MOST_FORCE = 0.4, 2.5
 """Range of the measured by the reported force within which a rough gauge confirms it."""
 
 
-Ask = Callable[[Question], Awaitable[str]]
+Ask = Callable[[ContactQuestion], Awaitable[str]]
 """Puts a question to the person and returns the answer."""
 
 
@@ -64,7 +64,7 @@ class _Ended(Exception):
     """The person ends it."""
 
 
-class FirstContact:
+class ContactGuide:
     """Leads a person through the first hour with a device.
 
     Args:
@@ -112,7 +112,7 @@ class FirstContact:
 
     # --- asking and finding --------------------------------------------------------------------
 
-    async def _put(self, question: Question) -> str:
+    async def _put(self, question: ContactQuestion) -> str:
         asked = asyncio.ensure_future(self._ask(question))
         # A device that hears nothing while a person measures may stop or leave its mode.
         while not asked.done():
@@ -127,17 +127,17 @@ class FirstContact:
         return answer
 
     async def _enter(self, topic: Topic, text: str, actuator: str = "") -> str:
-        return await self._put(Question(topic, text, "enter", actuator))
+        return await self._put(ContactQuestion(topic, text, "enter", actuator))
 
     async def _yes(self, topic: Topic, text: str, actuator: str = "") -> bool | None:
         """Return whether a person says yes; ``None``: no answer."""
-        answer = await self._put(Question(topic, text, "yes", actuator))
+        answer = await self._put(ContactQuestion(topic, text, "yes", actuator))
         return {"y": True, "n": False}.get(answer[:1])
 
     async def _number(self, topic: Topic, text: str, actuator: str, unit: str) -> float | None:
         """Return a number that a person measured, or ``None``."""
         while True:
-            answer = await self._put(Question(topic, text, "number", actuator, unit))
+            answer = await self._put(ContactQuestion(topic, text, "number", actuator, unit))
             if not answer:
                 return None
             with contextlib.suppress(ValueError):

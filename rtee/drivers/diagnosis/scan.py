@@ -36,7 +36,7 @@ class Address:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ScanPlan:
     """The probes for one address.
 
     Attributes:
@@ -85,7 +85,7 @@ def network_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
 
 
 async def scan(
-    plans: Sequence[Plan], pool: BusPool, tell: Callable[[str], None] = lambda line: None
+    plans: Sequence[ScanPlan], pool: BusPool, tell: Callable[[str], None] = lambda line: None
 ) -> list[Address]:
     """Probe all addresses, one after the other; moves nothing.
 
@@ -101,7 +101,7 @@ async def scan(
     return [await _ask(plan, pool, tell) for plan in plans]
 
 
-async def _ask(plan: Plan, pool: BusPool, tell: Callable[[str], None]) -> Address:
+async def _ask(plan: ScanPlan, pool: BusPool, tell: Callable[[str], None]) -> Address:
     found: list[Found] = []
     protocol = ""
     for probe in plan.probes:

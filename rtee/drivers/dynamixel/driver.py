@@ -19,7 +19,7 @@ from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
-from rtee.drivers.servos import Found, Goals, Readings, ServoDriver
+from rtee.drivers.servos import FoundServo, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, BusTimeout, ConfigError, FrameError
 from rtee.sample import FloatArray
@@ -175,13 +175,13 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
                 hint="if it has the same control table, say so by 'model'",
             )
 
-    def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
+    def _as_found(self, number: int, stored: bytes, powered: bool) -> FoundServo:
         def get(register: table.Register) -> int:
             return register.unpack(stored[register.address :])
 
         # Only in this mode does a servo refuse goals beyond its limits.
         limited = self._mode is table.Mode.POSITION
-        return Found(
+        return FoundServo(
             number,
             get(table.MODEL),
             str(get(table.FIRMWARE)),
@@ -194,7 +194,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             powered,
         )
 
-    def _check_found(self, name: str, found: Found) -> None:
+    def _check_found(self, name: str, found: FoundServo) -> None:
         expected = self.options.servos[name].drive_mode
         if found.drive_mode & table.REVERSE != expected & table.REVERSE:
             raise self.stranger(
@@ -203,7 +203,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
                 hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",
             )
 
-    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
+    def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
         # In a group read the servos answer one after the other, so their delays add up.
         self.connection.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
         model = table.model_of(found.model)

@@ -11,7 +11,7 @@ from msgspec import field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import codec, table
-from rtee.drivers.dynamixel.servo import QUARTER_TURN, EmulatedDynamixel, ServoProperties
+from rtee.drivers.dynamixel.servo import QUARTER_TURN, DynamixelServoProperties, EmulatedDynamixel
 from rtee.drivers.options import Rate
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import LATENCY
@@ -33,7 +33,7 @@ _HARDWARE = {
 }
 
 
-class LineProperties(Section, frozen=True):
+class DynamixelProperties(Section, frozen=True):
     """Properties of an emulated line of servos.
 
     Attributes:
@@ -46,8 +46,8 @@ class LineProperties(Section, frozen=True):
     """
 
     ids: tuple[int, ...] = (1,)
-    servo: ServoProperties = field(default_factory=ServoProperties)
-    special: dict[int, ServoProperties] = field(default_factory=dict)
+    servo: DynamixelServoProperties = field(default_factory=DynamixelServoProperties)
+    special: dict[int, DynamixelServoProperties] = field(default_factory=dict)
     latency: float = LATENCY
     fast: bool = True
     baudrate: Rate = 57_600
@@ -61,7 +61,7 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
         counts: Number of received instructions, by instruction.
     """
 
-    PROPERTIES = LineProperties
+    PROPERTIES = DynamixelProperties
     ERRORS = _HARDWARE
     FAULTS = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
     RATES = table.BAUD_RATES
@@ -69,8 +69,8 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
     STRANGER = 350  # an XL-320, which has another control table
     parser: codec.InstructionParser
 
-    def __init__(self, properties: LineProperties | None = None) -> None:
-        made = self.properties = properties or LineProperties()
+    def __init__(self, properties: DynamixelProperties | None = None) -> None:
+        made = self.properties = properties or DynamixelProperties()
         servos = [EmulatedDynamixel(i, made.special.get(i, made.servo)) for i in made.ids]
         super().__init__(servos, codec.InstructionParser())
         self.baudrate = made.baudrate

@@ -88,7 +88,7 @@ _BOUNDS = {
 """Registers that limit the amount of others."""
 
 
-class ServoProperties(Section, frozen=True):
+class DynamixelServoProperties(Section, frozen=True):
     """Properties of an emulated servo.
 
     Attributes:
@@ -129,7 +129,7 @@ class EmulatedDynamixel(EmulatedServo):
     BAUD_RATE = table.BAUD_RATE
     RETURN_DELAY = table.RETURN_DELAY
 
-    def __init__(self, number: int, properties: ServoProperties) -> None:
+    def __init__(self, number: int, properties: DynamixelServoProperties) -> None:
         self.properties = properties
         self.axis = Axis(
             properties.start,

@@ -18,7 +18,7 @@ from rtee.drivers.feetech.options import FeetechOptions, Joints
 from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, model_name
 from rtee.drivers.options import read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
-from rtee.drivers.servos import POWERED, Found, Goals, Readings, ServoDriver
+from rtee.drivers.servos import POWERED, FoundServo, Goals, Readings, ServoDriver
 from rtee.errors import BusTimeout, ConfigError, FrameError
 from rtee.types import DeviceSpec
 
@@ -115,14 +115,14 @@ class FeetechDriver(ServoDriver[FeetechLink]):
                 hint="is `family` right? If it has the same registers, say so by 'model'",
             )
 
-    def _as_found(self, number: int, stored: bytes, powered: bool) -> Found:
+    def _as_found(self, number: int, stored: bytes, powered: bool) -> FoundServo:
         family = self.family
 
         def get(register: table.Register) -> int:
             return family.unpack(register, stored)
 
         by_current, scs = family.limits_torque == "current", family.offset is None
-        return Found(
+        return FoundServo(
             number,
             get(table.MODEL),
             f"{stored[0]}.{stored[1]}",
@@ -138,7 +138,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             bool(get(table.ALARM) & _MARK),
         )
 
-    def _check_found(self, name: str, found: Found) -> None:
+    def _check_found(self, name: str, found: FoundServo) -> None:
         if found.limits == (0, 0) and self.family.offset is None:
             raise self.stranger(
                 f"servo {found.id} ({name}) with limits of its position",
@@ -146,7 +146,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
                 hint="give it its limits back; from the factory they are 20 and 1003",
             )
 
-    def _adopt(self, servo: ServoOptions, found: Found, scale: ServoScale) -> None:
+    def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
         options, family = self.options, self.family
         # That of the slowest servo, since the deadline is the same for all.
         self.connection.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())

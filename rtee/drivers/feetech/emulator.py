@@ -19,7 +19,7 @@ from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestParser, Status
 from rtee.drivers.feetech.options import Differential, DifferentialOptions
-from rtee.drivers.feetech.servo import MIDDLE, EmulatedFeetech, ServoProperties
+from rtee.drivers.feetech.servo import MIDDLE, EmulatedFeetech, FeetechServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
 from rtee.drivers.options import Byte, Duration, Rate
 from rtee.drivers.servo_emulator import ServoLine
@@ -31,7 +31,7 @@ _READS = (Instruction.PING, Instruction.READ)
 """Instructions that are answered whatever the response level."""
 
 
-class LineProperties(Section, frozen=True):
+class FeetechProperties(Section, frozen=True):
     """Properties of an emulated line of servos.
 
     Attributes:
@@ -45,8 +45,8 @@ class LineProperties(Section, frozen=True):
 
     family: FamilyName = "sts"
     ids: tuple[Byte, ...] = (1,)
-    servo: ServoProperties = field(default_factory=ServoProperties)
-    special: dict[int, ServoProperties] = field(default_factory=dict)
+    servo: FeetechServoProperties = field(default_factory=FeetechServoProperties)
+    special: dict[int, FeetechServoProperties] = field(default_factory=dict)
     latency: Duration = LATENCY
     sync_read: bool | None = None
     echo: bool = False
@@ -61,7 +61,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
         family: The servos' family.
     """
 
-    PROPERTIES = LineProperties
+    PROPERTIES = FeetechProperties
     SHARED = ("family", "baudrate")
     ERRORS = _ERRORS
     FAULTS = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
@@ -69,8 +69,8 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
     BAUDRATES = frozenset(RATES)
     STRANGER = 0x0101
 
-    def __init__(self, properties: LineProperties | None = None) -> None:
-        made = self.properties = properties or LineProperties()
+    def __init__(self, properties: FeetechProperties | None = None) -> None:
+        made = self.properties = properties or FeetechProperties()
         family = self.family = FAMILIES[made.family]
         servos = [EmulatedFeetech(family, i, made.special.get(i, made.servo)) for i in made.ids]
         super().__init__(servos, RequestParser())

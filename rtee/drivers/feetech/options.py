@@ -11,10 +11,9 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from rtee.drivers import servo_lines
 from rtee.drivers.feetech.table import BAUD_RATES, FAMILIES, MOST_GAIN, FamilyName
 from rtee.drivers.options import Positive
-from rtee.drivers.servo_lines import LineOptions, check_line
+from rtee.drivers.servo_lines import LineOptions, ServoOptions, check_line
 from rtee.drivers.wiring import check_names
 from rtee.hand.validation import Section
 from rtee.sample import FloatArray
@@ -24,7 +23,7 @@ Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 Points = Annotated[tuple[tuple[float, float], ...], Meta(min_length=2)]
 
 
-class ServoOptions(servo_lines.ServoOptions, frozen=True, kw_only=True):
+class FeetechServo(ServoOptions, frozen=True, kw_only=True):
     """Options of one servo.
 
     Attributes:
@@ -91,7 +90,7 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
 
     family: FamilyName
     """Family of all servos: their registers and byte order."""
-    servos: dict[str, ServoOptions]
+    servos: dict[str, FeetechServo]
     """The servo of each actuator, by the actuator's name; those of pairs by any."""
     differential: DifferentialOptions | None = None
     """Pairs of servos that drive two actuators together."""

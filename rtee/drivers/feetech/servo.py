@@ -137,7 +137,7 @@ _SPEED_MODE = 1
 _VOLTAGE_UNIT = 0.1  # V per count
 
 
-class ServoProperties(Section, frozen=True):
+class FeetechServoProperties(Section, frozen=True):
     """Properties of an emulated servo.
 
     Attributes:
@@ -189,7 +189,7 @@ class EmulatedFeetech(EmulatedServo):
     BAUD_RATE = table.BAUD_RATE
     RETURN_DELAY = table.RETURN_DELAY
 
-    def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
+    def __init__(self, family: Family, number: int, properties: FeetechServoProperties) -> None:
         self.properties = properties
         self._family = family
         self.memory = FeetechMemory(family)

@@ -25,6 +25,8 @@ from rtee.hand.validation import Section
 
 _FAULTS = {"hardware": codec.Fault.HARDWARE, "encoder": codec.Fault.ENCODER_1}
 """Faults of the first board that cut its power."""
+_START = 0.3
+"""Position of the motors at power-up [rad]: a little closed."""
 
 
 class BoardProperties(Section, frozen=True):
@@ -32,26 +34,18 @@ class BoardProperties(Section, frozen=True):
 
     Attributes:
         boards: Number of boards.
-        vendor: EtherCAT vendor id; the real one is not public.
         product: EtherCAT product code; that of the two-motor board is not public.
-        firmware: The firmware version that they report.
-        start: Position of the motors at power-up [rad].
         speed: Speed of a motor [rad/s].
         current: Largest current [A].
-        torque_per_ampere: Torque at the shaft per current [N·m/A].
         pressure: Raw pressure per ampere on an object.
         lower: Lower mechanical stop [rad].
         upper: Upper mechanical stop [rad].
     """
 
     boards: Annotated[int, Meta(ge=1, le=65_535)] = 2  # as many as EtherCAT has addresses
-    vendor: int = 0
     product: int = 0x0013
-    firmware: str = "emulated"
-    start: float = 0.3
     speed: Positive = 3.0
     current: Positive = 1.0
-    torque_per_ampere: Positive = codec.TORQUE_PER_AMPERE
     pressure: float = 2000.0
     lower: float = -0.05
     upper: float = 2.6
@@ -61,7 +55,7 @@ class _Board:
     def __init__(self, made: BoardProperties) -> None:
         self.motors = [
             Axis(
-                made.start,
+                _START,
                 lower=made.lower,
                 upper=made.upper,
                 max_velocity=made.speed,
@@ -155,7 +149,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         """Return the boards as a master finds them."""
         made = self.properties
         product = 0x0042 if "wrong_device" in self.faults else made.product
-        return [Slave("heri", made.vendor, product, 1) for _ in self.boards]
+        return [Slave("heri", 0, product, 1) for _ in self.boards]
 
     def become(self, state: SlaveState, now: float) -> bool:
         """Bring the boards into a state."""
@@ -206,7 +200,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
                         board.fault |= bit
             for motor, reference in zip(board.motors, command.positions, strict=True):
                 motor.target = reference
-                limit = command.torque / self.properties.torque_per_ampere
+                limit = command.torque / codec.TORQUE_PER_AMPERE
                 largest = self.properties.current
                 motor.max_effort = min(limit, largest) if limit > 0.0 else largest
         for motor in board.motors:
@@ -237,7 +231,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         if (index, subindex) == codec.ACKNOWLEDGE_OBJECT:
             return self.boards[position].acknowledgement
         if (index, subindex) == codec.FIRMWARE_OBJECT:
-            return self.properties.firmware.encode("ascii")
+            return b"emulated"
         return None
 
     def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:

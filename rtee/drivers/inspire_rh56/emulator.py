@@ -20,6 +20,8 @@ from rtee.drivers.inspire_rh56.memory import FAULTS, Rh56Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
+_SAVES = 1.0
+"""Time from saving its parameters until it tells the result [s]; no source gives it."""
 _POLL = 0.05
 """Time between two steps while it saves [s]."""
 _REFUSED = b"\x00"
@@ -115,7 +117,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
                     reply = codec.Frame(frame.hand, frame.command, frame.address, answer)
                     replies.append(reply.to_bytes(codec.REPLY))
                     if (frame.command, frame.address) == (codec.Command.WRITE, codec.Register.SAVE):
-                        self._saved = now + self.memory.properties.save_time, replies[-1]
+                        self._saved = now + _SAVES, replies[-1]
                         self.period = _POLL
         return replies
 

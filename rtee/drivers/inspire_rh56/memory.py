@@ -56,7 +56,6 @@ class Rh56Properties(Section, frozen=True):
         travel_time: Time for the whole travel at speed 1000 [s].
         force_bias: Readings of the force sensors of an idle hand until they are calibrated [g].
         calibration_time: Duration of its force calibration [s].
-        save_time: Time from saving its parameters until it tells the result [s].
         turnaround: Time between a request and its answer [s].
         haste: Factor by which it calibrates and moves faster than a real one.
     """
@@ -71,7 +70,6 @@ class Rh56Properties(Section, frozen=True):
     travel_time: Positive = 0.3
     force_bias: tuple[int, int, int, int, int, int] = (0, 0, 0, 0, 0, 0)
     calibration_time: Duration = 6.0
-    save_time: Duration = 1.0
     turnaround: Duration = TURNAROUND
     haste: Positive = 1.0
 

@@ -27,7 +27,7 @@ _GRAVITY = 9.80665e-3  # newtons of a gram
 
 
 @dataclass(frozen=True, slots=True)
-class Force:
+class ForceCurve:
     """The force curve of a finger, and the lever with which its force acts on the actuator.
 
     Attributes:
@@ -56,12 +56,12 @@ class Force:
 
 # The arms follow from the lengths of the phalanges with their couplings, half bent.
 FORCES = {
-    "little": Force(6.965e-3, -0.198, 0.085),
-    "ring": Force(6.965e-3, -0.198, 0.10),
-    "middle": Force(6.452e-3, 0.018, 0.10),
-    "index": Force(7.478e-3, -0.414, 0.10),
-    "thumb_bend": Force(12.547e-3, 0.384, 0.15),
-    "thumb_rotate": Force(_GRAVITY, 0.0, 0.07),
+    "little": ForceCurve(6.965e-3, -0.198, 0.085),
+    "ring": ForceCurve(6.965e-3, -0.198, 0.10),
+    "middle": ForceCurve(6.452e-3, 0.018, 0.10),
+    "index": ForceCurve(7.478e-3, -0.414, 0.10),
+    "thumb_bend": ForceCurve(12.547e-3, 0.384, 0.15),
+    "thumb_rotate": ForceCurve(_GRAVITY, 0.0, 0.07),
 }
 """The default force curves of the fingers, by name."""
 
@@ -85,7 +85,7 @@ class MotorScale:
         self,
         lower: float,
         upper: float,
-        force: Force,
+        force: ForceCurve,
         *,
         most: int,
         travel_time: float,

@@ -24,7 +24,7 @@ _NEAR = 1e-9
 
 
 @dataclass(slots=True)
-class Plant:
+class KinematicActuator:
     """One simulated actuator.
 
     Attributes:
@@ -157,7 +157,7 @@ class KinematicDriver(Driver):
         self._options = read_options(KinematicOptions, spec)
         self._check_names(self._options.start, fingers=False)
         self.plants = [
-            Plant(
+            KinematicActuator(
                 actuator,
                 position=self._options.start.get(actuator.name, actuator.rest),
                 temperature=self._options.ambient,

@@ -39,8 +39,6 @@ class OnRobot3FGProperties(OnRobotProperties, frozen=True):
         grip: Direction in which it closes on an object: ``external``, inwards, or ``internal``,
             outwards.
         position: Raw diameter at power-up [m]; by default open for such a grip.
-        product: Its product code.
-        serial: Its serial number.
     """
 
     force: Positive = 240.0
@@ -52,8 +50,6 @@ class OnRobot3FGProperties(OnRobotProperties, frozen=True):
     target: Literal["raw", "tips"] = "raw"
     grip: Literal["external", "internal"] = "external"
     position: float | None = None
-    product: int = 0x70
-    serial: str = "3FG15-EMULATED"
 
 
 class OnRobot3FGEmulator(OnRobotEmulator):
@@ -151,7 +147,8 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         known |= {0x0201: round(self.properties.smallest * 1e4)}
         known |= {0x0202: round(self.properties.largest * 1e4)}
         known |= {0x0401 + i: value for i, value in enumerate(self._settings)}
-        known |= identity(self.properties.product, self.properties.serial)
+        # Sources disagree about its product code.
+        known |= identity(0x70, "3FG15-EMULATED")
         if "wrong_device" in self.faults:
             known |= {0x0110: 0, 0x0201: 0, 0x0202: 0, PRODUCT: 0x20}
         return known

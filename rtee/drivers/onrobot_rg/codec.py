@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from rtee.drivers.onrobot_common import TENTH_MM
-from rtee.drivers.registers import Field, Registers, at, each, flag
+from rtee.drivers.registers import RegisterField, Registers, at, each, flag
 from rtee.drivers.scale import LinearScale
 
 OFFSET = 0x0102
@@ -134,8 +134,8 @@ class Status(Registers):
     width: int = at(0, signed=True)
     busy: bool = flag(1, 0)
     grip_detected: bool = flag(1, 1)
-    pushed: tuple[bool, bool] = each(None, *([Field(1, bit, 1, bool)] for bit in (2, 4)))
-    triggered: tuple[bool, bool] = each(None, *([Field(1, bit, 1, bool)] for bit in (3, 5)))
+    pushed: tuple[bool, bool] = each(None, *([RegisterField(1, bit, 1, bool)] for bit in (2, 4)))
+    triggered: tuple[bool, bool] = each(None, *([RegisterField(1, bit, 1, bool)] for bit in (3, 5)))
     safety_error: bool = flag(1, 6)
 
 

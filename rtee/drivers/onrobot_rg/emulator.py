@@ -33,7 +33,6 @@ class OnRobotRGProperties(OnRobotProperties, frozen=True):
         offset: Fingertip offset in its registers at power-up [m].
         position: Width without fingertips at power-up [m]; by default open.
         empty_grip: Whether fingertips that meet each other count as a grip.
-        serial: Its serial number.
     """
 
     model: Literal["rg2", "rg6"] = "rg2"
@@ -41,7 +40,6 @@ class OnRobotRGProperties(OnRobotProperties, frozen=True):
     offset: Duration = codec.FINGERTIP
     position: float | None = None
     empty_grip: bool = True
-    serial: str = "RG-EMULATED"
 
 
 class OnRobotRGEmulator(OnRobotEmulator):
@@ -158,7 +156,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         known |= {codec.STATE + i: value for i, value in enumerate(status.to_registers())}
         known |= {codec.TIPS_WIDTH: status.width - 2 * self._offset}
         codes = {name: code for code, name in PRODUCTS.items()}
-        known |= identity(codes[self.model.name], self.properties.serial)
+        known |= identity(codes[self.model.name], "RG-EMULATED")
         if "wrong_device" in self.faults:
             known |= {PRODUCT: codes["2FG7"]}
         return known

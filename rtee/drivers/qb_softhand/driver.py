@@ -34,7 +34,7 @@ MANIPULATION_TICKS = -4_000
 
 
 @dataclass(frozen=True, slots=True)
-class OneMotor:
+class OneMotorHand:
     """A SoftHand: one actuator, 0 open to 1 closed.
 
     Attributes:
@@ -53,7 +53,7 @@ class OneMotor:
 
 
 @dataclass(frozen=True, slots=True)
-class TwoMotors:
+class TwoMotorHand:
     """A SoftHand 2: synergy 0 (open) to 1 (closed), manipulation -1 to 1.
 
     The motors are at ``(1 + m) s R - m L`` and ``(1 - m) s R + m L`` for the synergy s and the
@@ -92,7 +92,7 @@ class TwoMotors:
         return (total / (2.0 * self.half), (first - second) / reach if abs(reach) >= 1.0 else 0.0)
 
 
-Motors = OneMotor | TwoMotors
+Motors = OneMotorHand | TwoMotorHand
 """Conversion between the hand's actuators and its motors."""
 
 
@@ -165,7 +165,7 @@ class QbSoftHandDriver(Driver):
                 f"device '{spec.name}': a hand with {self.options.motors} motor(s) needs as many "
                 f"actuators, not {len(spec.actuators)}"
             )
-        self.mapping: Motors = OneMotor() if self.options.motors == 1 else TwoMotors()
+        self.mapping: Motors = OneMotorHand() if self.options.motors == 1 else TwoMotorHand()
         self.connection: Connection[QbLink] = Connection(spec)
         self._effort_per_ma = self._efforts(_CURRENT_LIMIT)
         self._active = False
@@ -236,9 +236,9 @@ class QbSoftHandDriver(Driver):
             )
         if options.motors == 1:
             ticks = options.closure_ticks or (reported[0][1] if reported else CLOSURE_TICKS)
-            self.mapping = OneMotor(ticks)
+            self.mapping = OneMotorHand(ticks)
         else:
-            factory = TwoMotors()
+            factory = TwoMotorHand()
             lower, upper = reported[0] if reported else (factory.lower, factory.upper)
             # The second synergy needs a range below 0; if a hand reports none, use the factory's.
             if lower >= 0:
@@ -246,7 +246,7 @@ class QbSoftHandDriver(Driver):
             if options.closure_ticks is not None:
                 # Such that the common travel, upper + lower, is the given one.
                 upper = options.closure_ticks - lower
-            self.mapping = TwoMotors(lower, upper)
+            self.mapping = TwoMotorHand(lower, upper)
 
     async def activate(self) -> None:
         """Activate the motors at their positions; an active hand is left as it is."""

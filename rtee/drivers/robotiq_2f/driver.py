@@ -16,7 +16,7 @@ from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.codec import FAULTS, MODELS, Command, Grasp, Status
-from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Grip, RobotiqOptions
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, RobotiqOptions, SteadyContact
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.scale import FingerScale
 from rtee.drivers.wiring import only_actuator
@@ -91,7 +91,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         # Before the base class, whose constructor asks for the status and the identity.
         self.options = read_options(Robotiq2FOptions, spec)
         only_actuator(spec, "a two-finger gripper")
-        self._grip = Grip()
+        self._grip = SteadyContact()
         # Unlike every echo, so the first one counts as that of a new request.
         self._requested = -1
         super().__init__(spec, buses, self.options)

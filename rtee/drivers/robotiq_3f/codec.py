@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from rtee.drivers.registers import Field, at, each, flag
+from rtee.drivers.registers import RegisterField, at, each, flag
 from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
 from rtee.drivers.scale import FingerScale, LinearScale
 
@@ -59,9 +59,9 @@ FAULTS: dict[int, Fault] = {
 """The fault codes of gFLT."""
 
 
-def _bytes(first: int) -> list[Field]:
+def _bytes(first: int) -> list[RegisterField]:
     """Return the places of three bytes that follow each other in a block."""
-    return [Field(i // 2, 0 if i % 2 else 8, 8, int) for i in range(first, first + 3)]
+    return [RegisterField(i // 2, 0 if i % 2 else 8, 8, int) for i in range(first, first + 3)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class Status(RobotiqStatus):
     motion: Motion = at(0, 14, 2, Motion)
     axes: tuple[AxisStatus, ...] = each(
         AxisStatus,
-        *([Field(0, 2 * axis, 2, Contact), *_bytes(3 + 3 * axis)] for axis in range(4)),
+        *([RegisterField(0, 2 * axis, 2, Contact), *_bytes(3 + 3 * axis)] for axis in range(4)),
     )
 
 

@@ -11,7 +11,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.options import Positive, read_options
 from rtee.drivers.robotiq_3f import codec
-from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Grip, RobotiqOptions
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, RobotiqOptions, SteadyContact
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import ConfigError
 from rtee.sample import ActuatorState
@@ -94,7 +94,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
         self.roles = roles_of(spec, self.options)
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
-        self._grips = tuple(Grip() for _ in codec.AXES)
+        self._grips = tuple(SteadyContact() for _ in codec.AXES)
         super().__init__(spec, buses, self.options)
 
     async def _identify(self) -> None:

@@ -84,7 +84,7 @@ _WHAT = "an EGU or EGK"
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class EguIdentity:
     """A gripper.
 
     Attributes:
@@ -108,7 +108,7 @@ class Identity:
     grip_speed: float
 
 
-async def identify(bus: ModbusBus, unit: int, device: str) -> Identity:
+async def identify(bus: ModbusBus, unit: int, device: str) -> EguIdentity:
     """Read what the gripper of a number on a line says of itself.
 
     Args:
@@ -152,7 +152,7 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> Identity:
         grip_speed = await number(codec.Parameter.MOST_GRIP_SPEED)
     except ModbusRefusal:
         grip_speed = speed
-    return Identity(
+    return EguIdentity(
         name,
         texts[codec.Parameter.SERIAL],
         texts[codec.Parameter.SOFTWARE],

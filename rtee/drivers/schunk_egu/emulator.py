@@ -39,6 +39,8 @@ _WRITTEN: Mapping[codec.Parameter, int] = {
 }
 """Registers of the parameters that a host may write; lengths, speeds and forces are numbers."""
 _BLOCKED = 0xF4  # error: a motion met something
+_MODULE = 18  # an EGK 40 M-B
+_RELEASE = 10.0  # distance by which it opens on release, until a host sets another [mm]
 
 
 class SchunkEguProperties(Section, frozen=True):
@@ -47,33 +49,27 @@ class SchunkEguProperties(Section, frozen=True):
     Attributes:
         unit: Its number on the line.
         baudrate: Bit rate of the line [bit/s].
-        module: Its module type.
         stroke: Largest distance between the fingers [mm]; the smallest is 0.
         position: Distance between the fingers at power-up [mm].
         force: Largest grip force [N].
         speed: Largest speed of that distance [mm/s].
         grip_speed: Speed of a grip whose command gives no speed [mm/s].
-        release: Distance by which it opens on release [mm].
         force_time: Time to build up the force after the contact [s].
         watch: Silence after which it stops with an error [s].
         ready: Whether it is ready at power-up, as after an earlier connection.
-        serial: Its serial number.
         haste: Factor by which it moves faster than the real one.
     """
 
     unit: Byte = 12
     baudrate: Rate = 115200
-    module: Byte = 18
     stroke: Positive = 80.0
     position: float = 80.0
     force: Positive = 150.0
     speed: Positive = 200.0
     grip_speed: Positive = 40.0
-    release: Duration = 10.0
     force_time: Duration = 0.1
     watch: Duration = 1.0
     ready: bool = False
-    serial: str = "EMULATED"
     haste: Positive = 1.0
 
 
@@ -118,7 +114,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             parameter: bytes(2 * count) for parameter, count in _WRITTEN.items()
         }
         for parameter in (codec.Parameter.RELEASE_DELTA, codec.Parameter.PREPOSITION):
-            self._kept[parameter] = codec.data_of(codec.float_registers(made.release))
+            self._kept[parameter] = codec.data_of(codec.float_registers(_RELEASE))
         self._start(made.ready)
 
     def _start(self, ready: bool) -> None:
@@ -194,8 +190,8 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     def _parameters(self) -> Mapping[codec.Parameter, Sequence[int]]:
         made = self.properties
-        texts = {codec.Parameter.SERIAL: made.serial, codec.Parameter.SOFTWARE: "5.2.0"}
-        module = 99 if "wrong_device" in self.faults else made.module
+        texts = {codec.Parameter.SERIAL: "EMULATED", codec.Parameter.SOFTWARE: "5.2.0"}
+        module = 99 if "wrong_device" in self.faults else _MODULE
         # The word of an enumeration has its low byte first, like every number.
         found: dict[codec.Parameter, Sequence[int]] = {
             codec.Parameter.INPUT: self.image().to_registers(),

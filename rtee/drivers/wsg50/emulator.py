@@ -63,7 +63,6 @@ class Wsg50Properties(Section, frozen=True):
         clamping: How far beyond a part's width a grasp searches for the part [mm].
         force_time: Time to build up the force after the contact [s].
         error_on_disconnect: Whether a connection that ends unannounced causes a fast stop.
-        serial: Its serial number.
         haste: Factor by which it moves faster than the real one.
     """
 
@@ -72,7 +71,6 @@ class Wsg50Properties(Section, frozen=True):
     clamping: Duration = 5.0
     force_time: Duration = 0.1
     error_on_disconnect: bool = False
-    serial: int = 1234
     haste: Positive = 1.0
 
 
@@ -232,7 +230,7 @@ class Wsg50Emulator(Emulator, Grasps):
             Command.SPEED: lambda: _floats(self.axis.velocity),
             Command.FORCE: lambda: _floats(abs(self.axis.effort)),
             Command.TEMPERATURE: lambda: round(10 * self.axis.temperature).to_bytes(2, "little"),
-            Command.INFO: lambda: Info(2, 1, 0x4000, self.properties.serial).to_bytes(),
+            Command.INFO: lambda: Info(2, 1, 0x4000, 1234).to_bytes(),
             Command.LIMITS: self.limits.to_bytes,
             Command.ACCELERATION: lambda: _floats(*self._settings[Command.SET_ACCELERATION]),
             Command.FORCE_LIMIT: lambda: _floats(*self._settings[Command.SET_FORCE]),

@@ -17,8 +17,8 @@ from mcap.reader import make_reader
 from rtee.buses.pool import BusPool
 from rtee.drivers.assumptions import ASSUMPTIONS, Topic
 from rtee.drivers.connection import owner_of
-from rtee.drivers.diagnosis.contact_report import Conclusion, ContactReport, Question
-from rtee.drivers.diagnosis.first_contact import FirstContact
+from rtee.drivers.diagnosis.contact_report import Conclusion, ContactQuestion, ContactReport
+from rtee.drivers.diagnosis.first_contact import ContactGuide
 from rtee.drivers.registry import find_driver
 from rtee.log.first_contact import text_of, write
 from rtee.testing import DeviceCase
@@ -51,9 +51,9 @@ class Person:
         self, spec: DeviceSpec, pool: BusPool, truth: Callable[[Any], float], **words: str
     ) -> None:
         self.spec, self.pool, self.truth, self.words = spec, pool, truth, words
-        self.asked: list[Question] = []
+        self.asked: list[ContactQuestion] = []
 
-    async def __call__(self, question: Question) -> str:
+    async def __call__(self, question: ContactQuestion) -> str:
         self.asked.append(question)
         if question.topic.name in self.words:
             return self.words[question.topic.name]
@@ -90,7 +90,7 @@ async def played(
             wire.unplug() if off else wire.replug()
 
         driver = find_driver(spec.driver)(spec, pool)
-        return await FirstContact(driver, person, unplug=unplug).run(), person
+        return await ContactGuide(driver, person, unplug=unplug).run(), person
 
 
 def refuted(report: ContactReport) -> set[Topic]:
@@ -137,7 +137,7 @@ async def test_a_device_is_kept_awake_while_a_person_measures() -> None:
     """An EGU that hears nothing for a second stops with an error."""
 
     class Slow(Person):
-        async def __call__(self, question: Question) -> str:
+        async def __call__(self, question: ContactQuestion) -> str:
             await anyio.sleep(5.0)
             return await super().__call__(question)
 
@@ -150,7 +150,7 @@ async def test_a_device_is_kept_awake_while_a_person_measures() -> None:
         def unplug(off: bool) -> None:
             getattr(pool.simulation(owner_of(spec)), wire[off])()
 
-        report = await FirstContact(driver, Slow(spec, pool, closed), unplug=unplug).run()
+        report = await ContactGuide(driver, Slow(spec, pool, closed), unplug=unplug).run()
     assert report.ended == ""
     assert refuted(report) == set(), text_of(report)
 
@@ -171,7 +171,7 @@ async def test_what_is_no_number_is_asked_again() -> None:
     answers = iter(["about two", "1,5", "3"])
 
     class Clumsy(Person):
-        async def __call__(self, question: Question) -> str:
+        async def __call__(self, question: ContactQuestion) -> str:
             if question.topic is Topic.SCALE:
                 return next(answers)
             return await super().__call__(question)
@@ -180,7 +180,7 @@ async def test_what_is_no_number_is_asked_again() -> None:
     async with BusPool(wire_time=False) as pool:
         driver = find_driver(spec.driver)(spec, pool)
         person = Clumsy(spec, pool, closed)
-        report = await FirstContact(driver, person, unplug=lambda off: None).run()
+        report = await ContactGuide(driver, person, unplug=lambda off: None).run()
     asked = [question.text for question, _ in report.answers if question.topic is Topic.SCALE]
     assert asked[1].startswith("'about two' is no number")
     assert Topic.SCALE in refuted(report)

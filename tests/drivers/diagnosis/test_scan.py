@@ -14,7 +14,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.diagnosis import probes
 from rtee.drivers.diagnosis.can_probe import can as can_probe
-from rtee.drivers.diagnosis.scan import Address, Plan, network_probes, scan, serial_probes
+from rtee.drivers.diagnosis.scan import Address, ScanPlan, network_probes, scan, serial_probes
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.orca_touch import codec
 from tests.buses.devices import in_real_time
@@ -27,7 +27,7 @@ async def scanned(line: SimulatedLine, *, units: Sequence[int] | None = None) ->
     if line.address.startswith("tcp"):
         probes_ = network_probes(units)
     async with BusPool() as pool:
-        [found] = await scan([Plan(line.address, probes=probes_)], pool)
+        [found] = await scan([ScanPlan(line.address, probes=probes_)], pool)
     return found
 
 
@@ -75,7 +75,7 @@ async def test_a_touch_board_that_sends_is_found_at_its_rate() -> None:
                 start = codec.Request(codec.Function.WRITE, register, 1, bytes([value]))
                 await bus.transact(start.to_bytes(), codec.AnswerParser(), 0.5, 1)
             await bus.detach("earlier")
-            [found] = await scan([Plan(line.address, probes=serial_probes([9])[:4])], pool)
+            [found] = await scan([ScanPlan(line.address, probes=serial_probes([9])[:4])], pool)
         options = {"port": line.address, "baudrate": 2_000_000}
         assert [one.options for one in found.found] == [options]
 
@@ -138,7 +138,9 @@ async def test_two_softhands_that_answer_at_once_are_both_found() -> None:
     both = [device("qb_softhand", device=1), device("qb_softhand", device=2)]
     with SimulatedLine(both, wire_time=False) as line:
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=[probes.softhand([1, 2, 3])])], pool)
+            [found] = await scan(
+                [ScanPlan(line.address, probes=[probes.softhand([1, 2, 3])])], pool
+            )
     assert [one.options["device"] for one in found.found] == [1, 2]
 
 
@@ -167,7 +169,7 @@ async def test_another_tool_behind_a_compute_box_is_found_with_its_model(model: 
 async def test_a_wsg_is_found_at_its_socket_and_nowhere_else() -> None:
     with SimulatedLine([make_emulator("wsg50", {})], tcp=True, scheme="socket") as line:
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=serial_probes([9])[:1])], pool)
+            [found] = await scan([ScanPlan(line.address, probes=serial_probes([9])[:1])], pool)
     assert [one.what for one in found.found] == ["WSG 50, serial 1234, firmware 4.0.0"]
     assert found.found[0].options == {"port": line.address}
     async with BusPool() as pool:
@@ -203,7 +205,7 @@ async def test_three_servos_at_two_rates_are_found_at_their_own() -> None:
     with SimulatedLine(lines, wire_time=False, strict=True) as line:
         rates = tuple(probes.dynamixel(rate) for rate in (57_600, 4_000_000, 1_000_000))
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=rates)], pool)
+            [found] = await scan([ScanPlan(line.address, probes=rates)], pool)
     assert {(one.options["id"], one.options["baudrate"]) for one in found.found} == {
         (7, 57_600),
         (11, 1_000_000),
@@ -220,7 +222,7 @@ async def test_servos_of_two_families_on_a_line_are_found_with_theirs(echo: bool
     ]
     with SimulatedLine(lines, wire_time=False) as line:
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=(probes.feetech(500_000),))], pool)
+            [found] = await scan([ScanPlan(line.address, probes=(probes.feetech(500_000),))], pool)
     assert [(one.driver, one.what) for one in found.found] == [
         ("feetech", "SCS0009, id 1, firmware 3.10, 1000000 baud"),
         ("feetech", "SCS0009, id 2, firmware 3.10, 1000000 baud"),
@@ -261,7 +263,7 @@ async def test_a_servo_on_a_line_that_carries_every_rate_is_listed_once(rate: in
     with SimulatedLine([servos], wire_time=False) as line:
         asked = tuple(probes.dynamixel(rate) for rate in (57_600, 1_000_000, 4_000_000))
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=asked)], pool)
+            [found] = await scan([ScanPlan(line.address, probes=asked)], pool)
     assert [(one.options["id"], one.options["baudrate"]) for one in found.found] == [(3, rate)]
 
 
@@ -269,18 +271,18 @@ async def test_nobody_is_nobody() -> None:
     with SimulatedLine([], wire_time=False) as line:
         asked = (probes.modbus(115200, "N", [9]), probes.svh(), probes.softhand([1]))
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=asked)], pool)
+            [found] = await scan([ScanPlan(line.address, probes=asked)], pool)
     assert (found.found, found.problem) == ((), "")
 
 
 async def test_a_missing_or_busy_port_says_so() -> None:
     async with BusPool() as pool:
-        [found] = await scan([Plan("/dev/there-is-none", probes=serial_probes([9]))], pool)
+        [found] = await scan([ScanPlan("/dev/there-is-none", probes=serial_probes([9]))], pool)
     assert "there is no such port" in found.problem
     with SimulatedLine([]) as line:
         async with BusPool() as other, BusPool() as pool:
             await other.serial(line.address, owner="x")
-            [found] = await scan([Plan(line.address, probes=serial_probes([9]))], pool)
+            [found] = await scan([ScanPlan(line.address, probes=serial_probes([9]))], pool)
     assert "another program" in found.problem
 
 
@@ -288,10 +290,10 @@ async def test_a_missing_or_busy_port_says_so() -> None:
 async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     plans = [
-        Plan(str(tmp_path / "file"), probes=serial_probes([9])),
-        Plan("tcp://no-such-host.invalid", probes=network_probes([9])),
-        Plan("can9", probes=(can_probe("socketcan", 1_000_000),)),
-        Plan("can9", probes=(can_probe("no_such_interface", 1_000_000),)),
+        ScanPlan(str(tmp_path / "file"), probes=serial_probes([9])),
+        ScanPlan("tcp://no-such-host.invalid", probes=network_probes([9])),
+        ScanPlan("can9", probes=(can_probe("socketcan", 1_000_000),)),
+        ScanPlan("can9", probes=(can_probe("no_such_interface", 1_000_000),)),
     ]
     async with BusPool() as pool:
         file, name, channel, interface = [one.problem for one in await scan(plans, pool)]
@@ -303,7 +305,7 @@ async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
 
 async def test_what_a_can_interface_hands_back_is_no_device() -> None:
     async with BusPool() as pool:
-        plan = Plan("239.74.163.93", probes=(can_probe("udp_multicast", 1_000_000),))
+        plan = ScanPlan("239.74.163.93", probes=(can_probe("udp_multicast", 1_000_000),))
         [found] = await scan([plan], pool)
     assert (found.found, found.problem) == ((), "")
 
@@ -321,7 +323,7 @@ async def test_nodes_on_a_can_bus_are_found(driver: str, options: dict[str, Any]
     async with BusPool() as pool:
         await pool.can("can0", owner="x", emulator=lambda: make_emulator(driver, options))
         [channel] = pool.simulations
-        plan = Plan(channel, probes=(can_probe("virtual", 1_000_000),))
+        plan = ScanPlan(channel, probes=(can_probe("virtual", 1_000_000),))
         async with BusPool() as asking:
             [found] = await scan([plan], asking)
     assert [one.driver for one in found.found] == [driver]

@@ -11,8 +11,8 @@ from rtee.buses.link import Line
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Error, Hardware
-from rtee.drivers.dynamixel.emulator import DynamixelEmulator, LineProperties
-from rtee.drivers.dynamixel.servo import ServoProperties
+from rtee.drivers.dynamixel.emulator import DynamixelEmulator, DynamixelProperties
+from rtee.drivers.dynamixel.servo import DynamixelServoProperties
 from rtee.drivers.dynamixel.table import Mode
 from tests.drivers.objects import obstruct
 
@@ -67,7 +67,9 @@ class Master:
 
 def line(*ids: int, **properties: Any) -> Master:
     return Master(
-        DynamixelEmulator(LineProperties(ids=ids or (1,), servo=ServoProperties(**properties)))
+        DynamixelEmulator(
+            DynamixelProperties(ids=ids or (1,), servo=DynamixelServoProperties(**properties))
+        )
     )
 
 
@@ -175,7 +177,7 @@ def test_status_return_level_is_obeyed() -> None:
 
 
 def test_return_delay_and_latency_make_the_turnaround() -> None:
-    emulator = DynamixelEmulator(LineProperties(ids=(1, 2), latency=0.001))
+    emulator = DynamixelEmulator(DynamixelProperties(ids=(1, 2), latency=0.001))
     master = Master(emulator)
     master.ask(0xFE, 0x82, struct.pack("<HHBB", 132, 4, 1, 2))
     assert emulator.turnaround == pytest.approx(2 * 500e-6 + 0.001)
@@ -281,7 +283,7 @@ def test_indirect_addresses_point_to_their_own_data_at_first() -> None:
 
 
 def test_a_damaged_instruction_is_answered_with_the_crc_error() -> None:
-    emulator = DynamixelEmulator(LineProperties(ids=(1, 2)))
+    emulator = DynamixelEmulator(DynamixelProperties(ids=(1, 2)))
     # "write goal 512" of the e-manual, a bit of its data flipped; the answer's bytes are the SDK's.
     damaged = bytes.fromhex("FF FF FD 00 01 09 00 03 74 00 01 02 00 00 CA 89")
     answer = bytes.fromhex("FF FF FD 00 01 04 00 55 03")

@@ -10,7 +10,7 @@ from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.dynamixel import table
-from rtee.drivers.dynamixel.emulator import DynamixelEmulator, LineProperties
+from rtee.drivers.dynamixel.emulator import DynamixelEmulator, DynamixelProperties
 from rtee.drivers.dynamixel.identity import set_id
 from rtee.drivers.dynamixel.servo import EmulatedDynamixel
 from rtee.errors import ConfigError, NotConnected
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.anyio
 
 
 def line(*ids: int) -> DynamixelEmulator:
-    return DynamixelEmulator(LineProperties(ids=ids))
+    return DynamixelEmulator(DynamixelProperties(ids=ids))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
@@ -52,7 +52,7 @@ async def at_its_rate(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[tuple[On
     """Return a servo that comes from the factory, and where it is."""
     from rtee.buses.dynamixel import DynamixelBus
 
-    servo = OnlyAtItsRate(LineProperties(ids=(1,)))
+    servo = OnlyAtItsRate(DynamixelProperties(ids=(1,)))
     opened = DynamixelBus._open
 
     async def open_at_rate(self: DynamixelBus) -> None:

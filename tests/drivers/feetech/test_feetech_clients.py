@@ -12,7 +12,7 @@ import pytest
 
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.feetech import table
-from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
+from rtee.drivers.feetech.emulator import FeetechEmulator, FeetechProperties
 from rtee.drivers.feetech.table import FamilyName
 from tests.drivers.peers.running import environment
 
@@ -24,7 +24,7 @@ _PATIENT = 2500.0
 
 
 def servos(family: FamilyName, ids: tuple[int, ...], **more: Any) -> FeetechEmulator:
-    return FeetechEmulator(LineProperties(family, ids, **more))
+    return FeetechEmulator(FeetechProperties(family, ids, **more))
 
 
 def settle(line: SimulatedLine, seconds: float = 2.0) -> None:

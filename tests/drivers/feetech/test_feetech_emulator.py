@@ -9,16 +9,16 @@ import pytest
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Frame, Instruction, Status
-from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
-from rtee.drivers.feetech.servo import ServoProperties
+from rtee.drivers.feetech.emulator import FeetechEmulator, FeetechProperties
+from rtee.drivers.feetech.servo import FeetechServoProperties
 from rtee.drivers.feetech.table import FAMILIES, Register
 from rtee.errors import ConfigError
 from tests.drivers.objects import obstruct
 
 
 def line(family: str = "sts", ids: tuple[int, ...] = (1,), **properties: Any) -> FeetechEmulator:
-    servo = ServoProperties(**properties.pop("servo", {}))
-    made = FeetechEmulator(LineProperties(family, ids, servo, **properties))  # type: ignore[arg-type]
+    servo = FeetechServoProperties(**properties.pop("servo", {}))
+    made = FeetechEmulator(FeetechProperties(family, ids, servo, **properties))  # type: ignore[arg-type]
     made.step(0.0)
     return made
 
@@ -59,7 +59,10 @@ def test_the_state_of_a_servo_is_as_published() -> None:
 
 
 def test_several_answer_a_sync_read_one_after_the_other_where_their_family_does() -> None:
-    special = {1: ServoProperties(voltage=7.4), 2: ServoProperties(voltage=7.4, start=1000.0)}
+    special = {
+        1: FeetechServoProperties(voltage=7.4),
+        2: FeetechServoProperties(voltage=7.4, start=1000.0),
+    }
     servos = line(ids=(1, 2), special=special)
     for servo in servos.ordered:
         servo.axis.temperature = 30.0

@@ -8,9 +8,9 @@ from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.feetech import table
-from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
+from rtee.drivers.feetech.emulator import FeetechEmulator, FeetechProperties
 from rtee.drivers.feetech.identity import recognise, set_id
-from rtee.drivers.feetech.servo import ServoProperties
+from rtee.drivers.feetech.servo import FeetechServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
 from rtee.errors import ConfigError, DriverError, NotConnected
 from tests.drivers.use import set_id_command
@@ -19,8 +19,8 @@ pytestmark = pytest.mark.anyio
 
 
 def line(family: FamilyName, ids: tuple[int, ...], model: int = 0) -> FeetechEmulator:
-    servo = ServoProperties(model=model, reboot_time=0.0)
-    return FeetechEmulator(LineProperties(family, ids, servo))
+    servo = FeetechServoProperties(model=model, reboot_time=0.0)
+    return FeetechEmulator(FeetechProperties(family, ids, servo))
 
 
 def test_models_are_recognised_in_the_order_of_their_family() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 from rtee.testing.session import Session, simulated_time
 
@@ -18,7 +19,7 @@ def powered(emulator: Any) -> int:
 
 
 def limits(emulator: Any) -> list[float]:
-    ampere = emulator.properties.torque_per_ampere
+    ampere = TORQUE_PER_AMPERE
     return [motor.max_effort * ampere for board in emulator.boards for motor in board.motors]
 
 

@@ -13,7 +13,7 @@ from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command, Frame, Parser
-from rtee.drivers.qb_softhand.driver import OneMotor, TwoMotors
+from rtee.drivers.qb_softhand.driver import OneMotorHand, TwoMotorHand
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
 from rtee.drivers.qb_softhand.link import QbLink
 from rtee.errors import BusTimeout, FrameError
@@ -164,7 +164,7 @@ def test_parameters_that_make_no_sense_are_not_believed() -> None:
 
 @given(st.floats(0.0, 1.0))
 def test_closure_of_one_motor_has_an_inverse(closure: float) -> None:
-    mapping = OneMotor()
+    mapping = OneMotorHand()
     ticks = tuple(round(t) for t in mapping.to_ticks((closure,)))
     assert mapping.to_closure(ticks)[0] == pytest.approx(closure, abs=0.51 / 19000)
     assert mapping.to_ticks((0.5,)) == (9500.0, 0.0)
@@ -172,7 +172,7 @@ def test_closure_of_one_motor_has_an_inverse(closure: float) -> None:
 
 @given(st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 def test_synergies_of_two_motors_have_an_inverse(synergy: float, manipulation: float) -> None:
-    mapping = TwoMotors()
+    mapping = TwoMotorHand()
     first, second = (round(t) for t in mapping.to_ticks((synergy, manipulation)))
     back = mapping.to_closure((first, first, second, second))
     assert back == pytest.approx((synergy, manipulation), abs=3e-4)
@@ -180,7 +180,7 @@ def test_synergies_of_two_motors_have_an_inverse(synergy: float, manipulation: f
 
 
 def test_two_motors_pushed_to_their_lower_limit_are_measured() -> None:
-    mapping = TwoMotors()
+    mapping = TwoMotorHand()
     synergy, manipulation = mapping.to_closure((mapping.lower,) * 4)
     assert synergy < 0.0
     assert manipulation == 0.0
