@@ -270,13 +270,15 @@ class Outcome(StrEnum):
     WRONG_WIDTH = "wrong_width"
     """It holds an object of another width."""
     UNKNOWN = "unknown"
-    """It is unknown whether something thin is held, or nothing."""
+    """It is unknown whether something thin is held, or nothing, where an object was meant."""
     EMPTY = "empty"
     """It has closed and holds, or has touched, nothing."""
     TOUCHED = "touched"
     """A finger that reacts to contacts has touched something."""
     REACHED = "reached"
     """The measured posture is within the tolerance."""
+    CLOSED = "closed"
+    """The fingers met one another before the posture, with nothing or something thin there."""
     STALLED = "stalled"
     """The hand stopped short of the posture, and holds nothing."""
     CANCELLED = "cancelled"
@@ -289,7 +291,7 @@ class Outcome(StrEnum):
     """It could not continue; `Result.reason` says why."""
 
 
-_SUCCESS = frozenset({Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED})
+_SUCCESS = frozenset({Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED, Outcome.CLOSED})
 
 
 def new_goal_id() -> str:
@@ -593,7 +595,7 @@ class Result(Value):
             if getattr(self, early):
                 return early
         if self.unknown:
-            return Outcome.UNKNOWN
+            return Outcome.CLOSED if self.aim is Aim.POSTURE else Outcome.UNKNOWN
         if self.aim is not Aim.CONTACT and self.grasped:
             return Outcome.WRONG_WIDTH if self.within is False else Outcome.HELD
         if self.aim is not Aim.OBJECT and self.touched:
@@ -604,7 +606,7 @@ class Result(Value):
 
     @property
     def succeeded(self) -> bool:
-        """Whether the outcome is ``held``, ``touched`` or ``reached``."""
+        """Whether the outcome is ``held``, ``touched``, ``reached`` or ``closed``."""
         return self.outcome in _SUCCESS
 
     def to_dict(self) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from rtee.types import Aim, OnContact, Outcome, Result
         (Aim.POSTURE, {"stalled": True}, Outcome.STALLED),
         (Aim.POSTURE, {"stalled": True, "grasped": True}, Outcome.HELD),
         (Aim.POSTURE, {"stalled": True, "touched": ("thumb",)}, Outcome.TOUCHED),
+        (Aim.POSTURE, {"stalled": True, "unknown": True}, Outcome.CLOSED),
         (Aim.POSTURE, {"grasped": True, "timed_out": True}, Outcome.TIMED_OUT),
         (Aim.OBJECT, {"grasped": True, "within": True}, Outcome.HELD),
         (Aim.OBJECT, {"grasped": True, "within": None}, Outcome.HELD),
@@ -37,7 +38,7 @@ def test_the_aim_of_a_goal_decides_its_outcome(
 ) -> None:
     result = Result("1", "a", aim=aim, **found)
     assert result.outcome is outcome
-    assert result.succeeded is (outcome in {Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED})
+    assert result.succeeded is (outcome in {"held", "touched", "reached", "closed"})
 
 
 @pytest.mark.parametrize(

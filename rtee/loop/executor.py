@@ -20,7 +20,7 @@ from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
-from rtee.types import Around, Feedback, FirstContact, Intensity, JointKind, OnContact, Result
+from rtee.types import Aim, Around, Feedback, FirstContact, Intensity, JointKind, OnContact, Result
 
 _RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
@@ -80,6 +80,7 @@ class _Run:
     touched: tuple[float, ...] = ()
     over: float = math.nan
     bears: float = math.nan
+    near: float = math.nan
 
     @property
     def present(self) -> Leg:
@@ -295,7 +296,8 @@ class Executor:
         """
         plan, contact = run.plan, self._contact
         grasped = any(contact.grasping(i) for i in plan.involved)
-        if plan.grip is None or not (self._reflexes.touched or grasped):
+        closes = plan.aim is Aim.POSTURE and self._stopped_closing(run, measured)
+        if plan.grip is None or not (self._reflexes.touched or grasped or closes):
             return False
         # Fingers that bend as they press have an opening only where they met the object.
         met = run.touched if run.touched and self._bends(run) else measured.position
@@ -306,6 +308,15 @@ class Executor:
         if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):
             return False  # to touch is all that was asked for
         return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
+
+    def _stopped_closing(self, run: _Run, measured: Measured) -> bool:
+        """Return whether all actuators that were stopped in the last leg were closing."""
+        rest = self._hand.rest
+        return run.stalled[-1] and all(
+            (target - measured.position[i]) * (target - rest[i]) > 0.0
+            for i, target in run.present.targets.items()
+            if self._contact.blocked(i)
+        )
 
     def _grip_values(
         self, run: _Run, measured: Measured, grasped: bool, aborted: bool
@@ -366,7 +377,7 @@ class Executor:
             return
 
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
-        run.phase, run.over, run.bears = Phase.MOVING, math.nan, math.nan
+        run.phase, run.over, run.bears, run.near = Phase.MOVING, math.nan, math.nan, math.nan
         leg = run.present
         speed = leg_speed(run.plan, run.leg, self._hand)
         for i, actuator in enumerate(self._hand.actuators):
@@ -410,6 +421,10 @@ class Executor:
                 return
             # It is thinner than the tolerance of a stall: only the effort shows that it is there.
             held = True
+        if not held and not arrived and self._near(run, stamp, measured):
+            if stamp - run.near < self._settings.stall.time:
+                return
+            arrived = True
         if arrived and not held:
             if self._plausible.leaping(targets, stamp):
                 return
@@ -426,6 +441,28 @@ class Executor:
             run.stalled[run.leg] = True
         run.phase = Phase.AFTER
         run.until = stamp + run.present.after
+
+    def _near(self, run: _Run, stamp: float, measured: Measured) -> bool:
+        """Return whether each actuator stays as near to its target as its play may leave it.
+
+        At rest, the play and the friction of many actuators add up to more than their tolerance.
+        """
+        to, actuators = run.plan.to, self._hand.actuators
+        near = (
+            isinstance(to, Intensity | FirstContact)
+            and not (self._profile.moving or self._reflexes.touched)
+            and all(
+                abs(target - measured.position[i])
+                <= to.tolerance * (actuators[i].upper - actuators[i].lower)
+                < math.inf
+                for i, target in run.present.targets.items()
+            )
+        )
+        if not near:
+            run.near = math.nan
+        elif run.near != run.near:
+            run.near = stamp
+        return near
 
     def _bears(self, run: _Run, stamp: float, measured: Measured) -> bool:
         """Return whether the one actuator of a grasp presses on something where it ends."""

@@ -150,7 +150,7 @@ class Truth:
         if result.grasped:
             self._fingers = result.grasped_fingers
             self._conclude(HeldObject.HOLDING)
-        elif result.outcome in (*early, Outcome.UNKNOWN, Outcome.TOUCHED):
+        elif result.unknown or result.outcome in (*early, Outcome.TOUCHED):
             self._conclude(HeldObject.UNKNOWN)
         else:
             self._conclude(HeldObject.EMPTY)

@@ -8,10 +8,13 @@ from typing import Final
 from rtee.types import Aim, Outcome, Result
 from rtee.units import grip_words
 
+_CLOSED: Final = "closed on something thin or on nothing (unknown which)"
+
 _WORDS: Final = {
     Outcome.HELD: "held",
     Outcome.WRONG_WIDTH: "something of another width is held",
-    Outcome.UNKNOWN: "closed on something thin or on nothing (unknown which)",
+    Outcome.UNKNOWN: _CLOSED,
+    Outcome.CLOSED: _CLOSED,
     Outcome.TOUCHED: "touched",
     Outcome.REACHED: "reached",
     Outcome.STALLED: "stalled",

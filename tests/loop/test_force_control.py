@@ -271,6 +271,9 @@ def test_fingertips_that_meet_one_another_are_no_object(reads: float) -> None:
     assert result.reached  # within the tolerance
     assert result.unknown == (reads == 1.0)  # by efforts alone, they have just arrived
     assert result.grasped_fingers == result.touched == ()
+    strict = Goal(Named("Grasp"), Intensity(tolerance=1e-9))
+    assert Gripper(0.0003, reads=reads).do(strict).outcome == "closed"
+    assert Gripper(0.01, reads=0.0).do(strict).outcome == "stalled"
 
 
 def test_a_gripper_that_its_force_does_not_move_holds_nothing() -> None:

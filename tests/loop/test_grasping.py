@@ -75,6 +75,14 @@ async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> 
         assert (result.stalled, result.grasped) == (True, False)
 
 
+async def test_what_play_leaves_of_many_actuators_is_reached(hand: Hand) -> None:
+    short = {"index_base": 0.995, "index_tip": 0.995, "thumb_base": 0.99}
+    async with running(hand, objects=short, full_effort_at=1.0) as rig:
+        result = await rig.do("fist")
+        assert (result.outcome, result.error > 0.01) == ("reached", True)
+        assert not (await rig.do("fist", tolerance=0.002)).reached
+
+
 async def test_slow_motion_is_no_stall(hand: Hand) -> None:
     async with running(hand, LoopSettings(rate=100.0, goal_timeout=100.0)) as rig:
         rig.loop.submit(Goal(Named("Trig", ("index",)), speed=0.01))
