@@ -12,6 +12,7 @@ import os
 import signal
 import socket
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -41,6 +42,42 @@ _DO: Final[dict[str, Callable[[Simulation, Emulator, str], None]]] = {
     "clear": lambda _, device, __: device.clear(),
 }
 """What can be done to an emulated device, with one word of detail."""
+
+
+class EmulatedDevices(ABC):
+    """The emulated devices of a hand, which a test unplugs, fills and breaks.
+
+    What is done to one device, or to all, is done when a method returns; the hand takes a moment to
+    notice. All raise `ConfigError` if a device is not emulated, or cannot do that.
+    """
+
+    @abstractmethod
+    def _act(self, what: str, detail: str, device: str | None) -> None:
+        """Do one of `_DO` to a device, or to all."""
+
+    def unplug(self, device: str | None = None) -> None:
+        """Unplug the cable."""
+        self._act("unplug", "", device)
+
+    def plug(self, device: str | None = None) -> None:
+        """Plug the cable in again."""
+        self._act("plug", "", device)
+
+    def place(self, object: str, device: str | None = None) -> None:  # noqa: A002 - as elsewhere
+        """Put an object between the fingers, as for ``rtee run --object``."""
+        self._act("place", object, device)
+
+    def take_away(self, device: str | None = None) -> None:
+        """Pull the object out of the fingers."""
+        self._act("take_away", "", device)
+
+    def fault(self, name: str, device: str | None = None) -> None:
+        """Break it, as ``rtee emulate --fault``."""
+        self._act("fault", name, device)
+
+    def clear(self, device: str | None = None) -> None:
+        """Mend all faults."""
+        self._act("clear", "", device)
 
 
 class Bench:

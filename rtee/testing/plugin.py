@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -63,16 +63,8 @@ def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start
         monkeypatch.delenv(name, raising=False)
     with contextlib.ExitStack() as stack:
 
-        def start(
-            hand: str | Path,
-            *,
-            object: str | None = None,  # noqa: A002 - as on the command line
-            driver: str | None = None,
-            timeout: float = 60.0,
-        ) -> HandUnderTest:
-            return stack.enter_context(
-                running_hand(hand, folder=folder, object=object, driver=driver, timeout=timeout)
-            )
+        def start(hand: str | Path, **options: Any) -> HandUnderTest:
+            return stack.enter_context(running_hand(hand, folder=folder, **options))
 
         yield start
 
@@ -89,12 +81,8 @@ def rtee_simulated_hand() -> Iterator[StartSimulatedHand]:
 
     with contextlib.ExitStack() as stack:
 
-        def start(
-            hand: str | Path,
-            *,
-            object: str | None = None,  # noqa: A002 - as on the command line
-        ) -> SimulatedHand:
-            return stack.enter_context(simulated(hand, object=object))
+        def start(hand: str | Path, **options: Any) -> SimulatedHand:
+            return stack.enter_context(simulated(hand, **options))
 
         yield start
 

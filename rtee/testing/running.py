@@ -22,7 +22,7 @@ from rtee.remote.blocking import BlockingHand, opened
 from rtee.remote.client import RemoteHand
 from rtee.remote.directory import VARIABLE, running
 from rtee.testing import bench
-from rtee.testing.bench import Bench
+from rtee.testing.bench import Bench, EmulatedDevices
 
 _READY_WITHIN: Final = 60.0
 """Time for starting, connecting and homing [s]; an SVH homes for half of it."""
@@ -34,11 +34,10 @@ _END_WITHIN: Final = 10.0
 """Time for the hand to come to rest and to finish its recording [s]."""
 
 
-class HandUnderTest(BlockingHand):
+class HandUnderTest(EmulatedDevices, BlockingHand):
     """A running hand whose emulated devices a test unplugs, fills and breaks.
 
-    It has the methods of `rtee.connect_blocking`. Those below act on all devices of the hand, or on
-    the one named, and return when it is done; the hand takes a moment to notice.
+    It has the methods of `rtee.connect_blocking`, and those of `EmulatedDevices`.
     """
 
     def __init__(
@@ -49,34 +48,10 @@ class HandUnderTest(BlockingHand):
         act: Callable[[str, str, str | None], None],
     ) -> None:
         super().__init__(portal, hand, opened)
-        self._act = act
+        self._do = act
 
-    def unplug(self, device: str | None = None) -> None:
-        """Unplug the cable of a device; raises `ConfigError` if it is not emulated."""
-        self._act("unplug", "", device)
-
-    def plug(self, device: str | None = None) -> None:
-        """Plug the cable of a device in again; raises `ConfigError` if it is not emulated."""
-        self._act("plug", "", device)
-
-    def place(self, object: str, device: str | None = None) -> None:  # noqa: A002 - as elsewhere
-        """Put an object between the fingers, as for ``rtee run --object``.
-
-        Raises `ConfigError` if it does not fit there, or the device is not emulated.
-        """
-        self._act("place", object, device)
-
-    def take_away(self, device: str | None = None) -> None:
-        """Pull the object out of the fingers; raises `ConfigError` if none can be there."""
-        self._act("take_away", "", device)
-
-    def fault(self, name: str, device: str | None = None) -> None:
-        """Break a device, as ``rtee emulate --fault``; raises `ConfigError` for unknown names."""
-        self._act("fault", name, device)
-
-    def clear(self, device: str | None = None) -> None:
-        """Mend all faults of a device; raises `ConfigError` if it is not emulated."""
-        self._act("clear", "", device)
+    def _act(self, what: str, detail: str, device: str | None) -> None:
+        self._do(what, detail, device)
 
 
 class StartHand(Protocol):

@@ -40,7 +40,7 @@ from rtee.remote.goal_values import (
 )
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
-from rtee.testing.bench import act
+from rtee.testing.bench import EmulatedDevices, act
 from rtee.types import DeviceStatus, Event, Goal, Lifecycle, Result
 
 T = TypeVar("T")
@@ -52,11 +52,11 @@ _LOOK_EVERY: Final = 0.02
 """Simulated time between two looks whether all devices are active [s]."""
 
 
-class SimulatedHand(Observer):
+class SimulatedHand(EmulatedDevices, Observer):
     """A hand on simulated time; `rtee.simulated` makes it.
 
     Its methods are those of `rtee.connect_blocking` as far as it has them, and those of
-    `rtee.testing.running.HandUnderTest`. Time passes while they work, and in `wait`.
+    `EmulatedDevices`. Time passes while they work, and in `wait`.
 
     Attributes:
         name: The hand's name.
@@ -211,32 +211,6 @@ class SimulatedHand(Observer):
     def status(self) -> list[DeviceStatus]:
         """Return the status of all devices."""
         return self._loop.statuses()
-
-    # --- what goes wrong
-
-    def unplug(self, device: str | None = None) -> None:
-        """Unplug the cable of a device, or of all."""
-        self._act("unplug", "", device)
-
-    def plug(self, device: str | None = None) -> None:
-        """Plug the cable of a device in again."""
-        self._act("plug", "", device)
-
-    def place(self, object: str, device: str | None = None) -> None:  # noqa: A002 - as elsewhere
-        """Put an object between the fingers, as for ``rtee run --object``."""
-        self._act("place", object, device)
-
-    def take_away(self, device: str | None = None) -> None:
-        """Pull the object out of the fingers."""
-        self._act("take_away", "", device)
-
-    def fault(self, name: str, device: str | None = None) -> None:
-        """Break a device, as ``rtee emulate --fault``."""
-        self._act("fault", name, device)
-
-    def clear(self, device: str | None = None) -> None:
-        """Mend all faults of a device."""
-        self._act("clear", "", device)
 
     def _act(self, what: str, detail: str, device: str | None) -> None:
         async def done() -> None:
