@@ -4,8 +4,9 @@
 
 Each pinch is executed at full intensity, and its force is measured at the end as the mean over a
 quarter of a second. *On each other*: with nothing between the fingertips, the sum over all pairs of
-the force with which the tips of one finger press on those of another. *On a plate*, for pinches of
-two fingers: the force with which each side presses on a plate of 5 mm, which begins where the tips
+the force with which the tips of one finger press on those of another; *half as far* is the same at
+the intensity that goes half as far beyond the first contact. *On a plate*, for pinches of two
+fingers: the force with which each side presses on a plate of 5 mm, which begins where the tips
 first meet on the way, across the contact normal there. Nothing but a drag holds it, as if a
 yielding hand presented it, so that what slips out shows no force. Whether it does may depend on a
 millimetre; the force is the median of three, with the plate moved by 2 mm to either side, too.
@@ -38,7 +39,7 @@ from rtee.hand.model import Hand
 from rtee.loop.settings import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal, Named, from_rest
+from rtee.types import Goal, Intensity, Named, from_rest
 
 HANDS = ("robotiq_2f_85", "heri_ii", "schunk_svh", "ability_hand", "leap_hand", "allegro")
 PLATE = "box:0.005x0.02x0.02"
@@ -97,7 +98,9 @@ def meeting(hand: Hand, pinch: Primitive) -> FloatArray:
     return pose
 
 
-def force(name: str, config: Path, pinch: Primitive, plate: float | None = None) -> float:
+def force(
+    name: str, config: Path, pinch: Primitive, plate: float | None = None, intensity: float = 1.0
+) -> float:
     """Return the force that a pinch gives [N]: on each other, or on a plate that is moved [m]."""
     hand, settings = load_configured(CONFIG / name)
     library = ActionLibrary.load(hand, config / name / "actions")
@@ -115,7 +118,8 @@ def force(name: str, config: Path, pinch: Primitive, plate: float | None = None)
         pose[:3, 3] += plate * pose[:3, 1]
         simulation.surroundings.place(simulation.surroundings.base_pose @ pose)
     headless = HeadlessHand[Simulation](hand, library, loop, simulation)
-    headless.do(Goal(Named(pinch.name, pinch.elements), timeout=10.0))
+    goal = Goal(Named(pinch.name, pinch.elements), to=Intensity(intensity), timeout=10.0)
+    headless.do(goal)
     headless.wait(SETTLE)
     found: list[float] = []
     headless.before_tick(
@@ -132,15 +136,18 @@ def force(name: str, config: Path, pinch: Primitive, plate: float | None = None)
 def cells(name: str, config: Path, pinch: Primitive | None) -> list[str]:
     """Return the depth, the angle and the forces of a pinch."""
     if pinch is None:
-        return [""] * 4
+        return [""] * 5
     evidence = pinch.evidence[0]
     opposed = evidence.opposition
+    contact = evidence.contact_at
+    half = 1.0 if contact is None else (contact + 1.0) / 2.0
     places = ASIDE if len(pinch.elements) == 2 else ()
     pressed = [force(name, config, pinch, aside) for aside in places]
     return [
         f"{1e3 * evidence.depth:.2f}",
         "" if opposed is None else f"{np.degrees(max(opposed.angles)):.0f}",
         f"{force(name, config, pinch):.2f}",
+        f"{force(name, config, pinch, intensity=half):.2f}",
         f"{np.median(pressed):.2f}" if pressed else "",
     ]
 
@@ -149,7 +156,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = command_line(__doc__, before=Path)
     parser.add_argument("--hands", nargs="+", default=list(HANDS), help=HELP["hands"])
     given = parser.parse_args(arguments)
-    head = ["depth [mm]", "angle [°]", "on each other [N]", "on a plate [N]"]
+    head = ["depth [mm]", "angle [°]", "on each other [N]", "half as far [N]", "on a plate [N]"]
     configs = [*([given.before] if given.before else []), CONFIG]
     before = [f"before: {title}" for title in head] if given.before else []
     table = Table("hand", "pinch", *before, *head)

@@ -162,25 +162,29 @@ class Searches:
 def compare(table: Table, name: str, jobs: int, generations: int, sample: int) -> None:
     found = [p for p in extract(loaded(name), jobs=jobs).primitives if p.evidence]
     searches = Searches(name, found, generations)
-    tasks = [
-        Task(frozenset(p.elements), clear, p.kind is PrimitiveKind.PINCH_LOOSE)
-        for p in found[::sample]
-        for clear in ((False,) if p.kind is PrimitiveKind.PINCH_LOOSE else (False, True))
-    ]
-    results = parallel_map(searches.run, tasks, jobs, lambda done, total: None)
-    for task, known in zip(tasks, results, strict=True):
-        pinch = next(p for p in found if frozenset(p.elements) == task.fingers)
-        evidence = [e for e in pinch.evidence if not task.clear or (e.clear and e.path_clear)]
-        what, wanted = ("deepest clear", 0.98) if task.clear else ("deepest", 0.99)
-        if task.loose:
-            ours, what = min(e.distance for e in evidence), "least distance"
-            share = known / ours if ours > NOTHING else 1.0
-        else:
-            ours = max((e.depth for e in evidence), default=0.0)
-            share = ours / known if known > NOTHING else 1.0
-        told = f"{share:.1%}" if share >= wanted else f"**{share:.1%}**"
-        fingers = ", ".join(pinch.elements)
-        table.row(name, fingers, what, f"{1e3 * ours:.3f}", f"{1e3 * known:.3f}", told)
+    for pinch in found[::sample]:
+        loose = pinch.kind is PrimitiveKind.PINCH_LOOSE
+        fingers = frozenset(pinch.elements)
+        tasks = [Task(fingers, clear, loose) for clear in ((False,) if loose else (False, True))]
+        # Per pinch, so that rows are printed as they come.
+        results = parallel_map(searches.run, tasks, jobs, lambda done, total: None)
+        for task, known in zip(tasks, results, strict=True):
+            report(table, name, pinch, task, known)
+
+
+def report(table: Table, name: str, pinch: Primitive, task: Task, known: float) -> None:
+    """Print what the extraction and the other search found."""
+    evidence = [e for e in pinch.evidence if not task.clear or (e.clear and e.path_clear)]
+    what, wanted = ("deepest clear", 0.98) if task.clear else ("deepest", 0.99)
+    if task.loose:
+        ours, what = min(e.distance for e in evidence), "least distance"
+        share = known / ours if ours > NOTHING else 1.0
+    else:
+        ours = max((e.depth for e in evidence), default=0.0)
+        share = ours / known if known > NOTHING else 1.0
+    told = f"{share:.1%}" if share >= wanted else f"**{share:.1%}**"
+    fingers = ", ".join(pinch.elements)
+    table.row(name, fingers, what, f"{1e3 * ours:.3f}", f"{1e3 * known:.3f}", told)
 
 
 def main(arguments: Sequence[str]) -> None:
