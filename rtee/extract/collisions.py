@@ -447,16 +447,13 @@ class CollisionChecker:
         first, carried = self.first_on(path, self.pairs), self._carried
         if carried is None:
             return first
-        contacts: list[tuple[tuple[int, int], float | None]] | None = None
+        contacts, tips = self._contacts(path, carried), len(carried.closing.bodies)
         for ends, pairs in carried.groups.items():
-            early = self.first_on(path, pairs)
-            if early is None or (first is not None and first.at <= early.at):
-                continue
-            # Measured only if some links come near each other at all.
-            contacts = self._contacts(path, carried) if contacts is None else contacts
-            at = linked_at(len(carried.closing.bodies), contacts, ends)
+            at = linked_at(tips, contacts, ends)
             closed = 1.0 if at is None else at
-            if early.at < closed:
+            until = closed if first is None else min(first.at, closed)
+            early = self.first_on(path, pairs, until)
+            if early is not None and early.at < until:
                 first = Blocked(early.pair, early.at, closed)
         return first
 
@@ -470,25 +467,33 @@ class CollisionChecker:
             for e in carried.closing.edges
         ]
 
-    def first_on(self, path: StraightPath, pairs: Sequence[LinkPair]) -> Blocked | None:
-        """Return the first collision of these links on a path, or ``None``."""
+    def first_on(
+        self, path: StraightPath, pairs: Sequence[LinkPair], until: float = np.inf
+    ) -> Blocked | None:
+        """Return the first collision of these links on a path, or ``None``.
+
+        Of collisions from the intensity ``until`` on, not all are found.
+        """
         first: Blocked | None = None
         # In the order of their beginnings, so that runs behind the first collision need no exact
         # checks.
-        for pair, ends in sorted(self._near_runs(path, pairs), key=lambda run: run[1][0]):
+        for pair, ends in sorted(self._near_runs(path, pairs, until), key=lambda run: run[1][0]):
             if first is not None:
                 if ends[0] >= first.at:
                     break
                 ends = [*(t for t in ends if t < first.at), first.at]
-            at = self._first_in(pair, path, ends)
+            at = self._first_in(pair, path, ends, until)
             if at is not None and (first is None or at < first.at):
                 first = Blocked(pair, at)
         return first
 
     def _near_runs(
-        self, path: StraightPath, pairs: Sequence[LinkPair]
+        self, path: StraightPath, pairs: Sequence[LinkPair], until: float
     ) -> list[tuple[LinkPair, list[float]]]:
-        """Return the runs of the path on which a pair may touch, by the ends of their parts."""
+        """Return the runs of the path on which a pair may touch, by the ends of their parts.
+
+        Those that begin at the intensity ``until`` or later are left out.
+        """
         columns_of = [self._column[pair.number] for pair in pairs]
         speeds, margins = self._speeds(path)[columns_of].tolist(), self._every[columns_of].tolist()
         apart = self._bounds(path)[:: (len(_PLACES) - 1) // _PARTS, columns_of]
@@ -533,13 +538,18 @@ class CollisionChecker:
                     else:
                         halved.append(c)
                 for half in ((start, middle), (middle, end)) if halved else ():
-                    if near := live(half, halved):
+                    if half[0] < until and (near := live(half, halved)):
                         halves[half] = near
             parts = halves
         return [(pair, run) for pair, ends in zip(pairs, left, strict=True) for run in _runs(ends)]
 
-    def _first_in(self, pair: LinkPair, path: StraightPath, ends: Sequence[float]) -> float | None:
-        """Return the intensity of a pair's first contact on a run of the path, or ``None``."""
+    def _first_in(
+        self, pair: LinkPair, path: StraightPath, ends: Sequence[float], until: float
+    ) -> float | None:
+        """Return the intensity of a pair's first contact on a run of the path, or ``None``.
+
+        Looks no farther than to the first place at the intensity ``until`` or later.
+        """
         travelled = self._motion.travelled(pair, path, ends)
         # Equal steps of motion instead of intensity: links move unevenly along the path.
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
@@ -549,7 +559,7 @@ class CollisionChecker:
             # On a lattice, which is independent of a processor's last digits.
             places.append(min(ends[-1], round(t / _PLACE) * _PLACE))
         number = 1
-        while number <= steps:
+        while number <= steps and places[number - 1] < until:
             t = places[number]
             self._scene.place(path.at(t))
             if self._scene.nearer(pair, margin):
