@@ -43,6 +43,16 @@ class Attached:
         self._left = set(found)
         self._first.clear()
 
+    def all_left(self, reference: Reference, measured: FloatArray) -> bool:
+        """Return whether all actuators are to be left alone; else all follow from now on.
+
+        For devices that take the set-points of all actuators at once. Arguments as for `left`.
+        """
+        if self._left and len(self.left(reference, measured)) == len(self._spans):
+            return True
+        self._left.clear()
+        return False
+
     def left(self, reference: Reference, measured: FloatArray) -> Collection[int]:
         """Return the indices of the actuators to leave alone; the others follow from now on.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, field, fields
-from functools import cache
+from enum import EnumType
+from functools import cache, lru_cache
 from operator import attrgetter, itemgetter
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -42,6 +43,8 @@ class PackedPart(NamedTuple):
         kind, per, many = self.kind, self.per, self.many
         if per is not None:
             kind = lambda number: number / per  # noqa: E731
+        if isinstance(kind, EnumType):
+            kind = lru_cache(maxsize=256)(kind)  # flags are slow to make
         cut = itemgetter(slice(at, at + many) if many else at)
         if kind is None:
             return cut

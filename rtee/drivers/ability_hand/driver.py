@@ -316,11 +316,9 @@ class AbilityHandDriver(Driver):
     async def move(self, reference: Reference) -> None:
         """Send the set-points of all motors and keep the reply for `sense`."""
         await self._check()
-        if self._attached:
-            # One command sets all motors, and their present set-points cannot be read.
-            if len(self._attached.left(reference, self._here)) == len(self._motors):
-                return
-            self._attached.begin()
+        # One command sets all motors, and their present set-points cannot be read.
+        if self._attached.all_left(reference, self._here):
+            return
         mask = reference.mask.tolist()
         for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):
             if mask[i]:

@@ -298,11 +298,9 @@ class LinkerHandDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Write the set-points, and the limits if they have changed."""
-        left = self._attached.left(reference, self._here) if self._attached else ()
-        if len(left) == len(self._motors):
-            return
         # One frame sets all motors, and the present set-points of the others cannot be read.
-        self._attached.begin()
+        if self._attached.all_left(reference, self._here):
+            return
         full = [codec.MOST] * self._model.count
         targets = list(self._sent.get(Table.POSITION, self._counts))
         torques = list(self._sent.get(Table.TORQUE, full))

@@ -321,11 +321,9 @@ class QbSoftHandDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send the references of the motors; the hand does not answer."""
-        if self._attached:
-            # One frame commands both motors.
-            if len(self._attached.left(reference, self._here)) == self.options.motors:
-                return
-            self._attached.begin()
+        # One frame commands both motors.
+        if self._attached.all_left(reference, self._here):
+            return
         wanted, mask = reference.position.tolist(), reference.mask.tolist()
         if not all(mask):
             # A frame always has the references of both motors, so the others keep their last one.

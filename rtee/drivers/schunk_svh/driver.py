@@ -315,12 +315,10 @@ class SchunkSvhDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send changed limits, then the targets of all channels; keep the reply for `sense`."""
-        if self._attached:
-            # One packet sets the targets of all channels, and the present ones cannot be read.
-            # The limits are not changed either: a smaller current would loosen the grip.
-            if len(self._attached.left(reference, self._here)) == len(self._index):
-                return
-            self._attached.begin()
+        # One packet sets the targets of all channels, and the present ones cannot be read. The
+        # limits are not changed either: a smaller current would loosen the grip.
+        if self._attached.all_left(reference, self._here):
+            return
         waiting: Collection[int] = ()
         if not self._limits.settled(reference):
             waiting = await self._limits.update(self.connection.link, self._used(), reference)
