@@ -46,8 +46,19 @@ _YIELDING: Final = 6.0
 at this multiple of the speed at which they meet it: with less, light things fall before a SoftHand
 presses; with more, a 3-Finger strikes harder with its middles."""
 
+_CHATTERING: Final = 2.0
+"""They close at this multiple once most of the force is there: on what slides between them, they
+chatter the harder the faster they are; with less, light things slide out of a SoftHand."""
+
+_DEPTH: Final = 1e-3
+"""Fingers of several actuators press with about the force when their references lead so far into an
+object [m]: they and their servos yield by that, or more."""
+
+_NOTICED: Final = 0.9
+"""A speed below this share of the one that was asked for is told: people see no less."""
+
 _SLOWEST: Final = 0.002
-"""Least closing speed by the moving mass [m/s]: the margin around an object takes five seconds."""
+"""Least closing speed by mass and lag [m/s]: the margin around an object takes five seconds."""
 
 
 def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float) -> float:
@@ -90,22 +101,35 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
         return plan.speed
     if leg + 1 == len(plan.legs):
         at = grip.intensity_at(plan.to.width)
-        speed = meeting_speed(force.value, grip, at)
+        speed = meeting_speed(force.value, grip, at, plan.lag)
     else:
         at = grip.intensity_at(plan.to.width + MARGIN)
         speed = around_speed(force.value, grip, at)
     return min(plan.speed, tip_speed_share(speed, hand, grip, at))
 
 
+def squeezing_speed(plan: Plan, hand: Hand) -> float:
+    """Return the share of the velocity limits once most of the force is there; 1: as before."""
+    if plan.grip is None or not plan.grip.bends:
+        return 1.0
+    return min(_CHATTERING * leg_speed(plan, len(plan.legs) - 1, hand), 1.0)
+
+
 def slowed(plan: Plan, hand: Hand) -> str:
     """Return the speed at which the fingers meet the object, in words; empty: as asked for."""
-    share, grip = leg_speed(plan, len(plan.legs) - 1, hand), plan.grip
-    if grip is None or plan.width is None or not share < plan.speed:
+    share, grip, force = leg_speed(plan, len(plan.legs) - 1, hand), plan.grip, plan.force
+    if grip is None or plan.width is None or force is None:
         return ""
-    full = 1e3 / tip_speed_share(1.0, hand, grip, grip.intensity_at(plan.width))
+    full = 1.0 / tip_speed_share(1.0, hand, grip, grip.intensity_at(plan.width))
+    asked = full * plan.speed
+    if plan.speed == 1.0:  # no speed was asked for, and such a force is met with this one
+        asked = min(asked, _usual(force.value))
+    if not share * full < _NOTICED * asked:
+        return ""
+    late = f" of fingers that lag {plan.lag:.2g} s behind" if plan.lag else ""
     return (
-        f"the fingers meet the object at {share * full:.3g} mm/s instead of "
-        f"{plan.speed * full:.3g} mm/s: faster, their blow may exceed the force"
+        f"the fingers meet the object at {1e3 * share * full:.3g} mm/s instead of "
+        f"{1e3 * asked:.3g} mm/s: faster, the blow{late} may exceed the force"
     )
 
 
@@ -134,19 +158,27 @@ def _struck(blow: float, grip: Grip, at: float) -> float:
     return math.inf if mass != mass else blow * _STOPPING / mass
 
 
-def meeting_speed(force: float, grip: Grip, at: float) -> float:
+def _usual(force: float) -> float:
+    """Return the closing speed at which a force is met, unless mass or lag demand less [m/s]."""
+    return max(_CONTACT_SPEED, _SPEED_PER_FORCE * force)
+
+
+def meeting_speed(force: float, grip: Grip, at: float, lag: float = 0.0) -> float:
     """Return the closing speed of the opening at which the blow is not above a force [m/s].
 
     It is in proportion to the force, and less where the mass that moves with the fingers is known
-    and would strike with more than `_BLOW` of it.
+    and would strike with more than `_BLOW` of it, or where the references lead too deep into the
+    object before the fingers react.
 
     Args:
         force: The requested force [N].
         grip: The grip.
         at: Intensity at which the fingers meet the object.
+        lag: Time by which fingers that keep their posture follow their references [s]; 0: unknown.
     """
     by_mass = _struck(max(_BLOW * force, _LEAST_BLOW), grip, at)
-    return max(_SLOWEST, min(by_mass, max(_CONTACT_SPEED, _SPEED_PER_FORCE * force)))
+    by_lag = _DEPTH * max(_MOST_BLOW, 1.0 + _LEAST_BLOW / force) / lag if lag else math.inf
+    return max(_SLOWEST, min(by_mass, by_lag, _usual(force)))
 
 
 def closing_time(to: Around, force: float, grip: Grip) -> float:

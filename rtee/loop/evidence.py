@@ -75,7 +75,10 @@ _ALL = 0.9
 
 _USUAL_SHARE = 0.125
 """Weight of the newest interval in the usual one, which follows a change of rate within 8
-intervals."""
+intervals; of the newest lag likewise."""
+
+_MOVES = 0.1
+"""The lag is measured from this share of the velocity limit on: below, friction decides."""
 
 
 @dataclass(slots=True)
@@ -188,6 +191,7 @@ class ContactMonitor:
         self._watched: dict[int, _WatchedActuator] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
+        self._lag = [0.0] * len(actuators)
         # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
         self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
 
@@ -719,6 +723,21 @@ class ContactMonitor:
         if signal == signal:
             sample = signal, velocity, (velocity - speed) / passed
             self._stretches[i].take(self._free[i], here, reference, sample)
+
+    def follows(self, i: int, lead: float, velocity: float) -> None:
+        """Learn by how much time an actuator follows its reference, from a free motion.
+
+        Args:
+            i: The actuator.
+            lead: By how far its reference leads [rad | m].
+            velocity: Velocity of the reference [rad/s | m/s].
+        """
+        if abs(velocity) >= _MOVES * self._actuators[i].velocity:
+            self._lag[i] += _USUAL_SHARE * (max(lead / velocity, 0.0) - self._lag[i])
+
+    def lag(self, indices: Iterable[int]) -> float:
+        """Return the longest time by which some actuators follow [s]; 0: none has moved yet."""
+        return max((self._lag[i] for i in indices), default=0.0)
 
     @property
     def learned_motion(self) -> dict[str, LearnedMotion]:

@@ -174,8 +174,8 @@ class Executor:
             # Actuators that a reflex has stopped would look stalled.
             free = [i for i in targets if i not in reflexes.busy] if reflexes.active else targets
             self._contact.update(stamp, measured, reference, limits, free)
-            if not reflexes.step(stamp, measured):
-                self._learn(targets, stamp, measured, reference)
+            felt = reflexes.step(stamp, measured)
+            self._learn(targets, stamp, measured, reference, felt=felt)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
             # A goal must neither succeed nor stall by a position that cannot be right. A single
@@ -195,15 +195,27 @@ class Executor:
             self._report(run, stamp)
 
     def _learn(
-        self, targets: Iterable[int], stamp: float, measured: Measured, reference: Sequence[float]
+        self,
+        targets: Iterable[int],
+        stamp: float,
+        measured: Measured,
+        reference: Sequence[float],
+        *,
+        felt: bool,
     ) -> None:
-        """Learn from the motion, of one actuator in a tick for the sake of the tick's time."""
+        """Learn from the motion, of one actuator in a tick for the sake of the tick's time.
+
+        Reflexes learn from efforts themselves where these are ``felt``.
+        """
         velocity = self._profile.velocity
         moving = [i for i in targets if velocity[i] != 0.0 and measured.fresh[i]]
         if moving:
             self._turn = (self._turn + 1) % len(moving)
             i = moving[self._turn]
-            self._contact.learn(i, stamp, measured, reference[i], velocity[i])
+            if not self._reflexes.touched:
+                self._contact.follows(i, reference[i] - measured.position[i], velocity[i])
+            if not felt:
+                self._contact.learn(i, stamp, measured, reference[i], velocity[i])
 
     def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
         """Restart the leg after the references of some of its actuators were reset."""

@@ -47,6 +47,10 @@ fingers touch elsewhere than at their tips: where exactly decides how much of an
 bears, and which part its friction takes. In simulation, HERI II, Allegro and the SoftHand are off
 by 0.53 to 0.58; a claw presses with a third more at its heel, and a fifth less askew."""
 
+ONE_SIDE: Final = 1.3
+"""One side presses no further above this multiple of the force: a palm, or another finger, holds
+against it, and the other side may never come."""
+
 _LIMIT_SHARE: Final = 0.25
 """Error of an estimate from effort limits, likewise: motors do not keep them more exactly."""
 
@@ -276,13 +280,18 @@ class Grip:
         k, share = self._cell(intensity)
         return [a + share * (b - a) for a, b in zip(self.lever[k], self.lever[k + 1], strict=True)]
 
+    @property
+    def bends(self) -> bool:
+        """Whether the fingers bend: what moves with them is not known then."""
+        return not all(self.inertia)
+
     def moving_mass(self, intensity: float) -> float:
         """Return the mass that moves with the fingers, referred to the opening [kg], or ``NaN``.
 
         A force on the tips accelerates each actuator by its lever and inertia.
         """
         levers = self._levers(intensity)
-        if not all(self.inertia):
+        if self.bends:
             return math.nan
         gives = sum([lever * lever / i for lever, i in zip(levers, self.inertia, strict=True)])
         return 1.0 / gives if gives > 0.0 else math.nan

@@ -15,7 +15,7 @@ from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import ContactMonitor
-from rtee.loop.grip import ELSEWHERE, Grip
+from rtee.loop.grip import ELSEWHERE, ONE_SIDE, Grip
 from rtee.loop.measured import Measured
 from rtee.loop.motion import Limiter
 from rtee.loop.profiles import Profile
@@ -62,10 +62,6 @@ the pull of the load, which must not loosen the grasp."""
 _UNEVEN = 0.15
 """Sides may differ by twice this share by the weight between them; then their mean is the force.
 What is more comes from fingers that press on one another."""
-
-_ONE_SIDE = 1.3
-"""One side presses no further above this multiple of the force: a palm, or another finger, holds
-against it, and the other side may never come."""
 
 _SENSED = 0.05
 """Error of sensors at the fingertips, as a share of the force."""
@@ -440,7 +436,7 @@ class Pressing:
         """Return whether one side presses with more than the force, on what others hold against."""
         touch = measured.touch
         sides = (self._grip.fingers, self._grip.others) if touch and not self._grip.around else ()
-        return any(sum(touch[f] for f in side) > _ONE_SIDE * wanted for side in sides)
+        return any(sum(touch[f] for f in side) > ONE_SIDE * wanted for side in sides)
 
     def _exhausted(self, measured: Measured) -> bool:
         """Return whether all actuators that press do so with all that they may."""

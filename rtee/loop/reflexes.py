@@ -13,7 +13,7 @@ from rtee.actions.openings import MARGIN
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.closing import leg_speed, meeting_speed
+from rtee.loop.closing import leg_speed, meeting_speed, squeezing_speed
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.grip import ELSEWHERE, Grip
 from rtee.loop.measured import Measured
@@ -80,6 +80,7 @@ class _LegReactions:
         pressing: Actuators whose effort makes the force.
         slips: Whether slips are answered and reported.
         speed: Share of the velocity limits at which the actuators squeeze.
+        slowly: The same once the force is nearly there.
         together: The force between the tips, where the fingers keep their posture as they squeeze;
             ``None``: each actuator presses with an effort of its own.
         predicted: Efforts for the force, by the levers [N·m | N].
@@ -97,6 +98,7 @@ class _LegReactions:
     pressing: frozenset[int] = frozenset()
     slips: bool = True
     speed: float = 1.0
+    slowly: float = 1.0
     together: ForceEstimate | None = None
     predicted: Mapping[int, float] = field(default_factory=dict)
     meeting: float = math.inf
@@ -301,15 +303,16 @@ class Reflexes:
         pressing = frozenset(plan.effort)
         wanted = None if force is None else force.value
         speed = leg_speed(plan, 0, self._hand)
+        slowly = min(speed, squeezing_speed(plan, self._hand))
         self._approach = approach = _LegReactions(
-            watched, sides, most, touch, wanted, plan.grip, pressing, slips, speed
+            watched, sides, most, touch, wanted, plan.grip, pressing, slips, speed, slowly
         )
         if any(each.mode is not OnContact.SQUEEZE for each in watched.values()):
             together = None
         if together is not None and plan.grip is not None and wanted is not None:
             approach.together, approach.predicted = together, plan.effort
             at = plan.grip.intensity_at(plan.width or 0.0)
-            approach.meeting = meeting_speed(wanted, plan.grip, at)
+            approach.meeting = meeting_speed(wanted, plan.grip, at, plan.lag)
         if isinstance(plan.to, Around):
             approach.widest = plan.to.width + MARGIN
         self.active = True
@@ -666,6 +669,9 @@ class Reflexes:
         if approach.force is not None:
             squeeze.force, squeeze.grip = approach.force, approach.grip
             squeeze.pressing = approach.pressing.intersection(held)
+            if approach.slowly < approach.speed:
+                velocity = {i: self._hand.actuators[i].velocity for i in held}
+                squeeze.slowly = {i: approach.slowly * top for i, top in velocity.items()}
         self._squeeze = squeeze if held else None
         approach.watched = {
             i: each for i, each in approach.watched.items() if each.mode is not OnContact.SQUEEZE

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import ContactMonitor
-from rtee.loop.grip import Grip
+from rtee.loop.grip import ONE_SIDE, Grip
 from rtee.loop.measured import Measured
 from rtee.loop.profiles import Profile
 from rtee.types import Event
@@ -55,6 +55,9 @@ end visibly too early."""
 _CORRECTED = 3.0
 """Longest time for which the force is corrected after the fingers have come to rest [s]: thirty
 time constants."""
+
+_NEARLY = 0.5
+"""From this share of the force on, fingers that bend close more slowly."""
 
 _BELIEVED = 2.0
 """Largest factor by which a measured force changes the effort limits: sensors break, too."""
@@ -116,6 +119,7 @@ class Squeeze:
         force: The requested force [N]; ``NaN``: none.
         grip: Computes the force measured at the fingertips, for a requested force.
         pressing: The actuators whose effort makes the force.
+        slowly: Speeds with which they close once the force is nearly there [rad/s | m/s].
     """
 
     def __init__(
@@ -138,6 +142,7 @@ class Squeeze:
         self.force = math.nan
         self.grip: Grip | None = None
         self.pressing: frozenset[int] = frozenset()
+        self.slowly: Mapping[int, float] = {}
         self._factor, self._corrected = 1.0, math.nan
         self._correct_until, self._there = -math.inf, math.inf
         self._rising_until = -math.inf
@@ -164,6 +169,12 @@ class Squeeze:
 
     def step(self, stamp: float, measured: Measured) -> bool:
         """Run one tick; return whether ``effort`` has changed."""
+        if self.slowly and self._nearly(measured):
+            goes_on = {i: self._profile.target[i] for i in self.slowly if i in self.held}
+            self._profile.go(goes_on, velocity=self.slowly)
+            ways = (abs(t - self._profile.position[i]) / self.slowly[i] for i, t in goes_on.items())
+            self._rising_until = stamp + max(ways, default=0.0)
+            self.slowly = {}
         if not self.built:
             self._build(stamp, measured)
             return True
@@ -206,7 +217,7 @@ class Squeeze:
         fingertips of both sides, only the levers count. Once the force has arrived, it is no longer
         corrected: sensors also measure external forces, which must not loosen the grasp.
         """
-        felt = grip.tip_force(measured.touch)
+        felt = self._felt(measured)
         time, self._corrected = stamp - self._corrected, stamp
         wanted = self.force
         # Of several joints, the one that bears most shows what the limits give; others may be
@@ -234,6 +245,22 @@ class Squeeze:
         self._apply()
         return True
 
+    def _felt(self, measured: Measured) -> float:
+        """Return the force by sensors at the fingertips [N]; ``NaN``: it is not measured."""
+        grip, touch = self.grip, measured.touch
+        least = math.nan if grip is None else grip.tip_force(touch)
+        if grip is None or grip.around or least != least:
+            return least
+        most = max(sum(touch[f] for f in side) for side in (grip.fingers, grip.others))
+        return max(least, most / ONE_SIDE)
+
+    def _nearly(self, measured: Measured) -> bool:
+        """Return whether most of the force is there: as it is felt, else by efforts."""
+        felt = self._felt(measured)
+        if felt == felt:
+            return felt >= _NEARLY * self.force
+        return any(self._exerted(i, measured) >= _NEARLY for i in self.pressing)
+
     def _exerted(self, i: int, measured: Measured) -> float:
         """Return an actuator's effort as a share of its effort limit without correction."""
         share = abs(measured.effort[i]) / (self._level * self.held[i].full)
@@ -241,7 +268,7 @@ class Squeeze:
 
     def _build(self, stamp: float, measured: Measured) -> None:
         time = self._grasp.squeeze_time
-        enough = self.grip is not None and self.grip.tip_force(measured.touch) >= self.force
+        enough = self._felt(measured) >= self.force
         # The impact of the fingers exceeds the force they press with: the build-up waits until the
         # impact has passed, and only a lasting force counts.
         if enough:
@@ -262,7 +289,7 @@ class Squeeze:
                 self._apply()
             self._ease = stamp + self._grasp.grip_after
             self._correct_until, self._there = math.inf, stamp
-            self._rising_until = stamp + _RISES
+            self._rising_until = max(self._rising_until, stamp) + _RISES
             for i in self.held:
                 self._contact.unpin(i, stamp)
 

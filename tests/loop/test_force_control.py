@@ -16,6 +16,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.commands import Abort, SetActive
 from rtee.hand.load import load_configured
 from rtee.log.dataclass_json import from_json, to_json
+from rtee.loop.closing import slowed
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip, grip_at
@@ -376,7 +377,9 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     # The way around has taught what free motion takes; only the speed is told, beforehand.
     [told] = [item for item in controller.outbox.items if isinstance(item, Event)]
     assert (told.kind, told.stamp) == ("slowed", time_began)
-    assert "meet the object at 7.79 mm/s instead of " in told.text
+    assert "meet the object at 7.79 mm/s instead of 10 mm/s" in told.text
+    text = slowed(replace(plan, lag=1.0), hand)
+    assert "at 3 mm/s instead of 10 mm/s: faster, the blow of fingers that lag 1 s" in text
 
 
 class Stepping(Gripper):
