@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import math
 import struct
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from rtee.buses.parser import CodecError
 
@@ -109,9 +108,11 @@ def unstuffed(run: bytes) -> bytes:
     return bytes(out)
 
 
-class _Parser(ABC, Generic[F]):
+class _Parser(Generic[F]):
     """Splits a stuffed stream at its flags; each flag ends a frame and begins the next."""
 
+    FRAME: ClassVar[Any]
+    """The frames, with the method ``from_frame``."""
     LIMIT = 2 * 72 + 2
     """Most bytes of a frame on the wire: the longest reply, all of it escaped."""
 
@@ -139,7 +140,7 @@ class _Parser(ABC, Generic[F]):
             if not run.strip(b"\0"):
                 continue
             try:
-                frames.append(self._decode(self._checked(run)))
+                frames.append(self.FRAME.from_frame(self._checked(run)))
             except CodecError:
                 self.errors += 1
         # One byte more than a frame can have is enough to know that this is none.
@@ -152,10 +153,6 @@ class _Parser(ABC, Generic[F]):
         if len(frame) <= _LEAST or sum(frame) & 0xFF:
             raise CodecError("wrong length or checksum")
         return frame[:-1]
-
-    @abstractmethod
-    def _decode(self, frame: bytes) -> F:
-        """Read a frame without its checksum; raises `CodecError`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +192,7 @@ class Command:
 class CommandParser(_Parser[Command]):
     """Finds commands in a stream, for a hand."""
 
-    def _decode(self, frame: bytes) -> Command:
-        return Command.from_frame(frame)
+    FRAME = Command
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +260,7 @@ class Reply:
 class ReplyParser(_Parser[Reply]):
     """Finds replies in a stream, for a host."""
 
-    def _decode(self, frame: bytes) -> Reply:
-        return Reply.from_frame(frame)
+    FRAME = Reply
 
 
 def _touch_words(data: bytes) -> tuple[int, ...]:

@@ -178,7 +178,7 @@ def softhand(devices: Sequence[int]) -> Probe:
         # First one request to all, since most lines have no SoftHand and each number takes time.
         if not await QbLink(bus, 0, 0.1, 1).hears_any():
             return []
-        there = [n for n in devices if await QbLink(bus, n, 0.03, 0).ping()]
+        there = [n for n in devices if await QbLink(bus, n, 0.1, 0).ping()]
         return [
             Found("qb_softhand", f"qb SoftHand, device {n}", {"port": address, "device": n})
             for n in there

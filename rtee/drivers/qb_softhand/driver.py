@@ -200,24 +200,11 @@ class QbSoftHandDriver(Driver):
             lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
             baudrate=options.baudrate,
         )
-        if not await link.ping():
-            # By broadcast, so that the message can name a hand with another number.
-            found = await link.anybody()
-            if found is not None:
-                raise self.stranger(
-                    f"hand number {options.device}",
-                    f"number {found}",
-                    hint=f"set 'device: {found}'",
-                )
-            raise NotConnected(
-                self.spec.name,
-                f"no SoftHand answers at {options.port}",
-                hint="is its supply on, and is it the right port and baud rate?",
-            )
-        parameters = await link.parameters()
-        self._adopt(limits(parameters))
+        with link.relaxed_deadline():
+            parameters = await self._identify(link)
+            self._adopt(limits(parameters))
+            self._active = await self._all_active()
         self._effort_per_ma = self._efforts(current_limit(parameters) or _CURRENT_LIMIT)
-        self._active = await self._all_active()
         self.refine(
             identity={
                 "model": "qb SoftHand" if options.motors == 1 else "qb SoftHand 2",
@@ -225,6 +212,24 @@ class QbSoftHandDriver(Driver):
                 "parameters": str(len(parameters)) if parameters else "unknown",
             },
         )
+
+    async def _identify(self, link: QbLink) -> dict[int, codec.Parameter]:
+        """Return the parameters of the hand, which must answer to its number."""
+        if not await link.ping():
+            # By broadcast, so that the message can name a hand with another number.
+            found = await link.anybody()
+            if found is not None:
+                raise self.stranger(
+                    f"hand number {self.options.device}",
+                    f"number {found}",
+                    hint=f"set 'device: {found}'",
+                )
+            raise NotConnected(
+                self.spec.name,
+                f"no SoftHand answers at {self.options.port}",
+                hint="is its supply on, and is it the right port and baud rate?",
+            )
+        return await link.parameters()
 
     def _adopt(self, reported: tuple[tuple[int, int], ...]) -> None:
         options = self.options
@@ -250,27 +255,27 @@ class QbSoftHandDriver(Driver):
 
     async def activate(self) -> None:
         """Activate the motors at their positions; an active hand is left as it is."""
-        self.connection.link.patient = True
-        if self.options.watchdog > 0.0:
-            byte = codec.watchdog_byte(self.options.watchdog)
-            # Before the motors, so that they are never active without a watchdog.
-            await self.connection.link.send(Command.SET_WATCHDOG, bytes([byte]))
-        held = await self._all_active()
-        if not held:
-            await self.connection.link.send(Command.ACTIVATE, _BOTH)
-            await self._confirm()
+        link = self.connection.link
+        with link.relaxed_deadline():
+            if self.options.watchdog > 0.0:
+                byte = codec.watchdog_byte(self.options.watchdog)
+                # Before the motors, so that they are never active without a watchdog.
+                await link.send(Command.SET_WATCHDOG, bytes([byte]))
+            held = await self._all_active()
+            if not held:
+                await self._switch_on()
+            # Actuators without a reference keep this one.
+            self._closure = await self._measured()
         self._attached.begin(range(self.options.motors) if held else ())
         self._active = True
-        # Actuators without a reference keep this one.
-        self._closure = await self._measured()
-        self.connection.link.patient = False
 
     async def _all_active(self) -> bool:
         every = (1 << self.options.motors) - 1
         # With one motor, some firmware reports both bits and some the true mask.
         return await self.connection.link.active() & every == every
 
-    async def _confirm(self) -> None:
+    async def _switch_on(self) -> None:
+        await self.connection.link.send(Command.ACTIVATE, _BOTH)
         end = monotonic.now() + _ACTIVATION
         while not await self._all_active():
             if monotonic.now() > end:
@@ -353,13 +358,12 @@ class QbSoftHandDriver(Driver):
 
     async def recover(self) -> None:
         """Activate the motors again at their positions."""
-        self.connection.link.patient = True
-        await self.connection.link.send(Command.ACTIVATE, _BOTH)
-        await self._confirm()
+        with self.connection.link.relaxed_deadline():
+            await self._switch_on()
+            self._closure = await self._measured()
         # After `ACTIVATE` the motors hold their positions, which need not be their references.
         self._attached.begin(range(self.options.motors))
         self._active = True
-        self._closure = await self._measured()
 
     async def deactivate(self) -> None:
         """Deactivate the motors."""

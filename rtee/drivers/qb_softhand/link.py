@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
+from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.qb_softhand import codec
 from rtee.errors import BusTimeout, FrameError
 
@@ -16,11 +17,8 @@ T = TypeVar("T")
 _LIST_DEADLINE = 0.4
 """Longest time for the list of parameters, a packet of 700 bytes or more [s]."""
 
-PATIENCE = 0.5
-"""Longest time for an exchange outside the cycle [s]."""
 
-
-class QbLink:
+class QbLink(RelaxedDeadline):
     """Talks to one hand; several may share the line.
 
     Attributes:
@@ -28,7 +26,6 @@ class QbLink:
         device: The hand's number on it.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        patient: Whether exchanges may take `PATIENCE`: during set-up there is no cycle to keep.
     """
 
     def __init__(self, bus: SerialBus, device: int, deadline: float, retries: int) -> None:
@@ -36,7 +33,6 @@ class QbLink:
         self.device = device
         self.deadline = deadline
         self.retries = retries
-        self.patient = True
         self._parser = codec.Parser()
 
     async def request(self, command: codec.Command, data: bytes = b"") -> bytes:
@@ -45,11 +41,10 @@ class QbLink:
         def answers(reply: codec.Frame) -> bool:
             return reply.device == self.device and reply.command == command
 
-        deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
         reply: codec.Frame = await self.bus.transact(
             _asking(self.device, command, data),
             self._parser,
-            deadline,
+            self.deadline,
             self.retries,
             accept=answers,
         )

@@ -58,7 +58,7 @@ def test_motors_are_found_by_their_names_or_as_told() -> None:
     other = replace(CASE, actuators=(actuator("a", 0.0, 1.0), actuator("b", 0.0, 1.0))).spec()
     told = InspireRh56Options(fingers={"a": "index", "b": "thumb_bend"})
     assert motors_of(other, told) == (3, 4)
-    with pytest.raises(ConfigError, match="a motor of its own; missing: a, b"):
+    with pytest.raises(ConfigError, match="its own motor; missing: a, b"):
         motors_of(other, InspireRh56Options())
     with pytest.raises(ConfigError, match="must name the device's actuators"):
         motors_of(other, InspireRh56Options(fingers={"a": "index"}))
@@ -323,7 +323,9 @@ async def test_a_hand_that_feels_something_when_idle_is_not_calibrated(tmp_path:
         session.wire.call(lambda: setattr(session.emulator.memory, "write", lambda *_: True))
         driver = session.driver
         assert isinstance(driver, InspireRh56Driver)
-        with pytest.raises(CalibrationError, match="index reads 150 g although the hand is idle"):
+        with pytest.raises(
+            CalibrationError, match="index measures 150 g although the hand is idle"
+        ):
             await driver.calibrate(path, Reference.at([0.0] * 6).position, ready)
     assert not path.exists()
 

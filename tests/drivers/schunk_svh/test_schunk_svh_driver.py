@@ -368,7 +368,7 @@ async def test_natural_replies_without_echoed_index_are_understood() -> None:
     [
         ({"prot": "/dev/x"}, "unknown option 'prot'"),
         ({"home": "always"}, "option 'home'"),
-        ({"channels": {"Wrist": {}}}, "there is no channel 'Wrist'"),
+        ({"channels": {"Wrist": {}}}, "unknown channel 'Wrist'"),
     ],
 )
 def test_mistakes_in_options_are_told(options: dict[str, Any], sentence: str) -> None:
