@@ -155,7 +155,7 @@ def plot(
     """Plot positions, references and efforts with the spans of the actions.
 
     Arguments and options:
-        output (--out; PATH): Path without its ending; FILE's own unless given.
+        output (--out; PATH): Path of the files .html and .png; that of FILE unless given.
         by: A row per 'actuator' or per 'finger'.
         actuator: Only this actuator; may be given again.
         start (--from): Begin here [s].
@@ -178,7 +178,9 @@ def plot(
         end=end,
         fingers=fingers(recording),
     )
-    base = output or recording.paths[0].with_suffix("")
+    base = output or recording.paths[0]
+    if base.suffix in (".html", ".png", ".mcap"):
+        base = base.with_suffix("")
     if html:
         from rtee.log.plots import write_html
 

@@ -20,7 +20,17 @@ from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
-from rtee.types import Aim, Around, Feedback, FirstContact, Intensity, JointKind, OnContact, Result
+from rtee.types import (
+    Aim,
+    Around,
+    Feedback,
+    FirstContact,
+    Intensity,
+    JointKind,
+    OnContact,
+    Opening,
+    Result,
+)
 
 _RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
@@ -460,15 +470,15 @@ class Executor:
         At rest, the play and the friction of many actuators add up to more than their tolerance.
         """
         to, actuators = run.plan.to, self._hand.actuators
-        near = (
-            isinstance(to, Intensity | FirstContact)
-            and not (self._profile.moving or self._reflexes.touched)
-            and all(
-                abs(target - measured.position[i])
-                <= to.tolerance * (actuators[i].upper - actuators[i].lower)
-                < math.inf
-                for i, target in run.present.targets.items()
-            )
+        # An opening is asked for with a tolerance of its own.
+        share = to.tolerance if isinstance(to, Intensity | FirstContact) else Intensity().tolerance
+        near = not (
+            isinstance(to, Opening) or self._profile.moving or self._reflexes.touched
+        ) and all(
+            abs(target - measured.position[i])
+            <= share * (actuators[i].upper - actuators[i].lower)
+            < math.inf
+            for i, target in run.present.targets.items()
         )
         if not near:
             run.near = math.nan

@@ -676,7 +676,12 @@ class Supervisor:
                 return await self._ask(name, action, first=True) is not False
         except Exception as error:
             self._runner.interrupt()
-            log.warning("device '%s' did not confirm '%s': %r", self.name, name, error)
+            why = (
+                f"no answer within {within:g} s"
+                if isinstance(error, TimeoutError)
+                else _words(error)
+            )
+            log.warning("device '%s' did not confirm '%s': %s", self.name, name, why)
             return False
 
     async def _ask(

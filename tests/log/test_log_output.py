@@ -409,7 +409,7 @@ def test_json_of_a_recording_has_no_number_that_json_does_not_know(
 
 
 def test_log_plot_and_export(story: Path, tmp_path: Path) -> None:
-    _, out = run("plot", story, "--out", tmp_path / "p", "--no-png", "--by", "actuator")
+    _, out = run("plot", story, "--out", tmp_path / "p.html", "--no-png", "--by", "actuator")
     assert out.split() == [str(tmp_path / "p.html")]
     _, out = run("plot", story, "--out", tmp_path / "p.1", "--no-html", "--from", 0.5)
     assert out.split() == [str(tmp_path / "p.1.png")]

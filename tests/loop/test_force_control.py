@@ -274,6 +274,7 @@ def test_fingertips_that_meet_one_another_are_no_object(reads: float) -> None:
     assert result.grasped_fingers == result.touched == ()
     strict = Goal(Named("Grasp"), Intensity(tolerance=1e-9))
     assert Gripper(0.0003, reads=reads).do(strict).outcome == "closed"
+    assert Gripper(0.0007, reads=0.0).do(grasp(0.004, 20.0)).outcome == "empty"
     assert Gripper(0.01, reads=0.0).do(strict).outcome == "stalled"
 
 
