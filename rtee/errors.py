@@ -515,5 +515,5 @@ class GoalRejected(ActionError, RequestRejected):
 class TooManyRequests(RequestRejected):
     """The hand refused a request because this client sends too many of its kind."""
 
-    # Unlike the other requests that are refused, it is right, and may be sent again later.
+    # Unlike other refused requests, this one is valid and may be sent again later.
     exit_status: ClassVar[int] = 1

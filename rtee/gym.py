@@ -71,7 +71,7 @@ _FARTHEST: Final = 10.0
 
 
 class Task(StrEnum):
-    """What to do with the object."""
+    """Task with the object."""
 
     HOLD = "hold"
     LIFT = "lift"

@@ -532,7 +532,7 @@ class Feedback(Value):
 class Result(Value):
     """The result of a goal: one word, `outcome`, and flags that are independent of one another.
 
-    It has no truth value: ``if hand.do(...)`` would not tell which of them is meant.
+    It has no truth value: ``if hand.do(...)`` would not say which of them is meant.
 
     Attributes:
         goal_id: The goal.
@@ -590,7 +590,7 @@ class Result(Value):
 
     @property
     def outcome(self) -> Outcome:
-        """How the goal ended: what ended it early comes before what it has found till then."""
+        """How the goal ended; the reason for an early end takes precedence over its findings."""
         for early in (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT):
             if getattr(self, early):
                 return early

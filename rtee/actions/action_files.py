@@ -252,7 +252,7 @@ class ActionFiles:
         self._remember(normalise(action.name) for action in actions)
 
     def _remember(self, stored: Iterable[str] = ()) -> None:
-        """Note the present times of the files as those of this library's last write."""
+        """Record the present times of the files as those of this library's last write."""
         self._stored.update(stored)
         self._seen = stamps(self.folder)
 

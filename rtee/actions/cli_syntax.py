@@ -81,7 +81,7 @@ def read_efforts(words: Sequence[str]) -> Efforts:
     """Read ``PERCENT%``, ``ACTUATOR=PERCENT%`` and ``ACTUATOR=VALUE`` words [N·m | N].
 
     Raises:
-        ActionError: if a word is not like that, or an actuator, or all of them, are given twice.
+        ActionError: if a word has another form, or an actuator (or all of them) is given twice.
     """
     share: float | None = None
     shares: dict[str, float] = {}

@@ -58,7 +58,7 @@ _WEAKEST: Final = 1e-3
 
 _CROWDED: Final = 0.005
 """Depth from which on two fingers of one side meet before the object is between the sides [m]: more
-than what they touch by where they only lie side by side."""
+than the overlap of fingers that only lie side by side."""
 
 _TAKES_PART: Final = 0.1
 """Share of the largest lever below which an actuator does not press."""
@@ -202,7 +202,7 @@ def doubtful(action: Action) -> bool:
 def crowded(action: Action, opening: Opening) -> bool:
     """Return whether fingers of one side press on one another where the action leads.
 
-    Then they meet before they reach an object, and sensors feel them as one.
+    If they do, they meet each other before an object, and sensors feel them as one.
     """
     if not (isinstance(action, Primitive) and action.evidence):
         return False

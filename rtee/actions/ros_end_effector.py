@@ -262,7 +262,7 @@ class _ActionReader:
 
     def _fingers(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return the fingers with these names, or with tip links of these names."""
-        # A finger that is named itself is not also meant by its tip's link.
+        # A finger that has its own entry is not also matched by the link of its tip.
         by_tip = {tip: name for tip, name in self.hand.tip_links.items() if name not in names}
         return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 

@@ -113,13 +113,13 @@ class Opposition(Value):
 
 
 DEEPEST: Final = "deepest"
-"""What follows the name of a primitive, after an ``@``, to ask for its deepest posture."""
+"""Suffix of a primitive's name, after an ``@``, that asks for its deepest posture."""
 
 SHALLOW: Final = 0.5
 """Share of the deepest posture's depth below which a note mentions that posture."""
 
 _SEPARATOR: Final = re.compile("[:,]")
-"""What stands between the name and the elements of an action in a text, if no space does."""
+"""Separator of an action's name and elements in a text, instead of a space."""
 
 FARTHEST_CLEARANCE: Final = 0.005
 """Largest clearance measured [m]: at this distance, no link is in danger of a collision."""

@@ -80,7 +80,7 @@ class Tools:
         return self.agents[name]
 
     async def describe(self, hand: HandName = "") -> dict[str, Any]:
-        """Tell what the hand can do: its actions, openings [m] and forces [N], and your limits."""
+        """List the hand's actions, openings [m] and forces [N], and your limits."""
         agent = self._agent(hand)
         limits = {name: getattr(agent.limits, name) for name in ("force", "effort", "speed")}
         gate = {"hand": agent.name, "gate": agent.limits.gate, "limits": limits}
@@ -101,14 +101,14 @@ class Tools:
         return {texts.UNTRUSTED: re.sub(r"""filename\s*=\s*("[^"]*"|'[^']*')""", "", urdf)}
 
     async def state(self, hand: HandName = "") -> dict[str, Any]:
-        """Tell what the hand does, who holds it, opening [m] and force [N] of the fingertips."""
+        """Return the hand's activity, its holder, opening [m] and force [N] of the fingertips."""
         remote = await self._agent(hand).remote()
         state, measured = await remote.state(), ("opening", "force", "force_error")
         tips = {name: texts.number(getattr(state, name)) for name in measured}
         return texts.status(await remote.status()) | tips
 
     async def events(self, hand: HandName = "", after: Number = 0) -> dict[str, Any]:
-        """Tell what has happened since this server started: events, and results of your motions."""
+        """Return the events, and the results of your motions, since this server started."""
         return {"happened": [n for n in tuple(self._agent(hand).notes) if n["number"] > after]}
 
     async def grasp_plan(
@@ -179,7 +179,7 @@ class Tools:
         return await agent.move(goal, words, object or f"box:{width:g}x{width:g}x{width:g}")
 
     async def open(self, hand: HandName = "") -> dict[str, Any]:
-        """Open the hand; what it holds falls."""
+        """Open the hand, which drops the object."""
         agent = self._agent(hand)
         return await agent.move(goal_of("open", speed=agent.limits.speed), "open the hand")
 
@@ -191,11 +191,11 @@ class Tools:
         return {"confirmed": confirmed}
 
     async def recordings(self, hand: HandName = "") -> dict[str, Any]:
-        """List the newest recordings of the hand; 'recording' tells what happened in one."""
+        """List the newest recordings of the hand; 'recording' returns what happened in one."""
         return {"recordings": list(await _recorded(self._agent(hand)))}
 
     async def recording(self, name: Name, hand: HandName = "") -> dict[str, Any]:
-        """Tell what happened in a recording that 'recordings' lists; times in seconds."""
+        """Return what happened in a recording that 'recordings' lists; times in seconds."""
         from rtee.log.info import info
 
         files = await _recorded(self._agent(hand))

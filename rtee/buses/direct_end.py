@@ -1,4 +1,4 @@
-"""The host's end of a simulated line on simulated time: in the host's own event loop.
+"""The host's end of a simulated line on simulated time, in the host's event loop.
 
 A pseudo-terminal or a socket would pass bytes on in real time, for which simulated time does not
 wait.
@@ -98,7 +98,7 @@ class DirectEnd:
         return transport, protocol
 
     def join(self, host: _Host) -> None:
-        """Let a host use it from now on; raises `OSError`."""
+        """Make the end available to a host; raises `OSError`."""
         if not self.open:
             raise _os_error(errno.ECONNREFUSED if self._network else errno.ENOENT)
         if self._host is not None:

@@ -124,7 +124,7 @@ class Emulator(ABC):
 
     @abstractmethod
     def power_cycle(self, now: float) -> None:
-        """Lose what the device loses when its supply is cut and comes back."""
+        """Lose the state that the device loses in a power cycle."""
 
     def motors(self) -> Sequence[Any]:
         """Return the motors, which `wear_down` also affects and ``stuck`` blocks."""

@@ -34,7 +34,7 @@ EXCEPTIONS = {
 
 
 _OF_GATEWAYS = (10, 11)
-"""Exceptions with which a gateway answers for a unit behind it that does not."""
+"""Exceptions with which a gateway reports that a unit behind it does not answer."""
 
 
 class UnitUnreachable(BusTimeout):

@@ -129,7 +129,7 @@ class FramedParser(ABC, Generic[F]):
     INSIDE: ClassVar[int] = 1
 
     def __init_subclass__(cls) -> None:
-        """Derive what follows from `FRAMING`."""
+        """Derive the other attributes from `FRAMING`."""
         if (framing := cls.__dict__.get("FRAMING")) is not None:
             cls.HEADER, cls.HEAD = framing.header, framing.head
             cls.PIECE = framing.most + framing.around

@@ -71,7 +71,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
             monotonic.now, monotonic.now_ns, monotonic.sleep = before
 
     def close(self) -> None:
-        """Close the loop; threads that still wait in it go on at once."""
+        """Close the loop; threads that still wait in it continue at once."""
         self._ended = True
         for wait in self._waits:
             wait.over.set()
@@ -118,7 +118,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
             self.wait(lambda: False, seconds)
 
     def _release(self) -> None:
-        """Let the threads go on whose wait is over."""
+        """Resume the threads whose wait is over."""
         for wait in [w for w in self._waits if w.until <= self._time or w.ready()]:
             self._waits.remove(wait)
             self.work_begins()

@@ -47,7 +47,7 @@ class Wear(Section, frozen=True):
 
 
 IDEAL = Wear()
-"""A device as its sheet has it."""
+"""A device that matches its data sheet."""
 
 TYPICAL = Wear(
     lag=0.02,

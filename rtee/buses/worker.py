@@ -74,8 +74,8 @@ class _Thread:
     def put(self, function: Callable[[], T], loop: asyncio.AbstractEventLoop) -> asyncio.Future[T]:
         """Have a function called after all others; return the future of its result."""
         result: asyncio.Future[T] = loop.create_future()
-        # On simulated time, time stands still for the thread, not for every call: the second call
-        # waits for the first, which may be waiting for the time.
+        # Simulated time stops for the thread, not for every call: a second call waits for the
+        # first, which may itself be waiting for time to pass.
         if not self._pending and isinstance(loop, SimulatedTimeLoop):
             loop.work_begins()
         self._pending += 1

@@ -49,7 +49,7 @@ def tell_of_meshes(objects: Iterable[str]) -> None:
         from rtee.objects.shape import parse_object
         from rtee.planning.objects import read_object
     for text in meshes:
-        # Refused for what the simulation reads, which is less than the planner does.
+        # Checked against what the simulation reads, which is less than the planner reads.
         parse_object(text, MESHES)
         for note in read_object(text).notes:
             print(f"note: {text}: {note}", file=sys.stderr)

@@ -44,9 +44,9 @@ def compare(
     pictures: bool = True,
     json_: JsonOption = False,
 ) -> None:
-    """Try the best actions of each hand on each part; tell which hands hold all.
+    """Try the best actions of each hand on each part; print which hands hold all parts.
 
-    Everything found is kept: the same command goes on where an ended one has stopped.
+    All results are kept: the same command continues where an interrupted one stopped.
 
     Exit status 1 when no hand, and no two, hold all parts.
 

@@ -146,7 +146,7 @@ def _print_states(installation: Installation, states: dict[str, FileState]) -> N
 
 
 def _advise(needs: Needs, installation: Installation, program: str | None, realtime: bool) -> None:
-    """Print what is left to the user."""
+    """Print the steps that are left to the user."""
     from rtee.deploy.files import KERNEL_LINE, advice
 
     for line in advice(needs, program, realtime=realtime, live=installation.live):

@@ -404,7 +404,7 @@ def calibrate(
                 if not spec.options.get("calibration"):
                     print(f"  to use it, add to the device's options: calibration: {path}")
 
-    # A person is waited for, whose time is real.
+    # This waits for a person, in real time.
     _finished(execute(), simulated=emulated and yes)
 
 

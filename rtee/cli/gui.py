@@ -75,7 +75,7 @@ def _names(endpoint: str | None) -> Collection[str]:
     try:
         session = open_client([endpoint])
     except NoHand:
-        return ()  # told afterwards, with what to type
+        return ()  # reported afterwards, with the command to type
     try:
         return alive(session)
     finally:

@@ -159,7 +159,7 @@ def main() -> None:
         print(f"rtee: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
     except BaseExceptionGroup as group:
-        # Tasks that ran side by side: the mistake is the same, however many of them met it.
+        # Several parallel tasks may raise the same mistake; it is reported once.
         mistake = _mistake(group)
         if mistake is None:
             raise
@@ -195,7 +195,7 @@ def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
 def _shortage(error: Exception) -> str:
     """Return a sentence about the exhausted resource; ``""`` for any other error."""
     # The dynamic linker reports a lack of memory as "failed to map segment".
-    # Python reports a thread for whose stack there is none by a RuntimeError.
+    # Without memory for a thread's stack, Python raises a RuntimeError.
     words = ("failed to map segment", "can't start new thread")
     if isinstance(error, MemoryError) or any(each in str(error) for each in words):
         return _EXHAUSTED[errno.ENOMEM]

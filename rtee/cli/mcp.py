@@ -116,7 +116,8 @@ def approve() -> None:
     _check_terminal("approve")
 
     async def ask(question: str) -> bool:
-        # Not left when it is too late, since what is typed next would be taken for the answer.
+        # The prompt stays after the time limit: otherwise the next typed line would count as the
+        # answer.
         return await anyio.to_thread.run_sync(typer.confirm, question)
 
     async def main() -> None:

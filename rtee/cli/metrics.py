@@ -38,7 +38,7 @@ def metrics(
     from rtee.remote.session import address_of
 
     address_of(listen, "--listen")
-    # Beside a run only its own hands are meant, wherever the environment points to.
+    # With a run, the metrics are those of its own hands, whatever the environment says.
     endpoints = [] if beside is not None else connect or []
 
     async def run() -> None:

@@ -254,7 +254,7 @@ def list_(
 ) -> None:
     """List what is in the ROS graph.
 
-    What cannot hear each other, since type or hash differ, is listed apart.
+    Endpoints that cannot hear each other, since type or hash differ, are listed separately.
 
     Arguments and options:
         kind ([KIND]): Only these: nodes, topics, services or actions.

@@ -170,7 +170,7 @@ def gains(
         status = await remote.status()
         for device, own in _changes(status, actuator, values).items():
             await remote.set_gains(own, device)
-        # Again after a change: what is shown are the gains that the devices report.
+        # Read again after a change, to show the gains that the devices report.
         return await remote.status() if values else status
 
     status = with_hand(hand, connect, "gains", execute)

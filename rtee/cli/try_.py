@@ -288,7 +288,7 @@ def _all_in_file(
         for *_, result in followed(sweep, keep.write, lambda: words(keep.taken)):
             if isinstance(result, TrialResult):
                 keep.add(result)
-    # Outdated results of other actions stay if all that was asked for was known.
+    # Outdated results of other actions stay if all requested results were known.
     if old and _unfinished(path).exists():
         # All new results are there, so that the outdated ones can go.
         _unfinished(path).replace(path)

@@ -79,7 +79,7 @@ def check_visible(program: str | None, *, live: bool) -> None:
     (``live``), only the path counts.
 
     Raises:
-        ConfigError: if it is hidden, with what to do.
+        ConfigError: if the service cannot see it, with a remedy.
     """
     paths = [Path(program or own_program())]
     if live:

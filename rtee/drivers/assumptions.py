@@ -1,4 +1,4 @@
-"""What drivers assume of their devices beyond what was seen on one, each with its source.
+"""Assumptions of drivers about their devices, not confirmed on one, each with its source.
 
 A wrong assumption of one kind is a reason to look at that kind in every family: what counts belong
 to one finger or to both, what registers hold at power-up, what sensors read at rest, who answers,
@@ -15,7 +15,7 @@ from pathlib import Path
 
 
 class Topic(StrEnum):
-    """What an assumption is about."""
+    """Topic of an assumption."""
 
     IDENTITY = "identity"
     POWER_UP = "power-up"

@@ -130,12 +130,12 @@ class Axis:
 
     @property
     def moving(self) -> bool:
-        """Whether it moves, or is about to."""
+        """Whether the axis moves, or is about to."""
         return self.velocity != 0.0 or bool(self._due)
 
     @property
     def blocked(self) -> bool:
-        """Whether it is held at rest short of its target, exerting effort."""
+        """Whether the axis is blocked at rest short of its target, exerting effort."""
         return self.enabled and not self.moving and self.position != self.target
 
     def _bounds(self) -> tuple[float, float]:
@@ -182,7 +182,7 @@ class Axis:
         for step in range(1, steps + 1):
             self._advance(dt, share, limit)
             self._warm(dt)
-            if self.velocity == 0.0 and not self._due:  # nothing but the heat goes on
+            if self.velocity == 0.0 and not self._due:  # only the heat changes
                 self._age += dt * (steps - step)
                 self._warm(dt, steps - step)
                 return

@@ -199,7 +199,7 @@ class Driver(ABC):
         return ""
 
     def refine(self, **changes: Any) -> None:
-        """Change fields of `capabilities`, by what the device has said."""
+        """Change fields of `capabilities` according to the device's answers."""
         self.capabilities = replace(self.capabilities, **changes)
 
     def fault(self, code: int, name: str, hint: str = "") -> DeviceFault:

@@ -1,4 +1,4 @@
-"""Find emulators by name, and make that of a driver's device from the driver's options."""
+"""Find emulators by name, and make the one for a device from its driver's options."""
 
 from __future__ import annotations
 

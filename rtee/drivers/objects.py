@@ -27,7 +27,7 @@ WEAR = "wear"
 """The property of every emulated device that makes it worn or ideal."""
 
 IDEAL_STATE, WORN_STATE = "ideal", "worn"
-"""Values of `WEAR`: as the sheet has it, or with what is known of real ones."""
+"""Values of `WEAR`: as in the data sheet, or as known from real devices."""
 
 STIFFNESS = 50.0
 """Default stiffness of an object; for its unit, see `ObjectInHand`."""

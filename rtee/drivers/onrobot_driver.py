@@ -69,7 +69,7 @@ class OnRobotDriver(Driver, Generic[S]):
 
     @abstractmethod
     def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
-        """Return what it measures and accepts."""
+        """Return the quantities that the device measures and accepts."""
 
     @abstractmethod
     def _measured(self, status: S, stamp: float) -> ActuatorState:

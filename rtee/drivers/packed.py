@@ -106,7 +106,7 @@ class Packed:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read it; raises `CodecError` for what it cannot hold."""
+        """Read the fields; raises `CodecError` for invalid values."""
         layout = _layout(cls)
         form, getters = layout.form, layout.getters
         if len(data) != form.size and (len(data) < form.size or not cls.LONGER):

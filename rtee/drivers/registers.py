@@ -29,11 +29,11 @@ class RegisterField(NamedTuple):
 
     @property
     def mask(self) -> int:
-        """Its bits in its register."""
+        """Mask of the value's bits in its register."""
         return ((1 << self.width) - 1) << self.bit
 
     def get(self, words: Sequence[int]) -> Any:
-        """Return the value; raises `ValueError` for a number that is none."""
+        """Return the value; raises `ValueError` for an invalid number."""
         number = words[self.word] >> self.bit & (1 << self.width) - 1
         if self.signed and number >> self.width - 1:
             number -= 1 << self.width
@@ -56,7 +56,7 @@ class Group(NamedTuple):
     members: tuple[tuple[RegisterField, ...], ...]
 
     def get(self, words: Sequence[int]) -> tuple[Any, ...]:
-        """Return the tuple; raises `ValueError` for a number that is no value."""
+        """Return the tuple; raises `ValueError` for an invalid number."""
         found = ([place.get(words) for place in member] for member in self.members)
         return tuple(each[0] if self.kind is None else self.kind(*each) for each in found)
 
@@ -121,7 +121,7 @@ class Registers:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it; raises `FrameError` for what it cannot hold, with the name of the bus."""
+        """Read the block; raises `FrameError` for invalid values, with the name of the bus."""
         try:
             return cast("Self", _read(cast("Any", cls), tuple(registers)))
         except ValueError:

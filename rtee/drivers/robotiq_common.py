@@ -111,12 +111,12 @@ class RobotiqStatus(Registers):
 
     @property
     def ready(self) -> bool:
-        """Whether it is activated and takes commands."""
+        """Whether the gripper is activated and takes commands."""
         return self.activated and self.progress is Progress.DONE
 
     @property
     def reset(self) -> bool:
-        """Whether it is not activated, nor about to be."""
+        """Whether the gripper is neither activated nor about to be."""
         return self.progress is Progress.RESET
 
 

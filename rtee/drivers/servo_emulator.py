@@ -124,7 +124,7 @@ class ServoLine(Emulator, Grasps, Generic[S]):
 
     @classmethod
     def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the ids of a device's servos and where they start: at 0 rad."""
+        """Return the ids of a device's servos and their initial positions: 0 rad."""
         found = super().fitting(options)
         if "turnaround" in options:
             found["latency"] = options["turnaround"]

@@ -1,4 +1,4 @@
-"""What all servos on a shared line have in common: options, units, presence, calibration.
+"""Common parts of all servos on a shared line: options, units, presence, calibration.
 
 The engine of their drivers is `rtee.drivers.servos`. A calibration consists of the reading of each
 servo at 0 rad, and the servo's identity.

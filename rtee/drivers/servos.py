@@ -161,7 +161,7 @@ class Coupling(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the servos report in a cycle.
+    """The servos' reports of a cycle.
 
     Attributes:
         columns: Position, speed, effort, current, temperature and voltage ``(6, n)`` [counts].
@@ -174,7 +174,7 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Goals:
-    """What servos are to do.
+    """A command to servos.
 
     Attributes:
         chosen: The indices of those that get a goal.
@@ -278,7 +278,7 @@ class ServoDriver(Driver, Generic[L]):
 
     @abstractmethod
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
-        """Set the units of a servo according to what was found."""
+        """Set the units of a servo according to its identity."""
 
     @abstractmethod
     def _described(self) -> tuple[float, str]:
@@ -289,7 +289,7 @@ class ServoDriver(Driver, Generic[L]):
         """Return why effort limits are not accepted; empty if they are."""
 
     async def _place(self) -> None:
-        """Determine what follows from the positions, before they are used for anything."""
+        """Derive values from the positions before these are used."""
 
     @abstractmethod
     def _check_range(self, number: int, ends: Sequence[float]) -> None:
@@ -350,7 +350,7 @@ class ServoDriver(Driver, Generic[L]):
             BusError: if the line fails.
         """
         link = self.connection.link
-        # All are asked first, so that one message names all missing servos.
+        # All are pinged first, so that one message names all missing servos.
         models = {number: await link.model(number) for number in self.ids}
         expected = {name: (servo.id, servo.model) for name, servo in self._servos.items()}
         check_present(self.spec.name, self.line.port, expected, models, self._model)
@@ -363,7 +363,7 @@ class ServoDriver(Driver, Generic[L]):
         for number, name in self.names.items():
             self._check_found(name, self.found[number])
         limits = [self.found[number].limits for number in self.ids]
-        # Both limits are the same in a servo that goes anywhere.
+        # A servo that takes any position has two equal limits.
         self._accepted = [(low, high) if low < high else None for low, high in limits]
         for servo, scale in zip(self._servos.values(), self.scales, strict=True):
             self._adopt(servo, self.found[servo.id], scale)
@@ -398,7 +398,7 @@ class ServoDriver(Driver, Generic[L]):
         )
 
     def _check_places(self, readings: Readings) -> None:
-        """Check that the servos can go all the way, and that the actuators are within limits.
+        """Check that the servos cover the whole range, and that the actuators are within limits.
 
         Raises:
             CalibrationError: if an actuator is far outside its limits.

@@ -13,15 +13,15 @@ from rtee.sample import ActuatorState
 from rtee.types import ActuatorSpec, Event, Reference
 
 _BESIDE = 0.05
-"""A device is this far at most beside the way from where it was to its reference, as a share of the
-range: overshoot, play, a push."""
+"""Largest distance of a device from the path between its last position and its reference, as a
+share of the range: overshoot, play, a push."""
 
 _EVERY = 0.005
-"""Measurements that follow each other faster are not judged [s]: on the way are all of them, and a
-tick of 1 ms is short."""
+"""Interval below which measurements are not judged [s]: in a tick of 1 ms, all of them are on the
+path."""
 
 _MOVED_BY_OTHERS = 0.5
-"""Positions beside the way count again after this time [s]: somebody has moved the device."""
+"""Time after which positions off the path count again [s]: somebody has moved the device."""
 
 
 class Standstill:
@@ -46,7 +46,7 @@ class Standstill:
     def forget(self) -> None:
         """Forget everything, since people or the device itself may have moved it meanwhile."""
         n = len(self._actuators)
-        # The loop judges for itself, and reports what it finds.
+        # The loop makes its own judgement, and reports it.
         self._plausibility = Plausibility(self._actuators, _silently)
         self._asked = np.full(n, math.nan)
         self._believed = [math.nan] * n
@@ -60,7 +60,7 @@ class Standstill:
             self._judge(state.position.tolist(), state.stamp, state.fresh)
 
     def asked(self, reference: Reference) -> None:
-        """Note what is asked of the device."""
+        """Record the reference of the device."""
         np.copyto(self._asked, reference.position, where=reference.mask)
 
     def instead(self, position: Sequence[float]) -> dict[int, float]:
@@ -87,7 +87,7 @@ class Standstill:
 
     def _judge(self, position: list[float], stamp: float, fresh: bool) -> None:
         n, wanted = len(position), self._asked.tolist()
-        # Until something is asked of an actuator, it is to be where it is.
+        # Until an actuator gets a reference, it should stay at its position.
         reference = [here if w != w else w for here, w in zip(position, wanted, strict=True)]
         self._plausibility.step(stamp, position, [fresh] * n, [True] * n, reference)
         if position == self._believed:  # this test alone for a hand at rest
@@ -95,7 +95,7 @@ class Standstill:
             return
         for i, here in enumerate(position):
             before, asked, beside = self._believed[i], wanted[i], self._beside[i]
-            # Written so that a comparison with NaN, for what is not known yet, decides nothing.
+            # Written so that a comparison with NaN, for unknown values, decides nothing.
             low = asked if asked < before else before
             high = asked if asked > before else before
             if here < low - beside or here > high + beside or here != here:

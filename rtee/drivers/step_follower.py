@@ -72,7 +72,7 @@ class StepFollower:
         self._sent = None
 
     def halted(self, here: float) -> None:
-        """Note that the gripper was stopped on its way, at a measured width."""
+        """Record that the gripper was stopped before its target, at a measured width."""
         self._sent = here, 0.0 if self._sent is None else self._sent[1]
 
     def sent(self) -> None:

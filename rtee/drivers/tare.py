@@ -7,7 +7,7 @@ import numpy as np
 from rtee.sample import FloatArray
 
 _DRIFT = 30.0
-"""Time constant with which rest values follow what is below the threshold [s]: the drift of a
+"""Time constant with which rest values follow readings below the threshold [s]: the drift of a
 sensor takes minutes, and a contact that grows this slowly is none that a hand makes."""
 _RELEASE = 0.2
 """Time constant with which they follow a reading that is too low [s]: a rest value that was taken
@@ -15,7 +15,7 @@ while something touched is wrong as soon as that is gone; one noisy reading must
 
 
 class SensorTare:
-    """The rest values of contact sensors, and what is above them.
+    """The rest values of contact sensors, and the readings above them.
 
     The first readings are taken for those of sensors that nothing touches, so what a hand holds
     when it is connected is felt only once it has been let go. Rest values then follow slow drift.

@@ -58,7 +58,7 @@ _SINGULAR: Final = 1e-8
 """Share of the largest singular value below which others count as rounding."""
 
 _SOFT: Final = 1e-10
-"""Stiffness that counts as none [N·m/rad | N/m]: springs of fingers have 1e-4 or more."""
+"""Stiffness that counts as 0 [N·m/rad | N/m]: springs of fingers have 1e-4 or more."""
 
 _NEAR: Final = 1e-5
 """Distance of postures whose forces are compared [rad | m]: errors of rounding and of curvature are

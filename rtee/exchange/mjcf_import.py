@@ -316,7 +316,7 @@ class _Writer:
             joint_range(self._model, joint) if driven is None else (driven.lower, driven.upper)
         )
         limited = math.isfinite(lower) and math.isfinite(upper)
-        # A URDF needs limits of a follower, although those of its actuator decide.
+        # A URDF needs limits for a follower, although the limits of its actuator decide.
         if not limited and joint in self._motion.follows:
             return -_ANY, _ANY
         if self._slides(joint) and not limited:

@@ -168,7 +168,7 @@ def canonical(hand: Hand) -> Canonical:
 
 
 class _Points:
-    """Points of a hand's fingers at rest and bent, by which fingers are told apart.
+    """Points of a hand's fingers at rest and bent, which distinguish the fingers.
 
     Attributes:
         size: Largest distance of two of the points [m].
@@ -221,7 +221,7 @@ class _Points:
         return candidates[0][0], candidates[0][1] < 0.0
 
     def places(self, order: Sequence[int], mirrored: bool) -> Mapping[str, tuple[float, ...]]:
-        """Return what tells links without fingers apart: distances from the fingers' points."""
+        """Return features of links without fingers: distances from the fingers' points."""
         chosen = self.points[list(order)].reshape(-1, 3)
         size = self.size or 1.0
         if not len(chosen):

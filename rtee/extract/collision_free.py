@@ -54,7 +54,7 @@ _SHORT: Final = 2e-3
 """Distance of a pose moved back before a collision, as a share of the path: some 0.1 mm."""
 
 _BEFORE: Final = 1e-4
-"""The same for a single actuator, whose bounds are exact except for rounding."""
+"""Distance that a single actuator moves back: its bounds are exact except for rounding."""
 
 _FOLLOWED: Final = 2
 """Number of clear poses whose paths are checked per round: a path costs more than a pose."""
@@ -248,7 +248,7 @@ class ClearSearch:
         """
         y, collided = start, list[LinkPair]()
         for _ in range(self._budget.pushes):
-            # Rounded as stored: what is checked must be the posture that is kept.
+            # Rounded as stored: the checked posture must be the stored one.
             u = self._function.stored(y)
             # Check nested links, which are costly, only if the others are clear.
             hits = self._checker.unnested(u) or self._checker.nested(u)

@@ -298,7 +298,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """What measures links: the scene, bounds on their motion and on their distances."""
+    """Measurements of links: the scene, bounds on their motion and on their distances."""
 
     scene: Scene
     motion: Motion
@@ -365,7 +365,7 @@ class CollisionChecker:
         key = path.goal.tobytes()
         if self._along is None or self._along[0] != key:
             postures = [path.at(t) for t in _PLACES.tolist()]
-            # What pairs need to be free of each other on the least part of a path.
+            # Distance that pairs need to be free of each other on the smallest part of a path.
             apart = self._speeds(path) / (2.0 * _PARTS) + self._every
             apart = np.maximum(apart, FARTHEST_CLEARANCE * self._scene.unit)
             self._along = key, self._measures.envelopes.gaps(postures, self._ends, apart)
@@ -402,7 +402,7 @@ class CollisionChecker:
             # A proximity test of meshes is faster than their distance.
             if gap < least and scene.nearer(pair, least):
                 least = min(least, scene.exact_distance(pair))
-            # Nor can it be much nearer at the places beside this one.
+            # The pair cannot be much nearer at the neighbouring places, either.
             bounds[:, c] = np.maximum(bounds[:, c], gap - speeds[c] * np.abs(places - t))
             bounds[k, c] = np.inf
 
@@ -500,7 +500,7 @@ class CollisionChecker:
         # The same test as below, of all pairs on all parts at once.
         reach = np.array(speeds) / _PARTS + 2.0 * np.array(margins)
         alive = apart[:-1] + apart[1:] <= reach
-        # Bounds on overlaps tell nothing.
+        # Bounds on overlaps are useless.
         alive |= np.minimum(apart[:-1], apart[1:]) <= np.array(margins)
 
         def live(part: tuple[float, float], columns: Iterable[int]) -> list[int]:

@@ -96,10 +96,10 @@ class DistanceQueries:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, without Coal's memory of earlier measurements."""
+        """Reset Coal's memory of earlier measurements."""
         self._data = self._model.createData()
         distance = coal.DistanceRequest()
-        # One contact is enough, since only whether they touch is asked.
+        # One contact is enough to know whether they touch.
         collision = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
         if self._guided:
             distance.gjk_initial_guess = collision.gjk_initial_guess = coal.CachedGuess
@@ -149,7 +149,7 @@ class DistanceQueries:
         return self._least
 
     def _nearest(self, bounds: Sequence[float]) -> int:
-        """Return the number of the nearest couple, by lower bounds on all distances [m]."""
+        """Return the index of the nearest pair, by lower bounds on all distances [m]."""
         nearest = (np.inf, 0)
         for bound, k in sorted((bound, k) for k, bound in enumerate(bounds)):
             if bound - TOUCH > nearest[0]:

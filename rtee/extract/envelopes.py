@@ -264,7 +264,7 @@ def _enclosed(scene: Scene, shapes: tuple[int, ...]) -> _Envelope:
     long = points[int(np.argmax(norms(points - far)))] - far
     frames = [np.eye(3), scene.shapes[shapes[0]].placement.rotation.T]
     if norm(long) > 0.0:
-        # Along the longest diagonal, and across it as the body's flattest side is.
+        # The axes are the longest diagonal and, across it, the body's flattest side.
         x = long / norm(long)
         y = cross(np.eye(3)[int(np.argmin(np.abs(x)))], x)
         y /= norm(y)

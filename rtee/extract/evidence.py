@@ -79,7 +79,7 @@ class Inspector:
         return cls(scene, motion, Collisions(scene, motion))
 
     def checker(self, fingers: Sequence[Finger], edges: Sequence[TipEdge]) -> CollisionChecker:
-        """Return a checker of the links that fingers move, except tips that shall touch."""
+        """Return a checker of the links that fingers move, except tips that are to touch."""
         hand = self.scene.hand
         # Including actuators shared with other fingers, which move in the pinch, too.
         moving = {hand.actuator_index(n) for finger in fingers for n in finger.actuators}

@@ -32,7 +32,7 @@ ERROR: Final = 2e-5
 grippers, 0.1 mm."""
 
 ERROR_OF_FINGERS: Final = 1e-4
-"""The same for several actuators [m], whose position errors alone move a fingertip by more."""
+"""Such an error with several actuators [m]: their position errors move a fingertip by more."""
 
 _FIRST: Final = 17
 """Points of the first, even table: enough to detect that tips approach and separate again."""
@@ -52,8 +52,8 @@ _PARTS: Final = 0.9
 ignored: hinges and levers on the tips' links stay near each other all the time."""
 
 _LINKS: Final = 0.75
-"""The same for the links of tips that several links form: where a marker stands back on a pad, the
-markers come from farther apart, but the pads are what touches."""
+"""Such an approach for the links of tips that several links form: where a marker stands back on a
+pad, the markers come from farther apart, but the pads are what touches."""
 
 _BUMP: Final = 1e-4
 """Largest growth of an opening that still counts as falling [m]."""

@@ -245,7 +245,7 @@ def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
     size = len(block)
     for k, pivot in enumerate(block):
         for i in range(k + 1, size):
-            # What is below the diagonal equals what is above it.
+            # The part below the diagonal mirrors the part above it.
             factor = pivot[i] / pivot[k]
             if factor:
                 row = block[i]

@@ -231,7 +231,7 @@ def recombined(
                 continue
             y = one.y.copy()
             y[block] = other.y[block]
-            # Many of the minima are those of the round before.
+            # Many of the minima are the same as in the previous round.
             key = y.round(_ALIKE).tobytes()
             if key not in seen:
                 seen.add(key)

@@ -36,7 +36,8 @@ _TOKEN_BYTES: Final = 24
 """Random bytes of a token or a cookie [bytes]: 192 bits cannot be guessed."""
 
 _BROWSERS: Final = 256
-"""Browsers whose cookies are valid: more than look at a hand at once. The oldest one goes first."""
+"""Browsers whose cookies are valid: more than watch a hand at the same time. The oldest is dropped
+first."""
 
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 

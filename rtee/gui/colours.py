@@ -67,7 +67,7 @@ def line_numbers(hand: Hand, owners: Iterable[str]) -> list[int]:
     count: Counter[int] = Counter()
     numbers = []
     for owner in owners:
-        # What belongs to no finger comes after the last one.
+        # Links that belong to no finger come after the last finger.
         finger = (*hand.finger_names, owner).index(owner) % len(colours.PALETTE)
         numbers.append(finger + len(colours.PALETTE) * count[finger])
         count[finger] += 1

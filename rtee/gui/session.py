@@ -42,7 +42,7 @@ _PLOT_PERIOD = 1 / 8
 """Time between two updates of the plots [s]: each costs the browser some milliseconds."""
 
 _QUIET_PERIOD = 1.0
-"""The same while nothing moves the hand [s]: plots are most of what is sent."""
+"""Interval while nothing moves the hand [s]: plots are most of the traffic."""
 
 _TABLE_PERIOD = 1 / 4
 """Time between two updates of the tables [s]: numbers that change faster cannot be read."""

@@ -26,7 +26,7 @@ _PERIOD: Final = 1 / 30
 """Time between two looks for states while a window is open [s]: pictures that look fluent."""
 
 _UNWATCHED_PERIOD: Final = 0.25
-"""The same while none is [s]: states only fill the plots' history."""
+"""Time between two looks without an open window [s]: states only fill the plots' history."""
 
 _UNWATCHED_STEP: Final = 5
 """While no window is open, every fifth state goes into the history."""

@@ -199,7 +199,7 @@ def _joints_in(groups: Sequence[SrdfGroup], urdf: Urdf) -> frozenset[str]:
     found |= {joint for group in groups for joint in group.joints}
     links = {link for group in groups for link in group.links}
     above = [urdf.joint_to[link] for link in links if link in urdf.joint_to]
-    # What moves the first one of the links, as an arm does, is not of the group.
+    # The joint that moves the first link, such as an arm's, does not belong to the group.
     found |= {joint.name for joint in above if joint.parent in links}
     return frozenset(found or {joint.name for joint in above})
 

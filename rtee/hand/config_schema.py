@@ -320,9 +320,9 @@ class LogSection(Section, frozen=True):
     enabled: bool = True
     """Record while the hand runs."""
     record: Recorded = Recorded.FULL
-    """What is recorded: ``full``, every tick; ``goals``, from 5 s before a goal, command, stream or
-    event to 5 s after it; ``faults``, only what ``flight_recorder`` keeps. Only ``full`` recordings
-    can be recomputed."""
+    """Content of recordings: ``full``, every tick; ``goals``, from 5 s before a goal, command,
+    stream or event to 5 s after it; ``faults``, only what ``flight_recorder`` keeps. Only ``full``
+    recordings can be recomputed."""
     layout: RecordingLayout = RecordingLayout.MESSAGES
     """Format of recorded ticks: ``messages``, which any software reads, or ``columns``, which take
     a third of the space, but of which other software reads only ``tf_rate`` a second. Both keep
@@ -545,7 +545,7 @@ class TouchSection(Section, frozen=True):
 
 
 class DeviceSection(Section, frozen=True):
-    """A physical thing on a bus."""
+    """A physical device on a bus."""
 
     driver: str
     """Name of the driver, or ``module:Class`` for your own."""

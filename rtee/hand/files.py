@@ -58,7 +58,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
         folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)
-            # What is left in `staged` when an error occurs is removed below.
+            # Files that are left in `staged` after an error are removed below.
             del staged[target]
         # A renamed file survives a power cut only once its folder is on the disk.
         for folder in folders:

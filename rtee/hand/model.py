@@ -148,7 +148,7 @@ class Hand:
 
     @property
     def action_features(self) -> dict[str, type[float]]:
-        """Keys and types of what a stream takes: positions by actuator [rad | m], in order."""
+        """Keys and types of a stream's samples: positions by actuator [rad | m], in order."""
         return dict.fromkeys(self.actuator_names, float)
 
     @cached_property

@@ -33,7 +33,7 @@ OWN: Final = 0.25
 motion by any actuator]; smaller ones are adjustments."""
 
 _POSTURES: Final = 33
-"""Postures in which a single actuator is looked at: each 3 % of its range."""
+"""Postures in which a single actuator is examined: each 3 % of its range."""
 
 _PASSES: Final = 2
 """Number of times that the limits of every actuator are compared; the second time, the limits
@@ -113,7 +113,7 @@ def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
     """Return the widest posture of a hand with one actuator whose rest is not given.
 
     ``None`` if it rests there already, or its fingertips do not part. At 0, a claw is nearly
-    closed: `rtee open` would not open it, and its pinch would have no way to go.
+    closed: `rtee open` would not open it, and its pinch would have no room to close.
 
     Raises:
         ModelError: A mesh cannot be read.

@@ -107,7 +107,7 @@ def make_hand(
     settled = replace(settled, pairs=_with(excluded, settled))
     hand, pairs, notes = settled.hand, settled.pairs, settled.notes
     with new_tree(target) as folder:
-        # What an SRDF says of a whole robot would not fit the hand alone.
+        # The SRDF of a whole robot would not fit the hand alone.
         notes += _fill(folder, settled, None if subtree else srdf)
         # Before the folder gets its name, since a hand that cannot be loaded must not remain.
         load_hand(folder)

@@ -96,7 +96,7 @@ def _text(values: Iterable[float]) -> str:
 def _is_outside(
     element: Element, inside: Collection[str], moving: Collection[str], whole: Urdf
 ) -> bool:
-    """Return whether an element of a robot belongs to what is outside the hand."""
+    """Return whether an element of a robot belongs to parts outside the hand."""
     name = element.attributes.get("name", "").strip()
     match element.tag:
         case "link":

@@ -113,7 +113,7 @@ class Invalid(ValueError):
 
     @property
     def sentence(self) -> str:
-        """What is wrong at the place of the first mistake; a union may have several."""
+        """The problems at the place of the first mistake; a union may have several."""
         words = " or ".join(each.words for each in self.mistakes if each.at == self.first.at)
         unfit = self.first.fault is MistakeKind.UNFIT
         return f"{words}, not {self.first.value!r:.80}" if unfit else words
@@ -211,7 +211,7 @@ def _mistakes(kind: Any, value: Any, at: Location) -> Iterator[Mistake]:
 
 
 def _parts(kind: Any, value: Any, at: Location) -> Iterator[Iterator[Mistake]]:
-    """Yield the mistakes of what is in a value."""
+    """Yield the mistakes inside a value."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         yield _mistakes(arguments[0], value, at)
@@ -281,7 +281,7 @@ def _own(kind: Any, value: Any, at: Location, error: ValidationError) -> Mistake
 
 
 def _words(kind: Any, value: Any, error: str) -> str:
-    """Return what a value should be, by its type and what msgspec says of it."""
+    """Return the expected kind of value, by its type and msgspec's message."""
     if isinstance(value, float) and not math.isfinite(value):
         return "should be a finite number"
     if bound := re.match(r"Expected `\w+` ([<>]=?) (\S+)", error):

@@ -96,7 +96,7 @@ URDF: Final = _known(
     transmission=_FOREIGN,
     ros2_control=_FOREIGN,
     sensor=_FOREIGN,
-    # A joint there closes a loop, which a URDF has no other way to say.
+    # A joint there closes a loop, which a URDF cannot express otherwise.
     gazebo=Known(_WORDS, {"joint": None}, foreign=True),
 )
 
@@ -141,7 +141,7 @@ _HINTS: Final = {
     "the attribute 'friction' of <dynamics>": "hand.yaml has dry_friction in dynamics:",
     "<contact_coefficients>": "hand.yaml has the friction of fingertips in tip_friction:",
 }
-"""Where to say what is not read."""
+"""Receiver of notes on elements that are not read."""
 
 
 def unread(root: Element, known: Known) -> list[str]:

@@ -139,7 +139,7 @@ def to_text(root: Element) -> str:
     from xml.sax.saxutils import escape, quoteattr
 
     lines: list[str] = []
-    # A stack of what is to be written, since elements may be nested deeply.
+    # A stack of elements to write, since elements may be nested deeply.
     pending: list[tuple[int, Element | str]] = [(0, root)]
     while pending:
         depth, each = pending.pop()
@@ -236,7 +236,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
 
 
 _LEAD: Final = re.compile(rb"\A((?>\s|<!--.*?-->)++)(<\?xml[^>]*\?>)", re.DOTALL)
-"""What some files have before their XML declaration: blank lines and comments.
+"""Blank lines and comments, which some files have before their XML declaration.
 
 Atomic: a comment ends at its first end, or many comments would be tried in all combinations.
 """

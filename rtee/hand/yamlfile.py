@@ -159,7 +159,7 @@ class YamlDocument:
         return reader.lines
 
     def line(self, location: Location) -> int | None:
-        """Return the line of a location, or of what encloses it."""
+        """Return the line of a location, or of its parent."""
         # A missing key has no line: that of its section comes nearest.
         for end in range(len(location), -1, -1):
             line = self.lines.get(location[:end])

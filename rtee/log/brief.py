@@ -108,7 +108,7 @@ def brief(path: Path) -> Brief | None:
         lines = zlib.decompressobj().decompress(data, 2 * LARGEST_DIGEST)
         *told, own = json.loads(b"[" + lines.rstrip().replace(b"\n", b",") + b"]")
         return Brief(path=path, size=size, told=told, **own)
-    # Whoever reads all of the file says what is damaged.
+    # Readers of the whole file report the damage.
     except (OSError, ValueError, KeyError, TypeError, struct.error, zlib.error):
         return None
 

@@ -41,7 +41,7 @@ TOPICS = (
     topics.EVENTS,
     topics.ROBOT_DESCRIPTION,
 )
-"""Topics that are needed to compute a recording anew."""
+"""Topics that are needed to recompute a recording."""
 
 S = TypeVar("S", bound=JointSeries)
 

@@ -78,7 +78,7 @@ def bands_of(spans: Sequence[Span], start: float, end: float) -> tuple[Band, ...
 
 
 _Text = tuple[float, float, str, str]
-"""Begin and end of what has a name [s], the name and its colour."""
+"""Beginning and end of a named span [s], its name and colour."""
 
 
 def labels_of(
@@ -279,7 +279,7 @@ class _Lines:
         t = series.t[within]
         if not len(t):
             return
-        # More than the line may have in the end: what is thinned twice keeps every peak, too.
+        # More than the line may have in the end: data thinned twice keeps every peak, too.
         share = (t[-1] - t[0]) / max(self._end - self._start, 1e-9)
         most = 8 + int(4 * share * MOST_POINTS)
         for key, column in values.items():

@@ -20,7 +20,7 @@ from rtee.values import plain
 
 _VERSION = f"rtee {version('rtee')}"
 _SCHEMA = json.dumps({"type": "object"}).encode()
-"""Of every channel: objects of JSON, whose keys name what they hold."""
+"""Schema of every channel: JSON objects, whose keys name their contents."""
 
 
 def write(report: ContactReport, actuators: Iterable[str], folder: Path) -> tuple[Path, Path]:
@@ -47,7 +47,7 @@ def write(report: ContactReport, actuators: Iterable[str], folder: Path) -> tupl
 def _recorded(report: ContactReport, actuators: list[str]) -> bytes:
     from mcap.writer import Writer
 
-    # Stamps of the computer's clock, from those that only grow.
+    # Stamps of the computer's clock, from those of the monotonic clock.
     wall = time.time_ns() - monotonic.now_ns()
     with io.BytesIO() as file:
         writer = Writer(file)

@@ -462,7 +462,7 @@ def _chunks_ahead(
 
 
 def _goal(fields: Fields) -> Goal:
-    # In recordings of before, the speed of the opening has its share beside it.
+    # Older recordings have the share beside the speed of the opening.
     return GOAL.of(fields if math.isnan(fields["tip_speed"]) else {**fields, "speed": 1.0})
 
 

@@ -144,7 +144,7 @@ class Finder:
         return Record(DAMAGE, position, HEAD.size + length)
 
     def after(self, position: int) -> int | None:
-        """Return where the walk goes on behind damage that begins at a position [bytes].
+        """Return where the scan continues after damage that begins at a position [bytes].
 
         This is the next chunk, else the summary, else the footer. Returns ``None`` if there is none
         of them.
@@ -202,7 +202,7 @@ class Finder:
         """Return the offset of the first chunk from a position to before a stop [bytes]."""
         block = _FIRST_BLOCK
         while position < stop:
-            # The overlap holds what the pattern looks at behind the last opcode.
+            # The overlap contains the bytes that the pattern needs after the last opcode.
             data = self._read(position, block + _REACH)
             for match in _BEGIN.finditer(data):
                 begin = position + match.start()

@@ -89,7 +89,7 @@ class PackedTicks:
         return True
 
     def take(self) -> TickRecord:
-        """Return the tick that was added first of those that were not yet taken."""
+        """Return the oldest tick that was not taken yet."""
         place, self._taken = self._taken, self._taken + 1
         # A copy, so that arrays of this tick do not keep the whole mapping.
         row = self._memory[place * self._size : (place + 1) * self._size]
@@ -254,7 +254,7 @@ class Recorder(Observer):
         # Shielded, so that the queue is written although the run is being cancelled.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(self.close)
-        # What a mistake kept from starting is not the newest recording to look at.
+        # A recording that a mistake kept from starting must not count as the newest one.
         if path is not None and isinstance(error, UserError) and not sink.written_ticks:
             path.unlink(missing_ok=True)
 
@@ -347,7 +347,7 @@ class Recorder(Observer):
         self._queue.put(self._writer.start)
 
     def stop(self) -> None:
-        """End the recording on the disk; the flight recorder goes on. Returns at once."""
+        """End the recording on the disk; the flight recorder continues. Returns at once."""
         self._queue.put(self._writer.stop)
 
     def mark(self, text: str) -> None:

@@ -175,7 +175,7 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
         return [Path(each) for each in path]
     path = Path(path)
     if path.is_dir():
-        # Not the flight recorder's files, which hold only what was before a fault.
+        # Not the flight recorder's files, which contain only the time before a fault.
         parts = [file for file in recordings(path) if file.part is not None]
         if not parts:
             raise LogError("there is no recording in this folder", path=path)

@@ -59,7 +59,7 @@ class RecorderStatus:
 
     @property
     def trouble(self) -> str:
-        """Sentence about what is not recorded and why; empty if everything is."""
+        """Sentence on the data that is not recorded, and why; empty if all data is."""
         words = []
         if self.recording and self.problem:
             words.append(f"not written: {self.problem}")

@@ -215,7 +215,7 @@ _GRIP_PERIOD = 0.02
 """Time between recorded openings and forces [s]: a grip builds up in some tenths of a second."""
 
 _AROUND = 5 * SECOND
-"""What is recorded before and after something that happens [ns]: seconds later, a hand rests."""
+"""Time recorded before and after an occurrence [ns]: seconds later, a hand rests."""
 
 _SELDOM = 1 << 30  # of so many ticks one, which is the first of each chunk
 _FLIGHT_FILES = 20  # most names kept of the flight recorder's files, the newest last
@@ -424,7 +424,7 @@ class LogWriter:
         """Begin a recording on the disk."""
         if self.sink.wanted:
             return
-        # What was collected before goes to the flight recorder only.
+        # Messages collected earlier go to the flight recorder only.
         self.flush()
         self._compared = False
         self._extras, self._touch = {}, {}

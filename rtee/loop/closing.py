@@ -1,4 +1,4 @@
-"""How fast fingers go around an object, and meet it."""
+"""Speeds at which fingers go around an object, and meet it."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _BLOW: Final = 0.8
 built up later."""
 
 _MOST_BLOW: Final = 1.3
-"""The same where they should not meet the object yet, on the path around it: what lies askew, or
-deep in the hand, is met there."""
+"""Such a share on the path around the object, where fingers should not meet it yet, but may if it
+lies askew or deep in the hand."""
 
 _LEAST_BLOW: Final = 1.0
 """A blow may be as large as this in any case, or exceed the force by it on the path around [N]."""

@@ -108,7 +108,7 @@ class ReferenceStart:
     def brake(self, indices: Collection[int]) -> None:
         """Brake some actuators, unless the next tick finds that they can start where they are.
 
-        Called before what is known of their contacts is forgotten.
+        Called before the knowledge of their contacts is dropped.
         """
         self._frozen.update((i, self._touches(i)) for i in indices)
         self._profile.go({}, brake=[i for i in indices if self._active[i]])
@@ -305,11 +305,11 @@ class Controller:
         )
 
     def heat(self, indices: Iterable[int]) -> str:
-        """Describe those of some actuators that are warm or have an invalid temperature."""
+        """Describe the given actuators that are warm or have an invalid temperature."""
         return self._thermal.words({i: self.hand.actuators[i].name for i in indices})
 
     def doubts(self, indices: Iterable[int]) -> str:
-        """Describe those of some actuators that have an implausible measured position."""
+        """Describe the given actuators that have an implausible measured position."""
         return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
     def accept(self, plan: Plan, stamp: float) -> None:

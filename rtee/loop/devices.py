@@ -29,7 +29,7 @@ CONFIRM_WITHIN = 0.15
 """Time a device has to confirm a stop [s]: several exchanges on the slowest bus."""
 
 _REPEAT_AFTER = 1.0
-"""The same refusal is reported once in this time [s]: a device may repeat it at every tick."""
+"""Interval between reports of the same refusal [s]: a device may repeat it at every tick."""
 
 Steer = Callable[[Command], None]
 """Passes a command to the controller."""

@@ -48,8 +48,8 @@ above the effort of free motion: its lever, and so the force, is unknown."""
 
 _SET_OUT = 0.1
 """Efforts are not evaluated for this long after an actuator has started to move, while it overcomes
-static friction, nor after a silence of its device; so late the effort of an acceleration still
-comes [s]."""
+static friction, nor after a silence of its device: the effort of an acceleration may arrive this
+late [s]."""
 
 _STEPS = 12
 """Measurements of a moving actuator before its current is judged: a slow device moves in
@@ -252,7 +252,7 @@ class ContactMonitor:
             watched.blocked_at, watched.grasping = math.nan, False
 
     def tolerance(self, i: int) -> float:
-        """Return the position error of an actuator that counts as none [rad | m]."""
+        """Return the position error of an actuator that counts as 0 [rad | m]."""
         watched = self._watched.get(i)
         return math.inf if watched is None else watched.tolerance
 
@@ -679,7 +679,7 @@ class ContactMonitor:
         if every and forces and sides:
             places = list(zip((self._fingers[k] for k in self._places[i]), forces, strict=True))
             pressing = [[force for name, force in places if name in side] for side in sides]
-            # Of a hand with one motor, other fingers may never meet anything.
+            # In a hand with one motor, other fingers may never touch anything.
             if len(pressing) > 1 and all(pressing):
                 return rules.both_sides_touch(pressing, least)
         return rules.any_touch(forces, least, every=every)
@@ -775,7 +775,7 @@ class ContactMonitor:
             self._stretches[i].restart()
         if approach.began != approach.began:
             if not moves:
-                return False  # the device has not begun: no effort of its is one of motion
+                return False  # the device has not begun, so its effort is not one of motion
             approach.began = stamp
         free, stretch = self._free[i], self._stretches[i]
         if not approach.in_effort:
@@ -788,7 +788,7 @@ class ContactMonitor:
         if approach.by_tip and threshold > 0.0:
             threshold = approach.threshold = self._tip_threshold(i, stamp, measured)
         excess = free.excess(signal, velocity, gain, threshold, approach.surge)
-        # What may be a contact must not teach the model that contacts are free motion.
+        # Efforts that may be contacts must not enter the model of free motion.
         sample = None if excess > SURELY_FREE else (signal, velocity, gain)
         stretch.take(free, here, reference, sample)
         if excess <= 1.0:
@@ -811,7 +811,7 @@ class ContactMonitor:
         """
         approach.steps += moves
         if moves or approach.steps < _STEPS:
-            # What moves with a current moves freely, however large it is.
+            # An actuator that moves under a current moves freely, however large the current is.
             approach.most = max(approach.most, current)
         if current <= _SURGE * approach.most:
             approach.over = 0

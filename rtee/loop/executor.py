@@ -34,8 +34,9 @@ from rtee.types import (
 
 _RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
-of 0.01 is a small angle [rad], but in metres a fifth of the stroke of many a gripper's jaw. What is
-thinner than twice this share of the stroke cannot be distinguished from nothing by the position."""
+of 0.01 is a small angle [rad], but in metres a fifth of the stroke of a typical gripper jaw. By
+position alone, an object thinner than twice this share of the stroke cannot be distinguished from
+nothing."""
 
 _STEADY = 0.25
 """How long a grasp must be at rest before its result comes [s]: a blow is over, and what springs
@@ -47,7 +48,7 @@ time [s]: it must not merely pass the target."""
 
 
 _BENDS: Final = (Following.TENDON, Following.LINKAGE)
-"""Couplings by which the links of a finger go on when others are stopped."""
+"""Couplings with which the links of a finger go on when others are blocked."""
 
 _DIGITS: Final = 9
 """Digits of a reported opening [m]: a nanometre, which no device resolves."""
@@ -311,10 +312,10 @@ class Executor:
         return grip is not None and not self._bending.isdisjoint(grip.indices)
 
     def _may_be_nothing(self, run: _Run, measured: Measured) -> bool:
-        """Return whether what seems to be held, or touched, may be the hand itself.
+        """Return whether the object that seems held or touched may be the hand itself.
 
-        Or else whether what is touched, but not gripped by the tips, may be held: by what else
-        of the hand touches it, or by its weight on the fingers.
+        Or whether an object that is touched, but not gripped by the tips, may be held: by other
+        parts of the hand that touch it, or by its weight on the fingers.
         """
         plan, contact = run.plan, self._contact
         grasped = any(contact.grasping(i) for i in plan.involved)
@@ -328,7 +329,7 @@ class Executor:
             return True
         last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
         if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):
-            return False  # to touch is all that was asked for
+            return False  # the goal asks only for a touch
         return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
 
     def _stopped_closing(self, run: _Run, measured: Measured) -> bool:
@@ -436,7 +437,7 @@ class Executor:
         run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
         targets = run.present.targets
         arrived = self._within(run, error) and self._settled(run)
-        # What is held on the last millimetre is held: to have arrived there says less.
+        # An object held on the last millimetre counts as held, though the target is reached, too.
         held = any(self._contact.grasping(i) for i in targets)
         if not held and self._settled(run) and self._bears(run, stamp, measured):
             if stamp - run.bears < _STEADY:
@@ -535,7 +536,7 @@ class Executor:
         return math.sqrt(angle), math.sqrt(length)
 
     def _tolerance(self, plan: Plan) -> float:
-        """Return the norm of the error that counts as none [rad | m]."""
+        """Return the norm of the error that counts as 0 [rad | m]."""
         if isinstance(plan.to, Intensity | FirstContact):
             return plan.to.tolerance
         if plan.grip is None:  # as in recordings of goals without a table
@@ -562,7 +563,7 @@ class Executor:
             return True
         if not self._within(run, self._norms(targets, profile.position)):
             return False
-        # What the reference would still move if it went on like this for a moment.
+        # Motion of the reference if it went on like this for a moment.
         travels = {i: profile.velocity[i] * _REST_IN for i in targets}
         return self._within(run, self._norms(travels, [0.0] * profile.size))
 
@@ -590,7 +591,7 @@ class Executor:
         return blocked
 
     def _steady(self, run: _Run, stamp: float) -> bool:
-        """Return whether what the fingers reacted to has come to rest, as far as they did."""
+        """Return whether the fingers that reacted, and the object, have come to rest."""
         if not self._reflexes.touched:
             return True
         return rules.settled(

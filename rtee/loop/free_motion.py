@@ -199,7 +199,7 @@ class FreeMotion:
         )  # fmt: skip
 
     def restore(self, learned: LearnedMotion) -> None:
-        """Go on from what was learned before."""
+        """Continue from an earlier estimate."""
         limit = self._limit
         self._parameters = [min(max(p, -limit), limit) for p in learned.parameters]
         self._matrix = [list(learned.matrix[k : k + 3]) for k in (0, 3, 6)]

@@ -38,8 +38,8 @@ _EFFORT_SHARE: Final = 0.15
 object is seldom exactly where the fingertips meet in the table."""
 
 _SHARED: Final = 0.25
-"""The same where one motor moves more than two fingers, which do not share its effort as the levers
-assume: in simulation, a 3-Finger presses with 18 % more."""
+"""Such an error where one motor moves more than two fingers, which do not share its effort as the
+levers assume: in simulation, a 3-Finger presses with 18 % more."""
 
 ELSEWHERE: Final = 0.6
 """Error of an estimate by the efforts of several actuators, likewise, and the least of one whose
@@ -69,8 +69,8 @@ _TABLE: Final = 5e-4
 """Error of the table of openings, and of measured positions, at the tips [m]: that of goals."""
 
 _JOINTS: Final = 3e-3
-"""The same where several actuators press [m]: each yields, and the tips meet beside the points that
-the table is made for. In MuJoCo, an empty Ability Hand's tips meet at 1.4 mm by its table."""
+"""Such an error where several actuators press [m]: each yields, and the tips miss the points of the
+table. In MuJoCo, an empty Ability Hand's tips meet at 1.4 mm by its table."""
 
 _FIRST_ORDER: Final = 0.5
 """Error of a correction by levers, as a share of it: they change over the distance they are used
@@ -159,7 +159,7 @@ class Grip:
             tuple(finger for side in sides[1:] for finger in side),
             opening.around,
             single,
-            # What yields between motor and fingertip keeps the motor's inertia from the blow.
+            # Compliance between motor and fingertip keeps the motor's inertia out of the impact.
             tuple(
                 inertia_of(hand.actuators[i], hand.actuators[i].effort, k)
                 if k.coupling in (None, Following.RIGID)
@@ -418,7 +418,7 @@ class Grip:
         felt = self.tip_force(touch)
         if felt == felt:
             one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
-            # What one side bears more may press on the object, too, where other links hold against.
+            # The excess of one side may press on the object, too, if other links support it.
             uneven = 0.0 if self.around else abs(one - other)
             return felt, _TIP_SHARE * felt + uneven, TIPS
         share = self._nearest(position)

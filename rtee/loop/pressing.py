@@ -81,7 +81,7 @@ _POSTURE = 0.25
 """Share of the effort limit that carries a finger and overcomes its friction, besides the force."""
 
 _KNOWN = 0.05
-"""The same share once weight and friction are known from the approach."""
+"""Such a share once weight and friction are known from the approach."""
 
 _FULL = 0.97
 """An actuator counts as at its effort limit from this share of it on."""
@@ -353,7 +353,7 @@ class Pressing:
             return False
         wanted = self._level * self._force
         share = self.felt / wanted
-        # Of all fingers: one that stopped elsewhere holds nothing by itself.
+        # All fingers count: one that stopped elsewhere holds nothing by itself.
         changed = self.answers_slips and self.built and self._slips(stamp, measured)
         self._contact.presses_now(self._way, share >= _TOUCHES)
         if self.built and self._rests(share, measured):
@@ -371,7 +371,7 @@ class Pressing:
         return changed
 
     def _rests(self, share: float, measured: Measured) -> bool:
-        """Return whether a force that has arrived stays as it is."""
+        """Return whether a force that was reached stays unchanged."""
         if self.failed or _WEAK <= share <= _STRONG:
             return True
         if share < _WEAK:

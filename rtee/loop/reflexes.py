@@ -264,7 +264,7 @@ class Reflexes:
             for i in watched:
                 self._tare.forget(i)
         if opens:
-            # What is met on this path, at any opening, is touched elsewhere than with the tips.
+            # Anything met on this path, at any opening, is not touched with the tips.
             self._approach = _LegReactions(
                 watched,
                 first=True,
@@ -406,7 +406,7 @@ class Reflexes:
         passed, self._before = stamp - self._before, stamp
         grip, force = approach.grip, approach.force
         sides = () if grip is not None and grip.around else approach.sides
-        # Where some of the fingers press with all of the force, the others are not waited for.
+        # If some fingers press with all of the force, there is no need to wait for the others.
         forced = grip is not None and force is not None and grip.tip_force(measured.touch) >= force
         pressed = self._squeeze is None and self._pressed(approach, stamp, measured)
         for i, watched in approach.watched.items():
@@ -419,7 +419,8 @@ class Reflexes:
             velocity = self._profile.velocity[i]
             reference = self._limiter.position[i]
             if approach.around:
-                # Only what is felt, or pressed on: efforts show a blow once it is over.
+                # Only contacts that are felt, or pressed on: efforts show an impact only when it is
+                # over.
                 forces = self._contact.forces(i, measured)
                 touches = rules.any_touch(forces, self._grasp.touch) is True
             else:
@@ -429,7 +430,7 @@ class Reflexes:
             if not (pressed or touches):
                 strengthened = watched.limit < math.inf
                 if strengthened and approach.around and self._contact.moved(i, measured):
-                    # Friction is overcome: what stops it from now on is met.
+                    # Friction is overcome: from now on, only an object can stop the actuator.
                     self._allow({i: watched.limit})
                     watched.limit = math.inf
                 elif strengthened:
@@ -463,7 +464,7 @@ class Reflexes:
         return rules.presses(
             estimate.by_efforts(measured.effort, measured.position),
             approach.share(measured) * force,
-            # What friction takes must be known.
+            # The effort of friction must be known.
             (
                 each.touched or (stamp - each.kept_up >= _LOOKED_AT and self._tare.sure(i))
                 for i, each in approach.watched.items()
@@ -479,10 +480,10 @@ class Reflexes:
         passed: float,
         measured: Measured,
     ) -> None:
-        """Learn what an approaching actuator takes while it keeps up with its reference."""
+        """Learn the effort of an approaching actuator while it keeps up with its reference."""
         here, reference = measured.position[i], self._limiter.position[i]
         moved, wanted = here - watched.was, reference - watched.reference
-        # What falls behind may press on something already, however gently it came.
+        # An actuator that falls behind may already press on something, however gently it came.
         if moved * watched.ahead >= _LAGS * wanted * watched.ahead > 0.0:
             watched.kept_up = stamp
             if not self.touched:
@@ -522,7 +523,7 @@ class Reflexes:
         """Raise the effort of an approaching actuator that falls behind, up to the goal's limit."""
         here, reference = measured.position[i], self._limiter.position[i]
         full = self._limit(i)
-        # What runs ahead of its reference must brake with all it has.
+        # An actuator that runs ahead of its reference must brake with its full effort.
         runs = (here - reference) * watched.ahead > _AHEAD * watched.tolerance
         if runs or watched.runs:
             watched.runs = runs

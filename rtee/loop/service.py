@@ -72,7 +72,7 @@ class ServiceReporter:
         return _WatchedHand(name, self._ticked, self._describe)
 
     def stopping(self) -> None:
-        """Report that the hands are being brought to rest; the watchdog is no longer fed."""
+        """Report that the hands are coming to rest; from now on the watchdog is not fed."""
         self._stopping = True
         self._send("STOPPING=1", f"STATUS={self._status_sent}")
 

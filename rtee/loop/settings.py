@@ -134,7 +134,7 @@ class DeviceChoice:
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
-        ideal: Emulated devices are as their sheets have them, instead of worn.
+        ideal: Emulated devices match their data sheets instead of being worn.
         options: Options of the driver, which take precedence over those in hand.yaml.
         source: The hand.yaml, for messages.
         lines: Line of each device in it, for messages.
@@ -177,7 +177,8 @@ def device_settings(
             )
         chosen = list(config.devices.items())
     else:
-        # The devices of this driver keep their options; a stand-in drives the other actuators.
+        # The devices of this driver keep their options; a kinematic driver takes the other
+        # actuators.
         chosen = [(n, d) for n, d in config.devices.items() if d.driver == driver]
     # Drivers have different options: most would be a mistake for one of several devices.
     if choice.options and len(chosen) > 1:

@@ -169,7 +169,7 @@ class DeviceConnection:
     async def exchange(self, reference: Reference | None) -> None:
         """Read the state, then send the reference if there is one; cannot raise."""
         try:
-            # Sense first: what the controller reads next must not wait for the sending.
+            # Sense first: the controller's next input must not wait for sending.
             self.accept(await self._driver.sense())
             # A request may have made the device inactive since the reference was handed over.
             if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
@@ -368,7 +368,7 @@ class DeviceConnection:
         # Twice the time: the timeout below fires first, and cancelling takes some time, too.
         self._runner.begin(2 * CLOSE_WITHIN)
         try:
-            # Unlike asyncio's, this timeout cancels again and again a driver that goes on.
+            # Unlike asyncio's, this timeout cancels a driver repeatedly if it goes on.
             with anyio.fail_after(CLOSE_WITHIN):
                 await self._driver.close()
         except Exception as error:

@@ -104,7 +104,7 @@ class Thermal:
         self._again = [math.inf] * size
 
     def words(self, names: Mapping[int, str]) -> str:
-        """Describe those of some actuators, given by index, that are not cool."""
+        """Describe the actuators, given by index, that are not cool."""
         return "; ".join(
             _STATUS[self.level[i]].format(name, self.factor[i])
             for i, name in names.items()

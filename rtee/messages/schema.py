@@ -47,7 +47,7 @@ _LONGEST_VALUE = 200
 """Most characters read of a constant or default: definitions in recordings are by anybody."""
 
 _WRONG = (TypeError, ValueError, AttributeError, struct.error)
-"""What values of a wrong type raise."""
+"""Errors that values of a wrong type raise."""
 
 _FIELD = re.compile(
     r"(?P<kind>[A-Za-z][\w/]*)(<=(?P<longest>\d+))?(?P<many>\[((?P<most><=)?(?P<count>\d+))?\])?"

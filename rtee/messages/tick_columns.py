@@ -22,7 +22,7 @@ _TICKS: Final = message_type("rtee_msgs/msg/Ticks")
 _WORD = 8  # bytes of a number
 _TIMES = (15, 23)  # offsets of the times in a record's head (MCAP specification, "Message")
 _FIELDS = 35  # offset of the first field in a record: its head, and the head of CDR
-_PLACES, _FEW = 6, 16  # ticks at so many places tell how often is best
+_PLACES, _FEW = 6, 16  # number of places with sample ticks, to find the best interval
 _MOST = 3  # differences are taken as often as this, at most: more would add noise
 
 Bytes = NDArray[np.uint8]
@@ -90,7 +90,7 @@ def decode_ticks(message: bytes) -> tuple[Bytes, list[int]]:
     """Return the rows and the offsets of records in a ``rtee_msgs/Ticks``.
 
     Raises:
-        MessageError: if it makes no sense.
+        MessageError: if it is not valid.
     """
     fields = _TICKS.decode(message)
     ticks, words, others = fields["ticks"], fields["number"], fields["other"]

@@ -58,7 +58,7 @@ _TAKES_PART: Final = 0.1
 """A fingertip moves along that axis if it goes this part of the path of the fastest one."""
 
 _STILL: Final = 1e-3
-"""Motion of fingertips below this is none [m]."""
+"""Motion of fingertips that counts as 0 [m]."""
 
 
 def opposition(motions: FloatArray, out: FloatArray) -> tuple[FloatArray | None, FloatArray]:
@@ -305,7 +305,7 @@ class _HandBatch:
             self._touch(rows)
 
     def _touch(self, rows: Slots) -> None:
-        """Look at what touches in some rows."""
+        """Examine the touching shapes in some rows."""
         found = self._near.touching(self._at, rows)
         for row, touches in zip(rows.tolist(), found, strict=True):
             self._touches[row], self._facing[row] = touches, self._opposed(touches)

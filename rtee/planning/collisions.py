@@ -17,7 +17,7 @@ from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
 OBJECT: Final = "object"
-"""What a collision with the object names instead of a link."""
+"""Name of the object, instead of a link, in a collision."""
 
 _DEPTH: Final = 1e-3
 """Links overlap from this depth on [m]: models are no more exact."""

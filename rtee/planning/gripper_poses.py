@@ -207,7 +207,7 @@ def reach_gripper_pose(
         object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
 
     Raises:
-        ConfigError: if a value makes no sense, or no action has this opening; with the nearest.
+        ConfigError: if a value is invalid, or no action has this opening; names the nearest.
         ModelError: A mesh of the hand is missing or cannot be read.
     """
     for name in fingers:
@@ -322,7 +322,7 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     moved = {f: (tips.from_tip(f, local[f]) - before[f]) / step for f in opening.fingers}
     closing = np.mean([moved[f] for f in other], axis=0) - np.mean([moved[f] for f in one], axis=0)
     closing /= np.linalg.norm(closing)
-    # Back from the difference: `reach` asks for the hand as it was placed last.
+    # Computed back from the difference: `reach` takes the hand as it was placed last.
     tips.go(from_rest(np.array(hand.rest), goal, intensity))
 
     # Perpendicular to the closing, as the axes of the gripper's pose are.

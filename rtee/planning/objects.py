@@ -175,7 +175,7 @@ def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject
         scale: Brings a mesh to metres: 0.001 for one in millimetres.
 
     Raises:
-        ConfigError: if it is none of these, or mass or scale make no sense.
+        ConfigError: if it is none of these, or mass or scale is invalid.
         ModelError: if the mesh cannot be used.
     """
     if not (math.isfinite(mass) and 0.0 < mass <= 100.0):

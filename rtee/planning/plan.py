@@ -76,7 +76,7 @@ def plan_grasps(
         compose: Compose an action of primitives where no single one is good.
 
     Raises:
-        ConfigError: if the object fits into no opening of the hand, or an argument makes no sense.
+        ConfigError: if the object fits into no opening of the hand, or an argument is invalid.
         ModelError: if a mesh of the hand cannot be read.
     """
     planner = Planner(hand, obj, friction, weight_axis, table)

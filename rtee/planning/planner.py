@@ -37,9 +37,10 @@ SAFETY: Final = 3.0
 """A grasp that carries so many times the weight is not limited by its load: arms accelerate."""
 
 _SAFETY_OF_FINGERS: Final = 20.0
-"""The same of what three or more fingers take from a table. The load is that of the best forces
-they could share; those of fingers that close on what stands are far from these. Of grasps that
-carry 3 to 6 times the weight 1 of 54 held, of 6 to 20 times 30 of 70, and beyond 47 of 64."""
+"""Such a factor for three or more fingers that take an object from a table. The load is that of the
+best forces they could share; the forces of fingers that close on a standing object are far from
+these. Of grasps that carry 3 to 6 times the weight 1 of 54 held, of 6 to 20 times 30 of 70, and
+beyond 47 of 64."""
 
 _POSES: Final = 120
 """Poses of the object that are tried for a hand, shared by its actions."""
@@ -80,10 +81,10 @@ _MARGIN: Final = 0.01
 """Excess of the opening over the object's width before the hand closes [m]."""
 
 _SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
-"""How far set-points go beyond the contact of sliding actuators [m], so that they press."""
+"""How far set-points of sliding actuators go beyond the contact [m], so that they press."""
 
 _SQUEEZE_ANGLE: Final = 0.3
-"""The same of turning ones [rad]: the full effort of a servo of ordinary stiffness."""
+"""How far those of turning actuators go [rad]: the full effort of an ordinary servo."""
 
 _CLEAR: Final = 1e-3
 """Gap between the pre-shaped hand and the object [m]: models are that exact."""
@@ -92,7 +93,7 @@ _FAR: Final = 0.05
 """Largest clearance that is computed exactly [m]."""
 
 _PUSHED: Final = 0.015
-"""How far fingers push what stands until they hold it [m], so that the grasp counts half."""
+"""Distance over which fingers push a standing object [m] at which the grasp counts half."""
 
 _MISSED: Final = 4
 """Where one of twelve places nearby is missed, three in ten grasps are."""
@@ -191,7 +192,7 @@ class Planner:
     def ranking(
         self, plans: Sequence[GraspPlan], rejected: Sequence[tuple[str, str]] = ()
     ) -> Ranking:
-        """Return grasps with what they were planned for."""
+        """Return grasps with the conditions of their planning."""
         x, y, z = (float(v) for v in self.task.weight_axis)
         unlimited = [a.name for a in self.hand.actuators if not math.isfinite(a.effort)]
         notes = [*self.obj.notes]
@@ -219,12 +220,12 @@ class Planner:
         best: tuple[int, GraspPlan] | None = None
         found = enumerate(self._grasps(actions, most))
         there = [(number, grasps) for number, grasps in found if not isinstance(grasps, str)]
-        # The most promising first: what is certainly worse than the best so far is soon done.
+        # The most promising first: a grasp that is certainly worse than the best so far ends soon.
         for number, grasps in sorted(there, key=lambda each: -each[1][0].promise):
             plan = self._best_of(grasps, best and best[1])
             if isinstance(plan, str):
                 continue
-            # Of equal ones the one that was named first, in whatever order they are judged.
+            # Of equal grasps, the first one in the list wins, in whatever order they are judged.
             if best is None or (-plan.score, number) < (-best[1].score, best[0]):
                 best = number, plan
         return best
@@ -256,7 +257,7 @@ class Planner:
         opening, narrowest = float(search.gaps.max()), search.poses.narrowest(self.turns)
         self.widest = max(self.widest, opening)
         self.narrowest = min(self.narrowest, narrowest)
-        # Only where no pose was tried: what is too wide for the tips may still fit into the palm.
+        # Only if no pose was tried: an object too wide for the tips may still fit into the palm.
         if not search.tried and narrowest > opening - 2.0 * GAP:
             return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
         self.too_wide = False
@@ -513,7 +514,7 @@ def _score(held: float, ball: float, off: float) -> float:
     share of what is safe, on the quality, and on the distance of the contacts' middle from the
     centre of mass, in lengths of the object.
     """
-    # What does not resist every wrench turns or slides out as soon as it is disturbed.
+    # An object that is not held against every wrench turns or slides out when disturbed.
     closed = 0.2 if ball > 0.0 else 0.0
     # A product: a grasp that carries nothing scores 0, however good it is otherwise.
     return min(1.0, held) * (
@@ -522,7 +523,7 @@ def _score(held: float, ball: float, off: float) -> float:
 
 
 def _firmness(grasp: FoundGrasp) -> float:
-    """Return by what share a grasp of something that stands is less good than its forces say.
+    """Return by what share the grasp of a standing object is worse than its forces suggest.
 
     Fingers that push the object far, or miss it where it stands beside its place,
     upset it.

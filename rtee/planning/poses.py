@@ -368,7 +368,7 @@ class Poses:
     def _ways(self, step: int, turn: FloatArray) -> Iterator[tuple[bool, Way]]:
         """Yield how the object may come, turned, and whether from the side above a table.
 
-        Fingers that oppose a thumb along the reach, and curl, come tilted to what stands there.
+        Fingers that curl and oppose a thumb along the reach approach a standing object at a tilt.
         """
         frame, directions = self._frame(step), self._directions()
         up = None if self._ground is None else self._ground.up
@@ -432,7 +432,7 @@ class Poses:
 
     def _sizes(self, turns: list[FloatArray]) -> list[tuple[float, float, float]]:
         """Return the object's width, across the axis of closing, and depth, for each turn [m]."""
-        # These are its extents along the turn's own rows, wherever the axes of the hand are.
+        # The extents are along the rows of the rotation, wherever the axes of the hand are.
         return [self._scene.sizes(turn) for turn in turns]
 
     def _frame(self, step: int) -> FloatArray:
@@ -541,7 +541,7 @@ class Poses:
 
 
 def _across(vector: FloatArray, axis: FloatArray) -> FloatArray:
-    """Return the unit vector of what is across a unit axis; nearly zero if nothing is."""
+    """Return the unit vector of the component across a unit axis; about zero if there is none."""
     across = vector - (vector @ axis) * axis
     size = float(np.linalg.norm(across))
     return across / size if size > 0.1 else np.zeros(3)

@@ -56,7 +56,7 @@ class HandPose:
 
 
 class HandPoses:
-    """Where the shapes of a hand are at several postures, worked out where it is asked for.
+    """Poses of a hand's shapes at several postures, computed lazily.
 
     There is one posture in each row; a slot is the number of a shape in an array
     ``(rows, shapes)``.
@@ -135,7 +135,7 @@ class Postures:
             # A joint's supports are the joints between the base and it, itself and the universe.
             levels.setdefault(len(model.supports[index + 1]), []).append(index + 1)
         self._basis = basis.reshape(-1, 3, 16)
-        """What their sine, 1 - cosine and position add to that, row after row."""
+        """Terms that sine, 1 - cosine and position add to it, row after row."""
         self._levels = [
             (np.array(bodies), np.array([model.parents[body] for body in bodies]))
             for _, bodies in sorted(levels.items())

@@ -178,7 +178,7 @@ def ask(
         started: Called with the process, which may be killed.
 
     Raises:
-        ConfigError: if the question makes no sense.
+        ConfigError: if the question is invalid.
         RequestRejected: if there is no answer, with the reason.
     """
     question.check()

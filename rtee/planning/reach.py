@@ -129,7 +129,7 @@ def reach_contacts(
         object_pose: Its pose ``(4, 4)`` in the frame of the contacts; that frame's unless given.
 
     Raises:
-        ConfigError: if a value makes no sense, or no posture reaches the contacts; with the reason.
+        ConfigError: if a value is invalid, or no posture reaches the contacts; with the reason.
         ModelError: A mesh of the hand is missing or cannot be read.
     """
     base = checked_pose(palm_pose, "the palm's pose")
@@ -324,7 +324,7 @@ class _PostureSearch:
     ) -> tuple[float, FloatArray]:
         """Return the sum of squares and the posture at the end of one search."""
         moving = self.involved(fingers)
-        # What the other fingers do in a start is not part of the grasp: they stay at rest.
+        # The other fingers are not part of the grasp: they stay at rest.
         u = np.array(self._hand.rest)
         u[moving] = start[moving]
         home = u[moving].copy()
@@ -372,7 +372,7 @@ class _PostureSearch:
         columns = []
         for k, i in enumerate(moving):
             step = _DIFFERENCE * self._range[i]
-            # Backwards at the upper limit: no posture outside the limits is asked for.
+            # Backwards at the upper limit: no posture is outside the limits.
             if x[k] + step > self._upper[i]:
                 step = -step
             there = x.copy()

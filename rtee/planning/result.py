@@ -1,4 +1,4 @@
-"""What planning finds: ranked grasps with their reasons, as data that needs no geometry."""
+"""Results of planning: ranked grasps with their reasons, as data without geometry."""
 
 from __future__ import annotations
 

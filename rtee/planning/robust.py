@@ -19,7 +19,7 @@ _CANDIDATES: Final = 24
 """Poses between all fingers that are compared: two or three depths of each orientation."""
 
 _OF_GROUP: Final = 8
-"""The same between the fingers of a group."""
+"""Poses between the fingers of a group that are compared."""
 
 _GROUPS: Final = 4
 """Groups of fingers that are checked, the largest first."""

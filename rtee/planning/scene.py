@@ -23,7 +23,7 @@ _OTHERS: Final = 4
 """Most contacts of one link with one piece that count: the corners of a patch."""
 
 NOWHERE: Final = np.zeros(3)
-"""Point and normal of what does not touch."""
+"""Point and normal of a pair that does not touch."""
 
 
 class Touch(NamedTuple):
@@ -152,7 +152,7 @@ class GraspScene:
         body = self.geometry.shapes[touch.shape]
         there, here = at.where(touch.shape), coal.Transform3s(pose[:3, :3], pose[:3, 3])
         request, result = coal.CollisionRequest(), coal.CollisionResult()
-        # What touches within `TOUCH` need not overlap, and without a margin has no patch.
+        # Shapes that touch within `TOUCH` need not overlap, and without a margin have no patch.
         request.security_margin = 2.0 * TOUCH
         found = 0
         for piece in self.object.pieces:

@@ -89,7 +89,7 @@ class Top:
 
 
 class Ground:
-    """Tells how far a hand is from the table.
+    """Measures how far a hand is from the table.
 
     Attributes:
         up: The table's normal in the object's frame ``(3,)``; ``None``: it is against the weight.
@@ -197,7 +197,7 @@ class Ground:
     def clears(self, closing: HandClosing, candidate: PoseCandidate, closure: Closure) -> bool:
         """Return whether a hand keeps clear of the table, from its approach until it has closed."""
         top = self.top(candidate.pose, candidate.approach_from)
-        # What the fingers push deeper would be pressed on the table.
+        # Fingers that push an object deeper would press it on the table.
         if float((closure.pose[:3, 3] - candidate.pose[:3, 3]) @ top.up) < -_PRESSED:
             return False
         return self._least(closing, candidate, closure) >= _LEAST * CLEAR and all(

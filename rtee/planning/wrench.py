@@ -1,4 +1,4 @@
-"""What contacts can resist: closure, quality of a grasp, and the load it can carry.
+"""Wrenches that contacts resist: closure, quality of a grasp, and the load it can carry.
 
 A wrench is a force and a torque about the object's centre of mass, the torque divided by a length
 (the object's greatest distance from there), so that both are forces [N]. All is done in numpy:
@@ -148,7 +148,7 @@ def least_squares(
     count = matrix.shape[1]
     x = np.zeros(count) if start is None else start.copy()
     used = x > 0.0
-    # What the search begins with is solved for first.
+    # The first guess of the search is solved first.
     settled = not used.any()
     enough = 1e-10 * max(1.0, float(np.abs(matrix).max(initial=0.0)))
     # The limit of the authors' own code: rounding could make the exchange go on for ever.
@@ -350,7 +350,7 @@ def load(
             target = np.concatenate([-times * weights[k] / heavy, np.ones(limits)])
             starts[k], residual = least_squares(system, target, starts[k])
             if residual >= _CLOSED * 1e2 * max(1.0, times):
-                # What was too heavy once is likely to be so again, and is checked first.
+                # A load that was too heavy once is likely to be so again, and is checked first.
                 order.insert(0, order.pop(place))
                 return False
         return True

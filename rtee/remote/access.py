@@ -73,7 +73,7 @@ def router_access_control(people: Mapping[str, Role], hands: Mapping[str, str]) 
 
     Args:
         people: Roles by common name of the certificates of people, with any hand.
-        hands: Hands by common name of their certificates. Each speaks for itself alone.
+        hands: Hands by common name of their certificates. Each acts for itself only.
     """
     settings = _allowed("*", {name: {name: role} for name, role in people.items()})
     for name, hand in hands.items():
@@ -169,7 +169,7 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
 def _presence(hand: str) -> Iterable[dict[str, Any]]:
     """Return the rules for all admitted clients."""
     yield _rule("token", "ingress", ["liveliness_token"], hand, [f"{CLIENTS}/*"])
-    # A router passes on only tokens that it was asked for.
+    # A router passes on only the tokens that a client queried.
     yield _rule("tokens", "egress", ["declare_liveliness_subscriber"], hand, [f"{CLIENTS}/*"])
     find = _rule(
         "find", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], hand, [ALIVE]

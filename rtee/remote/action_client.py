@@ -133,7 +133,7 @@ class ActionClient:
                 normal.
 
         Raises:
-            ConfigError: if the object or an option makes no sense.
+            ConfigError: if the object or an option is invalid.
             RequestRejected: if the hand refuses the request, with the reason.
         """
         question = question_about(

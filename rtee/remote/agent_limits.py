@@ -87,7 +87,7 @@ class AgentLimits:
             )
         if goal.force is not None and goal.force.value > self.force:
             raise GoalRejected(
-                f"{goal.force.value:g} N is more than the {self.force:g} N that the operator allows"
+                f"{goal.force.value:g} N is more than the {self.force:g} N that a person allows"
             )
         if isinstance(goal.speed, TipSpeed) or goal.speed > self.speed:
             raise GoalRejected(

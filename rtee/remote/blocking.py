@@ -483,6 +483,6 @@ def _portal() -> Iterator[BlockingPortal]:
     finally:
         if portal not in _FORKED:
             portal.call(portal.stop)
-        # The loop's end closes what is still iterated over, by calls into Zenoh. A thread that
+        # At its end, the loop closes open iterators by calls into Zenoh. A thread that
         # returns from one while the interpreter ends aborts the process.
         thread.join(_END_WITHIN)

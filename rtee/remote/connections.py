@@ -108,7 +108,7 @@ class Connections:
     def _run(self) -> None:
         while True:
             self._new.wait()
-            # Looked at together, so that many new ones take little time of the interpreter.
+            # Checked together, so that many new connections take little time of the interpreter.
             if self._ended.wait(_TOGETHER):
                 return
             self._new.clear()

@@ -159,7 +159,7 @@ class Door:
     def _say(self, process: subprocess.Popen[str]) -> None:
         """Send the process the list of admitted clients."""
         assert process.stdin is not None  # noqa: S101
-        with contextlib.suppress(OSError):  # it has ended; the next one is told at its start
+        with contextlib.suppress(OSError):  # it has ended; the next one gets it at its start
             process.stdin.write(json.dumps(self._people) + "\n")
             process.stdin.flush()
 
@@ -216,12 +216,12 @@ class _Gate:
                 self.close()
                 raise ConfigError("the hand's network process does not answer")
             monotonic.sleep(_POLL)
-        # Stops go on from here through the hand's own socket for them: in the hand's session they
+        # From here, stops go through the hand's own socket for stops: in the hand's session they
         # would wait behind what others have sent, since it has a single thread that receives.
         self._session.declare_queryable(
             network_key(hand_name, f"{STOP}/*"),
             direct(self._on_stop),
-            complete=True,  # the hand's own is not asked besides
+            complete=True,  # the hand's own session is not queried as well
         )
 
     def _on_stop(self, query: zenoh.Query) -> None:

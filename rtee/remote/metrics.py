@@ -90,7 +90,7 @@ _OF_DEVICES: Sequence[tuple[Any, str, str, _Device]] = (
     (_COUNTER, "device_overruns", "Exchanges that missed their deadline.", lambda d: d.overruns),
     (_COUNTER, "device_reconnects", "Times it was connected again.", lambda d: d.reconnects),
 )
-"""The same of a device."""
+"""Counters of a device."""
 
 _OF_ACTUATORS = (
     ("actuator_temperature_celsius", "Temperature.", "temperature"),

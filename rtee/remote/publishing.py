@@ -138,7 +138,7 @@ class TopicPublishers:
         publisher.close()
 
     def admit(self, people: Collection[str]) -> None:
-        """Publish to clients with some certificates, and no longer to those with others."""
+        """Publish only to clients with the given certificates from now on."""
         with self._changing:
             self._paths = (HERE, *people)
             for publisher in self._open:

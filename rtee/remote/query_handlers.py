@@ -150,7 +150,7 @@ _MOST_ACTIONS = 256
 reading of the files by 0.3 ms."""
 
 _FIRST_TICK = 2.0
-"""Longest time from when a hand is found to its first tick [s]: a busy computer takes a tenth."""
+"""Longest time from the discovery of a hand to its first tick [s]: a busy computer takes 0.1 s."""
 
 _LOOK_EVERY = 0.005
 """Interval at which the first tick is looked for [s]: that of a slow loop."""

@@ -19,12 +19,13 @@ CLIENTS_OF_SHARE = 64
 together."""
 
 TOGETHER = 8.0
-"""What all clients of one such share may use together, in multiples of what one may: as much as
-eight programs that are busy all the time. Else one person's share would grow with each client."""
+"""Allowance of all clients of one share together, in multiples of one client's: as much as eight
+programs that are busy all the time. Otherwise a person's share would grow with each client."""
 
 RESERVED = 1.0 / 16.0
-"""What no other client of its share can use up, in multiples of what one may: a client that
-is alone goes on working, slowly. For all of `CLIENTS_OF_SHARE` that is half of `TOGETHER` again."""
+"""Allowance of a client that others of its share cannot use up, in multiples of one client's: a
+lone client goes on working, slowly. For all of `CLIENTS_OF_SHARE` that is half of `TOGETHER`
+again."""
 
 _BURST = 0.5
 """Burst of requests, in seconds of their rate [s]: a program's first requests come at once."""

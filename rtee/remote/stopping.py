@@ -27,7 +27,7 @@ from rtee.errors import NoHand
 from rtee.hand.names import safe_name
 
 SUFFIX = ".stop"
-"""Ending of the socket's path; the rest is that of the socket of the network."""
+"""Suffix of the socket's path; the rest is the same as for the network's socket."""
 
 CERTIFICATE = "certificate_"
 """Beginning of the name under which the hand's door passes a stop on; a common name follows."""

@@ -19,7 +19,7 @@ from rtee.remote.monitoring import HandStatus
 from rtee.types import DeviceStatus, Event, Lifecycle, Outcome, Result
 
 STALE_AFTER: Final = 1.0
-"""Age of the newest state from which on it says nothing of now [s]: a hundred states late."""
+"""Age at which the newest state is out of date [s]: a hundred states late."""
 
 _FELT: Final = 0.5
 """Measured force from which on something is held, without any result [N]: above sensors' drift."""

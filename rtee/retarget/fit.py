@@ -33,7 +33,7 @@ _WIDTHS: Final = 17
 """Openings of a gripper that are kept: linkages are no straighter than that."""
 
 _POSTURES: Final = 128
-"""Postures by which the reach of a finger is found: enough for its few joints."""
+"""Number of postures that determine the reach of a finger: enough for its few joints."""
 
 _BEGIN: Final = 0.3
 """Share of the path to the closed posture on which a finger's motion shows where the palm faces."""

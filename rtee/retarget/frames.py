@@ -71,7 +71,7 @@ class FrameReader:
         """Return the frame in a line; ``None`` if it has none.
 
         Raises:
-            LogError: The line makes no sense; says what would.
+            LogError: The line is not valid; says what would be.
         """
         self._number += 1
         if not line.strip():

@@ -61,16 +61,16 @@ _DRAW: Final = 0.5
 """Weight of the positions of the extracted pinch as the tips meet [1/range]."""
 
 _GRIP: Final = 50.0
-"""The same of a gripper, whose opening is all that it has."""
+"""Such a weight for a gripper, which has nothing but its opening."""
 
 _DRAWN: Final = 0.03
 """Gap at which the extracted pinch has half of that weight [m]."""
 
 _APART: Final = 1000.0
-"""Weight of links of different fingers that overlap [1/m]: more than of tips that should meet."""
+"""Weight of overlapping links of different fingers [1/m]: more than that of tips that meet."""
 
 _CURVED: Final = 1.0
-"""Curvature of a tip's path that is damped, of that of a circle around the finger's base."""
+"""Curvature from which a tip's path is damped, relative to a circle around the finger's base."""
 
 _STEPS: Final = 2
 """Steps of Gauss-Newton per frame: from the last frame's answer, two come to within noise."""
@@ -82,7 +82,7 @@ _REACHED: Final = (0.0002, 0.008)
 """Errors of a gap that need no correction, and that no correction mends [m]."""
 
 _SOFT: Final = 1e-5
-"""Square of the motion of a gap over an actuator's range below which it is none [m²]: 3 mm."""
+"""Square of the motion of a gap over an actuator's range that counts as 0 [m²]: 3 mm."""
 
 _SMALL: Final = 0.05
 """Largest correction [range]."""
@@ -232,7 +232,7 @@ class Solver:
             self._tips.go(u)
             found = [self._tips.gap(pair) for pair, _ in wanted]
             off = np.array([gap - row[0] for (_, gap), row in zip(wanted, found, strict=True)])
-            # What is far off is out of reach; and where tips overlap, others do not meet.
+            # Distant targets are out of reach; and where tips overlap, other tips do not meet.
             over = np.array([row[0] < -_REACHED[0] for row in found])
             mended = (np.abs(off) < _REACHED[1]) & (over | ~over.any())
             rows, off = np.array([row[1] for row in found])[mended] * self.range, off[mended]

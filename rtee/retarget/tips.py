@@ -21,7 +21,8 @@ NEAR: Final = 0.004
 of the solver near contact."""
 
 _POSTURES: Final = 200
-"""Postures at which pairs of shapes are looked at once, to know those that may come near."""
+"""Number of postures at which pairs of shapes are checked once, to find those that may come
+near."""
 
 _FAR: Final = 0.008
 """Least distance at these postures of those that never do [m]: postures between them are nearer."""

@@ -118,7 +118,7 @@ class GraspAction(ActionPart):
 def goal_in(message: Any) -> Goal:
     """Return the goal in a ``rtee_msgs/action/Grasp_Goal``.
 
-    Raises `GoalRejected` if it makes no sense.
+    Raises `GoalRejected` if it is invalid.
     """
     fields = {field.name: getattr(message, field.name) for field in message.STRUCTURE.fields}
     for name in OPTIONAL:  # a sequence of at most one value

@@ -143,7 +143,7 @@ class RosEndEffector:
         counts = dict(zip(mask.name, mask.count, strict=True))
         if unknown := set(counts) - set(where):
             return {"error_msg": f"action_motor_count counts '{min(unknown)}' without a position"}
-        # Without a mask, motors at 0 are those that are not meant.
+        # Without a mask, motors at 0 count as not involved.
         where = {
             name: value
             for name, value in where.items()

@@ -84,8 +84,8 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
     Raises `ConfigError` if a namespace is malformed, or two hands would have the same node.
     """
     risks = [
-        f"whoever reaches the router of ROS 2 at {router}{_others(router)} can move"
-        f" {_listed(names)}: ROS 2 knows no identities"
+        f"anyone who reaches the router of ROS 2 at {router}{_others(router)} can move"
+        f" {_listed(names)}: ROS 2 does not check identities"
         for router, names in _grouped((hand.settings.router, hand.name) for hand in hands).items()
     ]
     nodes = _grouped((hand.node, hand.name) for hand in hands)

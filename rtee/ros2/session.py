@@ -98,7 +98,7 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
     try:
         return structs.replace(settings, **changes)
     except ValueError as error:
-        raise ConfigError(f"the command line is wrong: {error}") from None
+        raise ConfigError(f"the command line: {error}") from None
 
 
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
@@ -173,8 +173,8 @@ def configuration(
                 " remote.security",
                 key="ros2.router",
             )
-        # Who must show a certificate, or open a file, to reach the router must not reach a node's
-        # own port beside it.
+        # A program that needs a certificate, or access to a file, to reach the router must not
+        # reach a node's own port without them.
         near = is_safe(router) and not router.startswith((TLS, LOCAL))
         entries = _SETTINGS | (_PEER if near else _CLIENT) | {"connect/endpoints": [router]}
         if router.startswith(TLS):

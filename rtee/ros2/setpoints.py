@@ -502,8 +502,8 @@ class _Following:
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
             return
         outside, moving = _outside(limits.goal, desired, actual), _moving(limits.stopped, actual)
-        # Without goal tolerances, the goal is reached after the time to settle: what is measured
-        # may be older than the end.
+        # Without goal tolerances, the goal is reached after the time to settle: measurements may be
+        # older than the end.
         if not (outside or moving) and (limits.goal or now >= end + SETTLED):
             # A hand that is slower than the trajectory has been led to the end until now.
             self._play.until = max(now, end + SETTLED)

@@ -42,7 +42,7 @@ class RunOptions:
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Whether to talk to emulators instead of the real devices.
-        ideal: Whether emulated devices are as their sheets have them, instead of worn.
+        ideal: Whether emulated devices match their data sheets instead of being worn.
         object_in_hand: The object between the fingers of emulated devices, as on the command line.
         driver_options: Options of the driver, which take precedence over those in hand.yaml.
         home: Whether to home devices that need it at the start; this moves them.

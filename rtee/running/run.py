@@ -145,7 +145,7 @@ async def run_hands(
             say(start_line(hand.loop, _log_words(hand.recorder), network))
             if service is not None:
                 hand.loop.add_observer(service.watch(hand.loop.name))
-        # As they are before this thread is pinned: for the companions, which would inherit them.
+        # The CPUs before this thread is pinned: companions would inherit the pinned ones.
         cpus = affinity()
         # Now that all threads of the hands run, which it gives precedence, too.
         for warning in set_up(realtime):

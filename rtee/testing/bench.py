@@ -41,7 +41,7 @@ _DO: Final[dict[str, Callable[[Simulation, Emulator, str], None]]] = {
     "fault": lambda _, device, name: device.inject(name),
     "clear": lambda _, device, __: device.clear(),
 }
-"""What can be done to an emulated device, with one word of detail."""
+"""Operations on an emulated device, with one word of detail."""
 
 
 class EmulatedDevices(ABC):
@@ -91,7 +91,7 @@ class Bench:
         self._line, self._answers = line, line.makefile("r", encoding="utf-8")
 
     def do(self, what: str, detail: str = "", device: str | None = None) -> None:
-        """Do something to a device, or to all; return when it is done.
+        """Apply an operation to a device, or to all; return when it is done.
 
         Raises:
             ConfigError: if the device cannot do that, or is not emulated.
@@ -164,7 +164,7 @@ def main(words: Sequence[str]) -> int:
 def act(
     pool: BusPool, loops: Sequence[HandLoop], what: str, detail: str, device: str | None
 ) -> None:
-    """Do something to an emulated device, or to all.
+    """Apply an operation to an emulated device, or to all.
 
     Raises:
         ConfigError: if the device cannot do that, or is not emulated.

@@ -47,7 +47,7 @@ _UNPLUGGED = 5
 """How often a device is unplugged at the least: what leaks one file each time has left five."""
 
 _APPROACH = 0.1
-"""Share of the way between two postures on which a device is when it is stopped."""
+"""Share of the path between two postures at which a device is stopped."""
 
 _SHARE = 0.05
 """Fraction of the messages that a faulty wire damages: more than even a real wire in need of

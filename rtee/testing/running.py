@@ -129,7 +129,7 @@ def running_hand(
             stdout=output,
             stderr=output,
             pass_fds=[its.fileno()],
-            # What it learns of its free motion is not the user's real hand's, nor the next test's.
+            # Its learned free motion must not reach the user's real hand, nor the next test.
             env={**child.environment(), "XDG_STATE_HOME": str(folder.resolve() / "state")},
         )
     line = bench.Bench(ours)

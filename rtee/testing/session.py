@@ -149,7 +149,7 @@ class Session:
         return wanted
 
     async def at_rest(self) -> ActuatorState:
-        """Return the state once the device rests: one may run on while it is being stopped."""
+        """Return the state once the device rests: it may still move while it is being stopped."""
         end = monotonic.now() + self.case.within
         state = await self.sense()
         while True:

@@ -31,10 +31,10 @@ _COLUMNS: Final = {
 
 
 class Answers:
-    """Answers of tasks, found by the task and by what they were made with."""
+    """Answers of tasks, by the task and the versions with which they were made."""
 
     def __init__(self, folder: Path) -> None:
-        """Read what a folder holds.
+        """Read the answers in a folder.
 
         Raises:
             MissingExtra: if pyarrow is missing.
@@ -99,7 +99,7 @@ class Answers:
             self.write()
 
     def write(self) -> None:
-        """Write what is new, as a further file.
+        """Write the new answers to a further file.
 
         Raises:
             ConfigError: if it cannot be written.

@@ -62,7 +62,7 @@ class Cluster:
         """
         with needing_extra("a sweep on a cluster", "sweep"):
             distributed: Any = importlib.import_module("distributed")
-        # What it says of lost connections, in tracebacks, is said here in one sentence.
+        # It reports lost connections in tracebacks; here, one sentence does.
         for name in ("client", "core", "batched"):
             logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
         self._address, self._tell = address, tell
@@ -167,7 +167,7 @@ class Cluster:
             self._tell(f"worker {about.get('name', worker)} ({worker}) is left out: {why}")
 
     def close(self) -> None:
-        """Leave the cluster; what it is at is given up."""
+        """Leave the cluster, and give up its running tasks."""
         self._client.close()
 
 
@@ -185,7 +185,7 @@ def _perform(archive: str, hand: str, file: str, text: str) -> str:
             text = to_text(with_object(task, str(folder / file)))
         said = perform(str(folder / hand), text)
     if file:
-        # What is said about the object names its path, which is another one here.
+        # Notes on the object name its path, which differs here.
         here, there = (json.dumps(path)[1:-1] for path in (str(folder / file), object_of(task)))
         said = said.replace(here, there)
     return json.dumps({**json.loads(said), "worker": worker.address})

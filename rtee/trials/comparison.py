@@ -27,7 +27,7 @@ _ONCE, _VARIED, _PICTURED = 10, 20, 30
 
 @dataclass
 class Cell:
-    """What is known of a hand and an object.
+    """Knowledge about a hand with an object.
 
     Attributes:
         hand: The hand, as tasks call it.
@@ -110,7 +110,7 @@ class Comparison:
             sweep.add(cell.hand, Planning(cell.object, self._like.mass))
 
     def take(self, sweep: Sweep, hand: str, task: Task, answer: Answer) -> None:
-        """Note an answer, and ask what follows from it."""
+        """Record an answer, and submit the tasks that follow from it."""
         cell = self.cells[hand, object_of(task)]
         match answer:
             case Picture():
@@ -132,7 +132,7 @@ class Comparison:
                     wanted=self._like.wanted,
                 )
                 sweep.add(hand, varied, _VARIED)
-                # A first answer, until the variations are there.
+                # A first answer, until the variations are done.
                 if cell.best is None:
                     cell.best = answer
             case TrialResult():
@@ -192,7 +192,7 @@ class Comparison:
             ]
             if whole:
                 return whole, ()
-        # Of those that hold the same, the smaller group.
+        # Of groups that hold the same, the smaller one.
         best = max(groups, key=lambda g: (len(set[str]().union(*(held[h] for h in g))), -len(g)))
         together = set[str]().union(*(held[h] for h in best))
         return [best], tuple(o for o in self.objects if o not in together)

@@ -27,10 +27,10 @@ _PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action ta
 
 
 class Plant(Protocol):
-    """What moves the hand: the simulation, or a kinematic stand-in."""
+    """The backend that moves the hand: the simulation, or a kinematic stand-in."""
 
     object_description: ObjectDescription | None
-    """What the object looks like, if there is one."""
+    """Appearance of the object, if there is one."""
 
     @property
     def position(self) -> FloatArray:
@@ -50,7 +50,7 @@ class Plant(Protocol):
 
     @property
     def scene_channels(self) -> Mapping[str, FloatArray]:
-        """What can be seen besides the hand, as channels; see `rtee.objects.description`."""
+        """Visible objects besides the hand, as channels; see `rtee.objects.description`."""
 
     def advance(self) -> None:
         """Go on by one period."""
@@ -120,7 +120,7 @@ class HeadlessHand(Generic[P]):
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
         self._silent = np.full(n, -1, dtype=np.int8)  # no device says whether it has grasped
-        # What is the same in each tick.
+        # The values that are the same in each tick.
         self._latest.temperature = [float("nan")] * n
         self._latest.fresh, self._latest.grasped = [True] * n, [-1] * n
         self._describe_object()
@@ -218,7 +218,7 @@ class HeadlessHand(Generic[P]):
         self.time = self.ticks * self._settings.period
 
     def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
-        # One object, as in the loop: plans find in it what is measured as they begin.
+        # One object, as in the loop: plans find the measurements at their beginning in it.
         measured = self._latest
         measured.position, measured.effort = position.tolist(), effort.tolist()
         measured.touch = tip_forces([forces])

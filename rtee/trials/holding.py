@@ -12,7 +12,7 @@ from rtee.sample import FloatArray
 from rtee.types import Event, Result
 
 SLIP: Final = 0.005
-"""What has moved farther than this in the hand is not held [m], as the experiments ask."""
+"""Largest slip in the hand of an object that is held [m], as in the experiments."""
 
 TURN: Final = math.radians(10.0)
 """Nor is what has turned by more than this [rad]."""

@@ -42,7 +42,7 @@ _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
 @dataclass(frozen=True, slots=True)
 class TrialJob:
-    """What is to be done.
+    """The task of a job.
 
     Attributes:
         folder: The hand's folder.
@@ -65,7 +65,7 @@ class TrialJob:
     table: Table | None = None
 
     def check(self) -> None:
-        """Raise `ConfigError` unless it makes sense; what only the object tells is left out."""
+        """Raise `ConfigError` if a value is invalid; checks of the object come later."""
         if not (math.isfinite(self.mass) and _LIGHTEST <= self.mass <= _HEAVIEST):
             raise ConfigError(
                 f"the mass of an object must be {_LIGHTEST:g} to {_HEAVIEST:g} kg, not "

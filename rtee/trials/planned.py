@@ -115,7 +115,7 @@ def checked(
         )
         held |= check.held
         plans[number] = dataclasses.replace(plan, check=check, reasons=(*plan.reasons, said))
-    # Those that held, those that were not tried, those that failed; stable: otherwise as ranked.
+    # Held ones first, then untried ones, then failed ones; stable, so otherwise as ranked.
     plans.sort(key=lambda plan: 1 if plan.check is None else 2 * (not plan.check.held))
     return dataclasses.replace(ranking, plans=tuple(plans))
 

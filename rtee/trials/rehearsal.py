@@ -61,7 +61,7 @@ class Rehearsal:
 
     @property
     def words(self) -> str:
-        """What happened, in one sentence."""
+        """Summary of the rehearsal, in one sentence."""
         object_ = f"; {self.thing} is {'held' if self.held else 'lost'}" if self.thing else ""
         return f"{sentence(self.result)}{object_}; at most {self.force:.1f} N on a finger"
 
@@ -87,7 +87,7 @@ def rehearse(
         name: The hand, whose files are read here.
         urdf: The URDF of the running hand, which must be that of the files.
         goal: The goal.
-        thing: What the hand closes on, as on the command line; empty: nothing.
+        thing: Object to close on, as on the command line; empty: none.
         position: Where the actuators are [rad | m]; with an object, the hand starts at rest.
 
     Raises:

@@ -37,7 +37,7 @@ def mass_of(shape: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What is tried.
+    """Definition of a trial.
 
     Attributes:
         action: Name of the action.
@@ -73,7 +73,7 @@ class Trial:
 
     @property
     def key(self) -> str:
-        """Tells this trial from all others of the hand."""
+        """Key that is unique among all trials of the hand."""
         return f"{self.what} @ {self.object}"
 
 

@@ -89,7 +89,7 @@ def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variation
 
 
 def _apart(one: Place, other: Place, thing: GraspObject) -> bool:
-    """Return whether two places differ, as far as the object's outline tells."""
+    """Return whether two places differ, as far as the object's outline shows."""
     shift = float(np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3]))
     outlines = [
         thing.support(_OUTLOOK @ place.pose[:3, :3]) - _OUTLOOK @ place.pose[:3, :3] @ thing.box[0]

@@ -1,4 +1,4 @@
-"""A scenario in simulation: what a hand does with an object, step after step, and how it ends."""
+"""A scenario in simulation: the steps of a hand with an object, and how they end."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TrialScene:
         return next((reason for step in steps if (reason := step(self))), "")
 
     def tell(self, moment: str) -> None:
-        """Tell the one who watches of a moment."""
+        """Report a moment to the watcher."""
         if self._watch is not None and moment:
             self._watch(moment, self.headless)
 
@@ -88,7 +88,7 @@ class TrialScene:
 
     @property
     def events(self) -> list[Event]:
-        """What the hand has told since the grasp."""
+        """Events of the hand since the grasp."""
         return self.headless.events[self._before :]
 
     def grasped(self, said: Result) -> None:
@@ -130,7 +130,7 @@ class TrialScene:
 
 
 Step = Callable[[TrialScene], str | None]
-"""Does one thing, and returns why the scenario ends with it; nothing to go on."""
+"""Does one step, and returns why the scenario ends with it; nothing to continue."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,19 +141,19 @@ class Wait:
     moment: str = ""
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         scene.headless.wait(self.seconds)
         scene.tell(self.moment)
 
 
 @dataclass(frozen=True, slots=True)
 class Preshape:
-    """Execute a goal before the hand comes, where nothing is in its way: half a metre above."""
+    """Execute a goal before the approach, half a metre above, where nothing is in the way."""
 
     goal: Goal
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         scene.jump(np.array([0.0, 0.0, 0.5]))
         scene.headless.do(self.goal)
 
@@ -170,14 +170,14 @@ class ApproachStep:
     then: Callable[[TrialScene], None] = lambda _: None
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         scene.jump(-self.approach_from)
         scene.before, scene.base = scene.around.object_frame, scene.around.base_pose
         scene.tell("start")
         if np.any(self.approach_from):
             scene.go(np.zeros(3), 1.0)
             self.then(scene)
-            # The carrier's servos come behind what is asked; the hand closes at rest.
+            # The carrier's servos lag behind their references; the hand closes once they rest.
             scene.headless.wait(0.2)
         scene.tell("approach")
 
@@ -189,7 +189,7 @@ class Grasp:
     goal: Goal
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         scene.grasped(scene.headless.do(self.goal))
 
 
@@ -212,7 +212,7 @@ class Lift:
     hold: float
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         scene.move(2, self.distance, 1.0)
         scene.headless.wait(self.hold)
         scene.tell("lift")
@@ -233,7 +233,7 @@ class Shake:
     cycles: int
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         middle, headless = scene.at.copy(), scene.headless
         frequency, cycles = self.frequency, self.cycles
         for axis in range(3):
@@ -260,10 +260,11 @@ class During:
     lost: float
 
     def __call__(self, scene: TrialScene) -> None:
-        """Do it."""
+        """Execute the step."""
         headless = scene.headless
         begin = headless.time
-        # What is lost stays lost: a body that falls for seconds and spins is beyond the solver.
+        # A lost object stays lost: the solver cannot handle a body that falls for seconds and
+        # spins.
         while headless.time < begin + self.seconds and scene.moved < self.lost:
             self.act((headless.time - begin) / self.seconds)
             headless.tick()

@@ -75,7 +75,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
     """Return a result from plain data.
 
     Raises:
-        KeyError, TypeError, ValueError: if it is none.
+        KeyError, TypeError, ValueError: if it is not one.
     """
     varied = entry.get("variations")
     trial = Trial(
@@ -113,7 +113,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
 
 
 def write_results(path: Path, made_with: Fingerprints, results: Iterable[TrialResult]) -> None:
-    """Write results, sorted; the text depends on nothing else.
+    """Write results, sorted; equal results give the same text.
 
     Raises:
         ConfigError: if it cannot be written.

@@ -29,7 +29,7 @@ _TRIES: Final = 3
 """How often a task is tried: elsewhere, where there is another place."""
 
 _LOOK: Final = 2.0
-"""How often workers that say nothing are looked after [s]."""
+"""Interval of checks on silent workers [s]."""
 
 
 def all_trials(
@@ -77,13 +77,14 @@ class Workers(Protocol):
         """Give a worker no further tasks, or raise where that ends all."""
 
     def close(self) -> None:
-        """End; what is not done is given up."""
+        """End, and give up the tasks that are not done."""
 
 
 class Local:
     """Processes of this computer, or this process for a single job.
 
-    They end with this one, however it ends, and with `close`: at once, giving up what they are at.
+    They end with this one, however it ends, and with `close`: at once, giving up their running
+    tasks.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -114,7 +115,7 @@ class Local:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def check(self) -> None:
-        """Do nothing: a lost process is told by its task."""
+        """Do nothing: its task reports a lost process."""
 
     def failed(self, error: BaseException) -> None:
         """Raise why."""
@@ -138,7 +139,7 @@ class Local:
 
 
 class Sweep:
-    """Does tasks of hands; those of the lowest rank first, and what is known not again.
+    """Runs tasks of hands, those of the lowest rank first, and skips known ones.
 
     Attributes:
         ended: How many tasks have an answer.

@@ -174,16 +174,16 @@ def run_task(ready: TrialBench, trial: TaskTrial, number: int) -> TaskResult:
     Raises:
         UnknownAction: if there is no such action.
         GoalRejected: if the hand cannot grasp the object like this.
-        ConfigError: if the object is none, or fits nowhere.
+        ConfigError: if the object is invalid or does not fit.
     """
     return play(trial, present(ready, trial, number))
 
 
 def play(trial: TaskTrial, scene: TrialScene) -> TaskResult:
-    """Grasp the object that is presented, do what the task says, and return how it ended."""
+    """Grasp the presented object, do the task, and return how it ended."""
     # From the start: an egg may break at the first touch.
     scene.watch_forces()
-    # What closing moved it is no slip.
+    # Motion during the closing does not count as slip.
     grasp = Grasp(trial.goal()), Wait(_SETTLE), release, mark, Wait(_SETTLE), _missed
     disturbance = _disturbance(trial.task, scene.headless.simulation)
     try:
@@ -232,7 +232,7 @@ def _kept(scene: TrialScene) -> str | None:
 
 
 def _disturbance(task: Task, simulation: Simulation) -> tuple[Step, ...]:
-    """Return the steps of what is done with the grasped object."""
+    """Return the steps of the task with the grasped object."""
     if task is Task.CUP:
         return (During(_FILLING, filling(simulation), _SETTLE, _LOST),)
     if task is Task.EGG:
@@ -254,7 +254,7 @@ def filling(simulation: Simulation) -> Callable[[float], None]:
     dofs = slice(first, first + int(model.body_dofnum[body]))
     mass = float(model.body_mass[body])
     # MuJoCo works these out once: the last two scale its contacts, and the last but two stands for
-    # the mass matrix of a free body. With those of the empty cup it would fall too fast.
+    # the mass matrix of a free body. With the values of the empty cup it would fall too fast.
     grow = [(model.body_inertia, body), (model.dof_M0, dofs)]
     shrink = [(model.body_invweight0, body), (model.dof_invweight0, dofs)]
     empty = [(field, at, field[at].copy()) for field, at in (*grow, *shrink)]

@@ -76,7 +76,7 @@ corners of a cube and twice as far along each axis as objects are varied. Since 
 balanced, the middle stays where it is when all of them are held."""
 
 _ROUNDS = 2
-"""How often the best place is moved to that middle: the second time finds what the first left."""
+"""Number of moves of the best place to that middle: the second one corrects the first."""
 
 
 def run_trial(
@@ -111,7 +111,7 @@ def run_trial(
 
     Raises:
         UnknownAction: if there is no such action.
-        ConfigError: if the object is none, or no place is left.
+        ConfigError: if the object is invalid, or no place is left.
         ModelError: if the hand cannot be simulated.
     """
     action = library.find(trial.action, trial.elements)
@@ -159,7 +159,7 @@ def run_trial(
     # None is good enough: the best one is as far as the next tries go.
     best = ranked[0]
     varied.choose(best, trial.choosing)
-    # No move lifts what is held so rarely to the rate that is wanted.
+    # No move raises such a low rate to the required one.
     hopeless = decided(sum(best.held), len(best.held), trial.wanted)
     for round_ in range(0 if hopeless else _ROUNDS):
         here = varied.at(varied.shifted(best.place, round_)[0], free, best)
@@ -230,7 +230,7 @@ def _middle(shares: dict[int, float]) -> int:
 
     def mean(step: int) -> float:
         here = shares[step]
-        # Beside the last place nothing is known: there it goes on falling as it fell, or stays.
+        # Beyond the last place nothing is known: the rate is assumed to go on falling, or to stay.
         before, after = (
             shares.get(step + side, min(here, 2.0 * here - shares.get(step - side, here)))
             for side in (-1, 1)
@@ -300,7 +300,7 @@ def _simulation(
     )
     if variation is not None:
         changes = variation.options(trial.mass)
-        if trial.friction is not None:  # what the user gives does not vary
+        if trial.friction is not None:  # values that the user gives do not vary
             del changes["friction"]
         options = structs.replace(options, **changes)
     return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)

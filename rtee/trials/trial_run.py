@@ -55,7 +55,7 @@ class _Gone(Exception):
 
 
 class TrialRun:
-    """One trial at one place; `scene` is what it plays in."""
+    """One trial at one place, in a `scene`."""
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class TrialRun:
         return self._ended(reason, scene.outcome, scene.slip, told)
 
     def held(self) -> bool:
-        """Do the same, but end as soon as it is certain whether the object is held."""
+        """Run the trial, but end as soon as it is certain whether the object is held."""
         self.scene.headless.before_tick(self._look_whether_gone)
         try:
             return self.result().held
@@ -124,7 +124,7 @@ class TrialRun:
 
     def _missed(self, scene: TrialScene) -> str | None:
         moved = float(np.linalg.norm(scene.start - self._place.pose[:3, 3]))
-        # A soft hand pushes what it closes on, so that more is allowed here than of slip.
+        # A soft hand pushes the object as it closes, so the tolerance is larger than that of slip.
         if not scene.around.touching() or moved > _FALLEN + _PUSHED:
             scene.slip = moved
             return "it was not grasped"
@@ -173,7 +173,7 @@ class TrialRun:
 def _fallen(scene: TrialScene, when: str) -> str:
     """Return whether the object has fallen, and note how far it slipped."""
     scene.slip = scene.moved
-    # What has fallen may still lean on a finger, and what nothing touches may not be far yet.
+    # A fallen object may still lean on a finger, and one that nothing touches may not be far yet.
     if scene.around.touching() and scene.slip <= _FALLEN:
         return ""
     return f"it fell while it was {when}"

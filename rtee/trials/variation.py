@@ -1,4 +1,4 @@
-"""What is different each time: variations of a trial, and what their share of successes says.
+"""Variations of a trial, and the confidence interval of their share of successes.
 
 The draws depend on the seed and the number of the variation alone, so all trials see the same ones,
 in any order and on any computer.
@@ -23,7 +23,7 @@ MASS: Final = 0.5
 """… and up to this share heavier."""
 
 POSITION: Final = 0.01
-"""They are up to this far beside their place along each axis [m]."""
+"""Largest distance of varied objects from their place along each axis [m]."""
 
 TURN: Final = math.radians(10.0)
 """… and turned by up to this about any axis [rad]."""
@@ -47,7 +47,7 @@ class Variation:
     Attributes:
         size: Factor of all lengths of the object.
         mass: Factor of its mass.
-        position: How far it is beside its place, in the hand's base frame [m].
+        position: Its distance from its place, in the hand's base frame [m].
         turn: How it is turned about its own origin: axis times angle, in the base frame [rad].
         friction: Friction between hand and object.
     """
@@ -59,7 +59,7 @@ class Variation:
     friction: float
 
     def mirrored(self) -> Variation:
-        """Return the variation that differs from the middle of each range the other way."""
+        """Return the mirrored variation, about the middle of each range."""
         x, y, z = self.position
         rx, ry, rz = self.turn
         return Variation(

@@ -1,4 +1,4 @@
-"""What a worker of a sweep does, wherever it is: one task, told with what it was made with."""
+"""The work of a sweep's worker, on any computer: one task, whose answer names its versions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Planning:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What the planner answers: a ranking, or why there is none."""
+    """The planner's answer: a ranking, or why there is none."""
 
     ranking: Ranking | None
     refused: str = ""
@@ -156,7 +156,7 @@ class MadeWith:
 
     @classmethod
     def of(cls, hand: str, task: Task) -> MadeWith:
-        """Return what a task of a hand, by name or folder, is made with in this process."""
+        """Return the versions with which this process makes a task of a hand, by name or folder."""
         ready, prints, meshes = _loaded(hand)
         tried = task.trial if isinstance(task, Portrait) else task
         actions = prints.files if isinstance(tried, Planning) else prints.actions.get(tried.what)

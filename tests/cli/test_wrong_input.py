@@ -68,7 +68,7 @@ FILES: dict[str, tuple[str, Change | str, str, str | None]] = {
     "reversed limits": (
         "gripper.urdf",
         (LIMIT, LIMIT.replace('upper="0.8"', 'upper="-1"')),
-        "lower limit 0 above its upper -1",
+        "lower limit 0 above its upper limit -1",
         'upper="-1"',
     ),
     "mimic of a missing joint": (
@@ -259,7 +259,7 @@ def test_a_line_that_is_no_line(home: Path, repository: Path) -> None:
     command = ("run", hand, "--no-log", "--driver", "devices", "--option", "port=http://x")
     done = subprocess.run([*RTEE, *command], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
-    assert done.stderr.splitlines()[-1].startswith("rtee: 'http://x' is not an address of a line")
+    assert done.stderr.splitlines()[-1].startswith("rtee: 'http://x' is not the address of a")
 
 
 def test_too_few_files(home: Path) -> None:

@@ -88,7 +88,7 @@ def test_addresses_that_lead_nowhere(urdf: Path, address: str) -> None:
         ("a.stl", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         ("a.dae", b"<html/>", "it is not a COLLADA file"),
         ("a.dae", b"<!DOCTYPE c [<!ENTITY a 'b'>]><COLLADA/>", "XML entities, which are refused"),
-        ("a.step", b"ISO-10303", "has an unknown format '.step'"),
+        ("a.step", b"ISO-10303", "has the unknown format '.step'"),
     ],
 )
 def test_unreadable_meshes(

@@ -108,7 +108,7 @@ OFFLINE = (
     needs("try claw PinchTight left right", "sim"),
     needs("compare claw --objects box:0.02x0.02x0.03", "sim"),
     needs("metrics", "metrics"),
-    Case("router", "name the site", 2),
+    Case("router", "give the SITE", 2),
     needs("run claw --driver mujoco --duration 0.1", "sim"),
     needs("run heri_ii --driver heri_ethercat --duration 0.1", "ethercat"),
     needs("run claw --gui --duration 0.1", "gui"),
@@ -116,7 +116,7 @@ OFFLINE = (
         Case(f"run {hand} --driver devices --emulated --duration 0.3 --no-log", "0 goals")
         for hand in DEVICES
     ),
-    Case("status", "no hand runs", 1),
+    Case("status", "no hand is running", 1),
 )
 """Without any extra, and without a running hand."""
 

@@ -96,7 +96,7 @@ async def test_work_that_waits_is_carried_on_by_the_task() -> None:
         assert not runner.start(work())
         assert steps == ["the task"]
         assert not runner.idle
-        with pytest.raises(RuntimeError, match="at work"):
+        with pytest.raises(RuntimeError, match="is running"):
             runner.start(work())
         await until_idle(runner)
         assert steps == ["the task", "the task"]

@@ -169,12 +169,12 @@ async def test_a_killed_hand_is_noticed(tmp_path: Path) -> None:
         states = remote.states(20.0)
         await anext(states)
         process.kill()
-        with pytest.raises(NoHand, match="has gone"):
+        with pytest.raises(NoHand, match="is gone"):
             await running.result()
-        with pytest.raises(NoHand, match="has gone"):
+        with pytest.raises(NoHand, match="is gone"):
             async for _ in states:
                 pass
     await process.aclose()
-    with pytest.raises(NoHand, match="no hand runs"):
+    with pytest.raises(NoHand, match="no hand is running"):
         async with rtee.connect():
             pass

@@ -29,8 +29,8 @@ async def test_a_recording_is_started_marked_and_stopped(
     ("what", "text", "reason"),
     [
         ("delete", "", "unknown request 'delete' for the recording"),
-        ("mark", "", "a mark is one line"),
-        ("mark", "two\nlines", "a mark is one line"),
+        ("mark", "", "a mark must be one line"),
+        ("mark", "two\nlines", "a mark must be one line"),
         ("mark", "x" * 1001, "not 1001"),
     ],
 )

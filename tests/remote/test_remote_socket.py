@@ -53,7 +53,7 @@ async def test_another_user_does_not_get_in(
         for _ in range(2):
             own, other = (await ran(words)).stdout.splitlines()
             assert own == "in"
-            assert "nobody answers at unixsock-stream/" in other
+            assert "nothing answers at unixsock-stream/" in other
             assert "Permission denied" in other
             # The second time the folders let everybody in, as after a mistake.
             for folder in (runtime, *runtime.parents):
@@ -117,7 +117,7 @@ async def test_the_socket_of_a_killed_hand_is_replaced(
 
 
 def test_a_path_that_is_too_long_for_a_socket_is_a_mistake(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"longer than the 10. bytes.*RTEE_RUNTIME_DIR"):
+    with pytest.raises(ConfigError, match=r"longer than 10. bytes.*RTEE_RUNTIME_DIR"):
         session.local_endpoint(tmp_path / ("x" * 100) / "small.sock")
     with pytest.raises(ConfigError, match=r"may not contain \? or #"):
         session.local_endpoint(tmp_path / "a#b.sock")

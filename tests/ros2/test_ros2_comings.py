@@ -209,7 +209,7 @@ async def test_a_run_that_is_killed_leaves_nothing(settings: Ros2Settings, tmp_p
         assert not others.names(Kind.SERVICE)
         # Read to its end: the companion has ended, too, or it would hold the pipe open.
         said = b"".join([part async for part in run.stderr]).decode()
-    assert "ROS 2 knows no identities" in said
+    assert "ROS 2 does not check identities" in said
 
 
 async def test_a_companion_that_does_not_listen_is_not_waited_for(

@@ -255,7 +255,7 @@ async def test_namespaces_and_names() -> None:
     one = Shown("one", Ros2Settings())
     two = Shown("two", Ros2Settings())
     assert any("share" in line for line in warnings([one, two]))
-    assert all("no identities" in line for line in warnings([one]))
+    assert all("check identities" in line for line in warnings([one]))
     assert "every user of this computer" in warnings([one])[0]
     elsewhere = Shown("one", Ros2Settings(router="tls/robot:7447"))
     assert "every user" not in warnings([elsewhere])[0]
@@ -276,7 +276,7 @@ async def test_namespaces_and_names() -> None:
         3,
         Ros2Settings().router,
     )
-    with pytest.raises(ConfigError, match="--distro foxy"):
+    with pytest.raises(ConfigError, match="humble, not foxy"):
         overridden(Ros2Settings(), {"distro": "foxy"})
 
 

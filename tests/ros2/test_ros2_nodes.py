@@ -276,11 +276,11 @@ def test_the_environment_is_read_as_by_rmw(tmp_path: Any) -> None:
     ):
         with pytest.raises(ConfigError, match=what):
             configuration(settings, wrong)
-    with pytest.raises(ConfigError, match="whoever reaches tcp/robot:7447 could move the hand"):
+    with pytest.raises(ConfigError, match="anyone who reaches tcp/robot:7447 could move the hand"):
         configuration(Ros2Settings(router="tcp/robot:7447"), {})
     with pytest.raises(ConfigError, match="'robot' is not an endpoint"):
         configuration(Ros2Settings(router="robot"), {})
-    with pytest.raises(ValueError, match="the namespace should be"):
+    with pytest.raises(ValueError, match="the namespace should consist"):
         Ros2Settings(namespace="left hand")
     far = configuration(Ros2Settings(router="tcp/robot:7447"), {}, insecure=True)
     assert far.get_json("mode") == '"client"'

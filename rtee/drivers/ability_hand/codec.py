@@ -143,7 +143,7 @@ class _Parser(Generic[F]):
                 frames.append(self.FRAME.from_frame(self._checked(run)))
             except CodecError:
                 self.errors += 1
-        # One byte more than a frame can have is enough to know that this is none.
+        # One byte more than the longest frame proves that this is not a frame.
         self._run += rest[: self.LIMIT + 1 - len(self._run)]
         return frames
 
@@ -197,7 +197,7 @@ class CommandParser(_Parser[Command]):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a hand measures, in counts and in the order of `MOTORS`.
+    """Measurements of a hand, in counts and in the order of `MOTORS`.
 
     Attributes:
         variant: 1: positions, currents, touch; 2: positions, velocities, touch; 3: positions,

@@ -46,11 +46,11 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
     ] = 460_800
     """As the hand is set; above 460800 on RS-485 only."""
     mode: Literal["position", "velocity", "current"] = "position"
-    """What the hand is sent; with ``velocity`` it takes velocity limits, with ``current`` effort
+    """Kind of set-points; with ``velocity`` it takes velocity limits, with ``current`` effort
     limits, and this computer controls the positions."""
     reply: Literal[1, 2, 3] | None = None
-    """What it answers: 1 positions, currents, touch (default); 2 positions, velocities, touch
-    (default with ``mode: current``); 3 positions, currents, velocities."""
+    """Variant of the replies: 1 positions, currents, touch (default); 2 positions, velocities,
+    touch (default with ``mode: current``); 3 positions, currents, velocities."""
     touch: bool = True
     """Whether it has touch sensors; a hand without them reports no touch."""
     touch_threshold: Positive = 0.15

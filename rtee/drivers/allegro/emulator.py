@@ -37,7 +37,7 @@ _SERIALS = {
     (5, False): "V5AR0001",
     (5, True): "V5AL0001",
 }
-"""Serial numbers by version and whether it is a left hand: with the side and, in version 5, the
+"""Serial numbers by version and side (left or not): with the side and, in version 5, the
 type, where the vendor's program looks for them."""
 _CLOSED = 1.6
 """Angle of the flexing joints of a closed finger, for objects [rad]."""

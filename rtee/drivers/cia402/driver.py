@@ -360,7 +360,7 @@ class Cia402Driver(Driver):
                     break
 
     async def disable(self) -> None:
-        """Disable the motors' voltage; they go limp as far as their gears allow."""
+        """Disable the motors' voltage; they go limp if their gears allow it."""
         self._active = False
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link

@@ -10,7 +10,7 @@ from rtee.sample import ActuatorState
 
 
 class Conclusion(StrEnum):
-    """What a step says of an assumption."""
+    """Verdict of a step on an assumption."""
 
     CONFIRMED = "confirmed"
     REFUTED = "refuted"
@@ -38,7 +38,7 @@ class ContactQuestion:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one step found.
+    """Findings of one step.
 
     Attributes:
         topic: The topic of the assumptions that it speaks of.
@@ -55,7 +55,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A measurement, with what was commanded.
+    """A measurement and the command at that time.
 
     Attributes:
         stamp: Time, CLOCK_MONOTONIC [s].
@@ -93,7 +93,7 @@ class ContactReport:
     ended: str = ""
 
     def judged(self) -> list[tuple[Assumption, Conclusion]]:
-        """Return the assumptions of the device's page with what was found about their topic."""
+        """Return the assumptions of the device's page with the findings on their topics."""
         return [
             (assumption, self.verdict(assumption.topic))
             for assumption in ASSUMPTIONS.get(self.driver, ())

@@ -1,4 +1,4 @@
-"""The first hour with a real device: what a person sees beside what the driver believes.
+"""The first hour with a real device: compare what a person sees with what the driver reports.
 
 Each step is small and says before what it does. What it finds confirms or refutes assumptions of
 the device's page; the report is made for being sent to the project.
@@ -231,7 +231,7 @@ class ContactGuide:
             self._find(Topic.REST, False, "it tells that it holds something, though nothing does")
         touch = [state.touch.values for state in states if state.touch is not None]
         if touch:
-            # The first readings may be those from which a driver takes what they read at rest.
+            # A driver may take its rest values from the first readings.
             largest = float(np.nan_to_num(np.array(touch[len(touch) // 4 :])).max())
             self._find(Topic.REST, largest < 0.2, f"touch sensors read up to {largest:.2f} at rest")
         for text in sorted({text for state in states for text in state.warnings}):

@@ -336,7 +336,8 @@ def feetech(baudrate: int) -> Probe:
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         if not await anybody(bus):
             return []
-        # Any family will do: only the model's raw bytes are used, whose order tells the family.
+        # Any family will do: only the model's raw bytes are used, and their order identifies the
+        # family.
         link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO, 0), []
         for number in range(LARGEST_ID + 1):
             about = await heard(link.data(number, 0, 7))

@@ -61,7 +61,7 @@ class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
     watchdog: Annotated[float, Meta(ge=0.0, le=2.54)] = 0.0
     """Servos stop after a silence of this length on the line [s]; 0: they hold."""
     health_every: Annotated[int, Meta(ge=1)] = 50
-    """Temperature, voltage and torque are read once in so many exchanges."""
+    """Number of exchanges between readings of temperature, voltage and torque."""
     reboot_time: Positive = 3.0
     """Longest time for a reboot [s]."""
     deadline: Positive = 0.03

@@ -139,7 +139,7 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
             number = servo.number
             answer = self._single(servo, frame, now)
             if answer is not None:
-                # Under the id at which it was asked, even where the packet has changed that.
+                # The answer has the id of the request, even if the packet has changed the id.
                 answers.append(replace(answer, device=number).to_bytes())
         # All servos carry out a broadcast, but none answers it, except for a ping.
         if everybody and frame.instruction != codec.Instruction.PING:

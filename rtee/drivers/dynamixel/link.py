@@ -26,7 +26,7 @@ _LATENCY = 0.008
 with a latency timer of 1 ms."""
 
 _PATIENT_LATENCY = 0.03
-"""The same during set-up [s]; the SDK allows 34 ms."""
+"""Time allowed beside that of the bytes during set-up [s]; the SDK allows 34 ms."""
 
 
 _UNHURRIED = 5.0
@@ -237,7 +237,7 @@ class DynamixelLink(ServoLink):
             self.repeated(lambda: int(write(port, address, size, params, len(params))))
 
     def _values(self, register: Register, numbers: Sequence[int]) -> dict[int, int]:
-        # Without ids if all are meant: that group is kept between calls.
+        # Without ids for all servos: that group is kept between calls.
         ids = None if set(numbers) == set(self.ids) else numbers
         there, _ = self.read_group(register.address, register.size, ids)
         return {number: register.unpack(there[number]) for number in numbers}

@@ -43,7 +43,7 @@ class DynamixelMemory:
         self._bytes[register.address : end] = register.pack(value)
 
     def read(self, address: int, length: int) -> bytes:
-        """Return bytes of the table; bytes of windows come from where they point."""
+        """Return bytes of the table; windows return the bytes that they point to."""
         out = self._bytes[address : address + length]
         for at in range(max(address, table.INDIRECT_DATA.start), address + length):
             out[at - address] = self._bytes[self._points_to(at)]
@@ -158,7 +158,7 @@ class EmulatedDynamixel(EmulatedServo):
 
     @property
     def alert(self) -> bool:
-        """Whether it has a hardware error."""
+        """Whether the servo has a hardware error."""
         return self.get(table.HARDWARE_ERROR) != 0
 
     def read(self, address: int, length: int) -> bytes | None:

@@ -185,7 +185,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         low, high = self.found[number].limits
         # A servo with the opposite sign swaps the ends.
         first, last = sorted(ends)
-        # A servo that counts turns has limits of 0 and goes anywhere.
+        # A servo that counts turns has limits of 0 and takes any position.
         if low < high and not low <= first <= last <= high:
             raise ConfigError(
                 f"device '{self.spec.name}': servo {number} ({self.names[number]}) would have to "

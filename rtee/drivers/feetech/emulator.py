@@ -136,7 +136,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
             if answer is None:
                 continue
             if frame.code in _READS or servo.get(table.RESPONSE_LEVEL):
-                # Under the id at which it was asked, even where the request has changed that.
+                # The answer has the id of the request, even if the request has changed the id.
                 replies.append(Frame(number, servo.status, answer).to_bytes())
         if everybody and frame.code != Instruction.PING:
             return []

@@ -105,7 +105,7 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
     read: Literal["auto", "sync", "single"] = "auto"
     """One request for all servos, or one for each; ``auto``: by the family."""
     check_every: Annotated[int, Meta(ge=1)] = 10
-    """After so many exchanges one servo is asked whether it has torque and settings."""
+    """Number of exchanges between checks whether a servo still has its torque and settings."""
 
     def __post_init__(self) -> None:
         """Check that the options fit each other."""

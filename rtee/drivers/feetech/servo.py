@@ -255,7 +255,7 @@ class EmulatedFeetech(EmulatedServo):
 
     @property
     def _turns(self) -> bool:
-        """Whether it counts turns and has no position limits."""
+        """Whether the servo counts turns and has no position limits."""
         return self.get(table.MIN_ANGLE) == self.get(table.MAX_ANGLE) == 0
 
     def read(self, address: int, size: int) -> bytes | None:

@@ -81,7 +81,7 @@ MEASURED = (
     PRESENT_POSITION, PRESENT_SPEED, PRESENT_LOAD, PRESENT_CURRENT, PRESENT_TEMPERATURE,
     PRESENT_VOLTAGE,
 )  # fmt: skip
-"""What a servo measures, in the order in which it is returned."""
+"""Measurements of a servo, in the order in which they are returned."""
 
 SLOW_UNIT = 0x04
 """Bit of the phase register (STS, SMS) that is set where speeds count in steps per second."""

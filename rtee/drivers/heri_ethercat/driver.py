@@ -179,10 +179,10 @@ class HeriEthercatDriver(Driver):
         self._fresh = True
 
     def _are_new(self) -> bool:
-        """Return whether all boards have measured anew.
+        """Return whether all boards have made new measurements.
 
         A board returns the stamp of the command that it has read last. If its program hangs, its
-        EtherCAT controller goes on to send the process data as they were.
+        EtherCAT controller keeps sending the old process data.
         """
         before, self._echoes = self._echoes, [reply.round_trip for reply in self._replies]
         if not before:

@@ -56,7 +56,7 @@ REPLY = replace(REQUEST, header=b"\x90\xeb")
 
 
 class Command(IntEnum):
-    """What a frame asks for."""
+    """Request of a frame."""
 
     READ = 0x11
     WRITE = 0x12

@@ -397,7 +397,7 @@ class InspireRh56Driver(Driver):
     async def _set(
         self, forces: Sequence[int], speeds: Sequence[int], angles: Sequence[int]
     ) -> None:
-        """Write the tables that differ from what the hand has."""
+        """Write the tables that differ from those in the hand."""
         link = self.connection.link
         # A set-point counts as unknown until the hand has confirmed it.
         if forces != self._forces:

@@ -122,7 +122,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         return replies
 
     def step(self, now: float) -> list[bytes]:
-        """Let time pass; the result of saving is told by a second frame, unasked."""
+        """Let time pass; an unsolicited second frame reports the result of saving."""
         self.advance(now)
         if self._saved is None or now < self._saved[0]:
             return []

@@ -124,4 +124,4 @@ class ModbusLink(_HandLink):
 
 
 Rh56Link = FrameLink | ModbusLink
-"""Either way to talk to a hand."""
+"""Either kind of link to a hand."""

@@ -265,7 +265,7 @@ class Rh56Memory:
         if odd or not 0 < count <= codec.COUNT - first:
             return False
         given = struct.unpack(f"<{count}h", data)
-        # The others keep what they have: KEEP commands nothing, and a limit is set to itself.
+        # The others keep their values: KEEP commands nothing, and a limit is set to its own value.
         others = [codec.KEEP] * codec.COUNT
         if register is not codec.Register.ANGLE_SET:
             others = list(self._table(register))

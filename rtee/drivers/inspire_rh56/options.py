@@ -162,7 +162,7 @@ class InspireRh56Options(DeviceOptions, frozen=True):
     reverse: frozenset[Finger] = frozenset()
     """Motors whose counts rise with the actuator's position."""
     forces: dict[Finger, ForceOptions] = field(default_factory=dict)
-    """What a finger's grams are worth, where it is known."""
+    """Meaning of a finger's grams, where it is known."""
     travel_time: Positive = 0.3
     """Time for the full travel at speed 1000 [s]; published: 0.18 to 0.30."""
     calibration: Path | None = None
@@ -173,14 +173,14 @@ class InspireRh56Options(DeviceOptions, frozen=True):
     """Taxels of a ``dftp`` that are read over Modbus TCP: those of the tips, of the fingers, or
     all."""
     check_every: Annotated[int, Meta(ge=1)] = 50
-    """Set-points are read back every so many exchanges."""
+    """Number of exchanges between readings of the set-points."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
     turnaround: NotNegative = TURNAROUND
     """Time per answer that the bytes do not explain [s]."""
 
     @property
     def modbus(self) -> bool:
-        """Whether it is connected by Modbus."""
+        """Whether the hand is connected by Modbus."""
         return self.protocol == "modbus" or self.port.startswith("tcp://")
 
     def __post_init__(self) -> None:

@@ -117,7 +117,7 @@ _MEASURES = frozenset({"position", "velocity", "effort"})
 
 
 class KinematicOptions(Section, frozen=True):
-    """How the simulated hand moves and what is in its way.
+    """Motion of the simulated hand and objects in its way.
 
     Attributes:
         time_constant: Time constant with which it follows [s].

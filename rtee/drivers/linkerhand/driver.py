@@ -64,9 +64,9 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
     travel_time: Positive = 1.0
     """Time for the full travel at speed 255 [s]; an assumption."""
     check_model: bool = True
-    """Refuse a hand that tells another number of motors (RS-485)."""
+    """Refuse a hand that reports another number of motors (RS-485)."""
     health_every: Annotated[int, Meta(ge=1)] = 10
-    """Faults and temperatures are read once in so many exchanges."""
+    """Number of exchanges between readings of faults and temperatures."""
     spacing: NotNegative | None = None
     """Pause between two frames [s]; by default 0.03 (O6), 0.005 (L10, CAN)."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
@@ -161,7 +161,7 @@ class LinkerHandDriver(Driver):
         self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(self._motors), math.nan)
         self._counts: tuple[int, ...] = ()
-        # What the hand has confirmed; a table that is missing is not known.
+        # Values that the hand has confirmed; a missing table is unknown.
         self._sent: dict[Table, list[int]] = {}
         self._temperatures: tuple[int, ...] = ()
         self._turn = 0
@@ -324,7 +324,7 @@ class LinkerHandDriver(Driver):
             raise CommandRejected(self.spec.name, error.message) from error
 
     async def _set(self, wanted: dict[Table, list[int]]) -> None:
-        """Write the tables if they differ from what the hand has, limits only if these do."""
+        """Write the tables if they differ from those in the hand; limits only if these differ."""
         if wanted == self._sent:
             return
         sent, self._sent = self._sent, {}

@@ -194,4 +194,4 @@ class CanLink(_LinkerHand):
 
 
 LinkerLink = ModbusLink | CanLink
-"""Either way to talk to a hand."""
+"""Either kind of link to a hand."""

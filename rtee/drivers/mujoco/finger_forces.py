@@ -1,4 +1,4 @@
-"""What the fingers feel: the contact forces of a running simulation, by finger."""
+"""The contact forces on the fingers of a running simulation, by finger."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def add_object(
 
     Args:
         spec: The model.
-        shape: What it looks like.
+        shape: Its shape.
         mass: Its mass [kg].
         pose: Where it is ``(4, 4)``, in the world's frame.
     """
@@ -92,7 +92,7 @@ def add_body(spec: mujoco.MjSpec, pose: FloatArray) -> mujoco.MjsBody:
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
     body = spec.worldbody.add_body(name=OBJECT, pos=pose[:3, 3], quat=quat)
     body.add_freejoint(name=OBJECT)
-    body.gravcomp = 1.0  # what is 0 at compilation cannot be changed later
+    body.gravcomp = 1.0  # a value that is 0 at compilation cannot be changed later
     return body
 
 

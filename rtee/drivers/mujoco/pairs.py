@@ -18,8 +18,8 @@ LINK = "link/"
 
 _INTERPENETRATING = 5e-3  # depth [m] of two fingers in each other at rest: an error of the model
 _OUTER = 0.9
-"""Share of a finger's reach beyond which its shapes count as outer ones: as for openings, what lies
-nearer to the joint closes less than the tips, and would stop them before they meet."""
+"""Share of a finger's reach beyond which its shapes count as outer ones: as for openings, parts
+nearer to the joint close less than the tips, and would stop them before they meet."""
 
 
 def leave_pairs_out(

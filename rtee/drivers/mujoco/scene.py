@@ -298,7 +298,7 @@ def _file_of(shape: ObjectShape | None) -> tuple[str, Path] | None:
 
 
 def _notes_on(shape: ObjectShape | None) -> list[str]:
-    """Return what is to be known about the mesh of an object, if it has one."""
+    """Return the notes on the mesh of an object, if it has one."""
     if shape is None or shape.path is None:
         return []
     parts = solid_parts(str(shape.path))

@@ -1,4 +1,4 @@
-"""What can be seen of a running simulation besides the hand: the object, and contact forces."""
+"""Visible parts of a running simulation besides the hand: the object, and contact forces."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class SceneChannels:
 def describe(
     model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions
 ) -> ObjectDescription | None:
-    """Return what the object of a model looks like; ``None`` if it has none.
+    """Return the appearance of a model's object; ``None`` if it has none.
 
     Parts that move, such as a drill's trigger, are where they are in the state, whose poses have
     been computed.
@@ -134,7 +134,7 @@ def _name(options: SimOptions) -> str:
 
 
 def _parts(model: mujoco.MjModel, geom: int, pose: FloatArray) -> list[ObjectPart]:
-    """Return what a geom at a pose ``(4, 4)`` in the object's frame looks like."""
+    """Return the appearance of a geom at a pose ``(4, 4)`` in the object's frame."""
     # The shape is smaller than the object by its skin.
     at, skin = pose_vector(pose), float(model.geom_margin[geom])
     size = [half + skin for half in model.geom_size[geom].tolist()]

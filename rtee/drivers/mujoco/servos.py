@@ -50,7 +50,7 @@ class Servo:
 
     @property
     def note(self) -> str:
-        """What was derived, in words; empty if everything is known."""
+        """The derived values, in words; empty if everything is known."""
         if not self.derived:
             return ""
         numbers = {"effort limit": self.limit, "kp": self.kp, "armature": self.armature}

@@ -47,7 +47,7 @@ class SheetForces:
             self._tables.append((number, positions, limits))
 
     def __bool__(self) -> bool:
-        """Whether there is any."""
+        """Whether the hand has any such force."""
         return bool(self._tables)
 
     def lower(self, limits: FloatArray, positions: FloatArray) -> FloatArray:

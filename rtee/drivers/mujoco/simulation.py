@@ -58,7 +58,7 @@ class Simulation:
         self.model = model
         self.notes = tuple(notes)
         self.data = mujoco.MjData(model)
-        # Views of the state, since MuJoCo makes one each time that it is asked for it.
+        # Views of the state, kept because MuJoCo makes a new one at each access.
         self._positions: FloatArray = self.data.qpos
         self._control: FloatArray = self.data.ctrl
         self._efforts: FloatArray = self.data.actuator_force

@@ -24,11 +24,11 @@ CONTAINER = "container"
 """Prefix of the names of a container's geoms."""
 
 _STANDS_FOR = [50.0] * 3 + [10.0] * 3
-"""What an arm resists along and about its axes before it yields [N, N·m]: a cobot's collaborative
+"""Force and torque at which an arm yields [N, N·m]: a cobot's collaborative
 limit, and the same at a lever of 200 mm."""
 
 _YIELDS = 0.3
-"""Share of what is too much that the arm gives way to at a time: its servos follow in some ms."""
+"""Share of the excess force to which the arm yields in one step: its servos follow in some ms."""
 
 _DRAG = 4.0  # on a held object [N·s/m]: at 50 mm/s it resists with 0.2 N, as a yielding hand
 _TURN_DRAG = 0.01  # on its rotation [N·m·s/rad]: the same drag at a lever of 50 mm
@@ -79,7 +79,7 @@ class Surroundings:
             if motor >= 0
         ]
         self._dofs = np.array([dof for _, dof, _ in self._axes], dtype=int)
-        # Views of the state, since MuJoCo makes one each time that it is asked for it.
+        # Views of the state, kept because MuJoCo makes a new one at each access.
         self._pushing, self._control = data.qfrc_constraint, data.ctrl
         self._touched = 0.0
         self._last = 0.0
@@ -129,7 +129,7 @@ class Surroundings:
     def watch(self, time: float) -> None:
         """Let go of a held object that two links have touched for a while; simulated time [s].
 
-        And let the arm give way to what presses on the hand.
+        Also let the arm yield to forces on the hand.
         """
         self._give_way()
         elapsed, self._last = time - self._last, time
@@ -141,13 +141,13 @@ class Surroundings:
 
     def _give_way(self) -> None:
         """Move the carrier's set-points with a force that is too large, and back without it."""
-        # What contacts exert along the axes; forces inside of the hand add up to nothing.
+        # The forces of contacts along the axes; forces inside the hand cancel out.
         forces = self._pushing.take(self._dofs).tolist()
         for (axis, _, motor), force in zip(self._axes, forces, strict=True):
             most, gave = _STANDS_FOR[axis], self._yielded[axis]
             if not gave and -most <= force <= most:
                 continue
-            # What is left of the limit, on the side from which the arm comes back.
+            # The rest of the limit, on the side from which the arm comes back.
             over = force - math.copysign(most, force if abs(force) > most else gave)
             step = _YIELDS * over / float(self._model.actuator_gainprm[motor, 0])
             after = gave + step
@@ -181,7 +181,7 @@ class Surroundings:
                 wrong = other in self._ground or (
                     on_object and holding is not None and link not in holding
                 )
-                # What is within the margin alone has no force.
+                # Contacts that are only within the margin have no force.
                 row = int(self._data.contact.efc_address[number])
                 if link and wrong and row >= 0:
                     key = link, on_object

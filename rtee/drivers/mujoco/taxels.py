@@ -40,7 +40,7 @@ _SHRUNK: Final = 0.85
 """Factor by which a taxel moves towards the pad's middle when its ray misses the tip."""
 
 _TRIES: Final = 12
-"""Steps of that search: after them it is at 14 % of its distance from the middle."""
+"""Steps of the search, after which the point has 14 % of its first distance from the middle."""
 
 
 class Taxels:

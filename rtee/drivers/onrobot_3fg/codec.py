@@ -40,7 +40,7 @@ class Control(IntEnum):
 
 
 class GripType(IntEnum):
-    """Register 2: what is held, from outside or from inside."""
+    """Register 2: the kind of grip, from outside or from inside."""
 
     EXTERNAL = 0
     INTERNAL = 1
@@ -53,7 +53,7 @@ class GripType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Command(Registers):
-    """What the host asks for: registers 0 to 3, best written in one frame.
+    """A command of the host: registers 0 to 3, best written in one frame.
 
     Attributes:
         force: Part of the largest force, 0 to 1000 [0.1 %].
@@ -150,7 +150,7 @@ class Fingers:
         return _PIVOT * self.lever * math.sin(angle) / max(radius, 1e-9)
 
     def diameter(self, raw_diameter: float, grip_type: GripType) -> float:
-        """Return the diameter of what fits between (or into) the fingertips [m]."""
+        """Return the diameter of the space between (or around) the fingertips [m]."""
         return raw_diameter + grip_type.sign * 2.0 * self.offset
 
 

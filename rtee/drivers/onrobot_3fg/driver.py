@@ -48,7 +48,7 @@ class OnRobot3FGOptions(OnRobotOptions, frozen=True):
     largest: Positive | None = None
     """Raw diameter at its lower limit [m]; by default as it reports."""
     target: Literal["raw", "tips"] = "raw"
-    """What the target diameter means: between the fingertips' centres, or their surfaces."""
+    """Meaning of the target diameter: between the fingertips' centres, or their surfaces."""
 
 
 class OnRobot3FGDriver(OnRobotDriver[codec.Status]):

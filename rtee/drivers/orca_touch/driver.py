@@ -50,7 +50,7 @@ class OrcaTouchOptions(DeviceOptions, frozen=True):
     baudrate: Literal[921_600, 2_000_000] = 921_600
     """921600 of the board's own adapter, 2000000 of the shared line."""
     content: Literal["taxels", "resultants", "both"] = "both"
-    """What the board sends: taxels, the force on each tip, or both."""
+    """Data that the board sends: taxels, the force on each tip, or both."""
     touch_rate: Positive = 100.0
     """Readings handed over, at most [Hz]."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 2

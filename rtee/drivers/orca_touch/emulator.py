@@ -109,7 +109,7 @@ class OrcaTouchEmulator(Emulator):
         return codec.forces_bytes(resultants, taxels, content)
 
     def answers(self, frame: codec.Request, now: float) -> Iterable[bytes]:
-        """Obey a request and return the reply."""
+        """Carry out a request and return the reply."""
         if frame.function == codec.Function.READ:
             data = self._register(frame.address, frame.count)
         else:

@@ -26,7 +26,7 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
     mode: Literal["basic", "pinch", "wide", "scissor"] = "basic"
     """Arrangement of the fingers; changing it moves the scissor."""
     roles: dict[str, Role] = field(default_factory=dict)
-    """What each actuator drives: fingers, a, b, c or scissor; guessed from names."""
+    """Part that each actuator drives: fingers, a, b, c or scissor; guessed from names."""
     register_base: Literal[0, 1000] | None = None
     """Where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://."""
     function: Literal[3, 4] | None = None
@@ -40,7 +40,7 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
 def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     """Return what each actuator drives: as configured, else guessed from the names.
 
-    Raises `ConfigError` if two drive the same motor, or a name is none of the device's.
+    Raises `ConfigError` if two drive the same motor, or a name is not one of the device's.
     """
     names = [actuator.name for actuator in spec.actuators]
     key = f"devices.{spec.name}.options.roles"

@@ -216,7 +216,7 @@ class Image(Packed):
 
 @dataclass(frozen=True, slots=True)
 class Output(Image):
-    """What the host writes in one frame.
+    """The registers that the host writes in one frame.
 
     Attributes:
         control: Control word with at most one command bit.
@@ -233,7 +233,7 @@ class Output(Image):
 
 @dataclass(frozen=True, slots=True)
 class Input(Image):
-    """What the gripper reports in every cycle.
+    """The gripper's report of every cycle.
 
     Attributes:
         status: Status word.

@@ -109,7 +109,7 @@ class EguIdentity:
 
 
 async def identify(bus: ModbusBus, unit: int, device: str) -> EguIdentity:
-    """Read what the gripper of a number on a line says of itself.
+    """Read the identity of the gripper with a number on a line.
 
     Args:
         bus: The line.
@@ -494,7 +494,7 @@ class SchunkEguDriver(Driver):
                 await self._write(codec.Output(codec.Control.RUN))
                 continue
             if due < math.inf and last:
-                # Between the end of this cycle and what the next one can do, whichever is nearer.
+                # Between the end of this cycle and the reach of the next one, whichever is nearer.
                 if due > end and due - end > later - due:
                     return
                 await asyncio.sleep(max(0.0, min(due, end) - now))

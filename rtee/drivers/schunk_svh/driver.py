@@ -181,7 +181,7 @@ class SchunkSvhDriver(Driver):
         if self.stops and not homing.plausible(self.stops, self._table, await link.feedback_all()):
             self._adopt_stops({})
         if not set(self._index) <= enabled:
-            # Disabled since: the supply may have been cut, too, which resets the encoders.
+            # It was disabled since: perhaps by a cut supply, which resets the encoders, too.
             self._adopt_stops({})
         self._scales = None
 

@@ -30,7 +30,7 @@ _STOP_ON_BLOCK = 0x02  # flag of a pre-position; 1: the width is relative
 
 
 class Command(IntEnum):
-    """What a frame asks for."""
+    """Request of a frame."""
 
     LOOP = 0x06
     DISCONNECT = 0x07
@@ -175,7 +175,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Read a frame; raises `CodecError` if it is none."""
+        """Read a frame; raises `CodecError` if it is not one."""
         [command], payload = _FRAMING.opened(raw)
         return cls(command, payload)
 

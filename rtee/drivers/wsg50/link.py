@@ -42,7 +42,7 @@ class WsgRefusal(BusError):
 
 @dataclass(frozen=True, slots=True)
 class WsgReport:
-    """What the gripper reports in every cycle.
+    """The gripper's report of every cycle.
 
     Attributes:
         state: The system's state.

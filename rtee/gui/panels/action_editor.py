@@ -238,7 +238,7 @@ _LEAVE_WITHIN = 0.5
 """Longest time to wait for the release of the lease [s]: the hand may already be gone."""
 
 _CLICK = {"rad": 0.02, "m": 0.001}
-"""What a click on − or + adds by unit [rad | m]: about a degree, or a millimetre."""
+"""Step of a click on − or + by unit [rad | m]: about a degree, or a millimetre."""
 
 _STEPS = {"rad": 0.001, "m": 0.0001}
 """Step of a slider by unit [rad | m]: finer than the repeatability of a hand."""

@@ -588,7 +588,7 @@ class ActionsPanel:
         return tuple(dict.fromkeys(moved))
 
     def show_trials(self, tried: Tried) -> None:
-        """Show stored results of trials beside those of this page."""
+        """Show stored results of trials next to those of this page."""
         self._tried = replace(tried, own={**self._tried.own, **tried.own})
         self._show_tried()
 
@@ -602,7 +602,7 @@ class ActionsPanel:
             card.show_trials(self._tried)
 
     def fade(self) -> None:
-        """Mark results as old that say nothing of now."""
+        """Mark obsolete results as old."""
         self._holding.fade()
         for card in self._cards.values():
             card.fade()
@@ -696,7 +696,7 @@ class HoldingPanel:
         return [each for each in self._openings if JOINED.join(each.elements) == fingers]
 
     def _offer_widths(self) -> None:
-        """Limit the width to what the fingers reach around."""
+        """Limit the width to the largest that the fingers reach around."""
         chosen = self._chosen
         # Round inwards to 0.1 mm, so that the hand refuses neither end. The fingers must open
         # wider than the object to get around it, hence 0.1 mm less than the widest opening.

@@ -23,7 +23,7 @@ from rtee.types import Feedback, Result
 
 
 class _Shown(NamedTuple):
-    """A result that is shown, what was asked for, and what was the last turn then."""
+    """A shown result, its request, and the last turn at that time."""
 
     result: Result
     asked: object
@@ -107,7 +107,7 @@ class Execution:
                 self._inner[name].value = round(100.0 * progress, 1)
 
     def remove(self) -> None:
-        """Show nothing any more; the card removes the controls, but the goal may go on."""
+        """Stop showing the goal; the card removes the controls, but the goal may continue."""
         self._removed = True
 
     def _end(self, result: Result, asked: object) -> None:
@@ -121,7 +121,7 @@ class Execution:
         self._shown = _Shown(result, asked, self._truth.turn)
 
     def fade(self) -> None:
-        """Mark the result as old once it says nothing of the hand, or of what is asked for, now."""
+        """Mark the result as old once it no longer describes the hand or the requested goal."""
         shown, turn = self._shown, self._truth.turn
         if shown is None or self._removed:
             return

@@ -91,7 +91,7 @@ def _differs(new: Sequence[FloatArray], old: Sequence[FloatArray]) -> bool:
     """Return whether the layout of a plot changes, so that all of it is sent to the browser."""
     return any(
         a.shape != b.shape or not np.allclose(a, b, atol=tolerance, equal_nan=True)
-        # The times of thinned states are never the same; those of another page are far off.
+        # Thinned states never have exactly the same times; states of another page are far off.
         for a, b, tolerance in zip(new, old, (0.5, *[1e-4] * len(old)), strict=False)
     )
 

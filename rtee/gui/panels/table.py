@@ -29,7 +29,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[in
     """
     swatches = [f"{swatch(number)} " for number in lines] or [""] * len(rows)
     styles = [f"{_HEAD};text-align:left;padding-left:0", *[_HEAD] * len(head)]
-    # A heading without text would be one to hear.
+    # A screen reader would announce a heading without text.
     cells = [
         f'<th style="{style}">{title}</th>' if title else "<td></td>"
         for title, style in zip(head, styles, strict=False)
@@ -77,7 +77,7 @@ class TablePanel:
         grip = ["fingertips", width, force, state.force_source or "–"]
         put(self._grip, table(("", "opening [mm]", "force [N]", "by"), [grip]))
         actuators, show = self._hand.actuators, self._angles.text
-        # What the hand has measured at any time has a column.
+        # A quantity has a column if the hand has measured it at any time.
         self._known |= {name for name in MEASURED if np.isfinite(getattr(state, name)).any()}
         kinds = {actuator.kind for actuator in actuators}
         extras = [name for name in ("effort", "temperature") if name in self._known]

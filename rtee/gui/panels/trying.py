@@ -138,7 +138,7 @@ _TABLES: Final[Mapping[str, Table | None]] = {
     "x is up": Table((1.0, 0.0, 0.0)),
     "across the weight": Table(),
 }
-"""On what the object of a planned grasp stands."""
+"""Support of the object of a planned grasp."""
 
 Found = Callable[[TrialResult], None]
 """Receives the result of a trial."""
@@ -477,7 +477,7 @@ class GraspsPanel:
         buttons.on_click(lambda event: self._clicked(str(event.target.value), plan, execution))
 
     def fade(self) -> None:
-        """Mark results as old that say nothing of now."""
+        """Mark obsolete results as old."""
         for each in self._executions:
             each.fade()
 

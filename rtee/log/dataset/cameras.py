@@ -40,7 +40,7 @@ _DECODERS: Final[Mapping[str, str]] = {
     "h264": "h264",
     "h265": "hevc",
 }
-"""Decoders of FFmpeg by what a message's format contains."""
+"""FFmpeg's decoders, by a word in the format of a message."""
 
 _VIDEO: Final = ("h264", "hevc")
 """Those of them that need every message before."""

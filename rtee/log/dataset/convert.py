@@ -26,10 +26,10 @@ from rtee.messages.features import USUAL, ObservedQuantity
 from rtee.sample import FloatArray
 
 BEGIN: Final = "episode:"
-"""What a mark begins with that begins an episode; the task follows."""
+"""Beginning of a mark that starts an episode; the task follows."""
 
 END, DISCARD = "end", "discard"
-"""What follows it in a mark that ends the episode, or throws it away."""
+"""Words that follow it in a mark that ends an episode, or discards it."""
 
 
 class EpisodeBoundary(StrEnum):

@@ -27,7 +27,7 @@ from rtee.types import Goal, Intensity, Named
 Times = NDArray[np.int64]
 
 _PERIODS: Final = 3.0
-"""A value is the present one for so many of its typical periods: one or two may be lost."""
+"""Number of its typical periods for which a value counts as current: one or two may be lost."""
 
 _AT_LEAST: Final = 0.03
 """But for that long [s]: a busy computer misses ticks, and a frame of 30 Hz takes longer."""
@@ -69,7 +69,7 @@ class Signal:
 
 
 def lasting(wall: Times) -> float:
-    """Return how long a value that is measured at such times counts as current [s]."""
+    """Return how long a value measured at the given times counts as current [s]."""
     typical = float(np.median(np.diff(wall))) / SECOND if len(wall) > 1 else 0.0
     return max(_PERIODS * typical, _AT_LEAST)
 
@@ -201,7 +201,7 @@ def _takeovers(recording: Recording) -> set[int]:
 
 
 def _filled(names: tuple[str, ...], rows: Mapping[int, FloatArray], ends: set[int]) -> Signal:
-    """Return targets over time: what a later one leaves out stays."""
+    """Return targets over time: values that a later one leaves out stay."""
     wall = sorted(rows.keys() | ends)
     values = np.full((len(wall), len(names)), math.nan)
     last = np.full(len(names), math.nan)

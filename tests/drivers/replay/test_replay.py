@@ -294,7 +294,7 @@ def test_files_that_cannot_be_played_are_refused(tmp_path: Path) -> None:
     cases = [
         (tmp_path / "missing.mcap", ("thumb",), "cannot be opened"),
         (junk, ("thumb",), "is not a recording"),
-        (write(tmp_path / "empty.mcap", count=0), ("thumb",), "holds no states"),
+        (write(tmp_path / "empty.mcap", count=0), ("thumb",), "contains no states"),
         (write(tmp_path / "short.mcap", count=2), ("ring",), "no states of the actuator 'ring'"),
         (
             write(tmp_path / "cut.mcap", count=5, finish=False),
