@@ -138,8 +138,9 @@ class ActuatorState(Measurements):
         extras: Mapping[str, FloatArray] = NOTHING,
         warnings: tuple[str, ...] = (),
         touch: TouchReading | None = None,
+        fresh: bool = True,
     ) -> ActuatorState:
-        """Return a fresh state; quantities left out count as not measured (``NaN``)."""
+        """Return a state; quantities left out count as not measured (``NaN``)."""
         positions = np.asarray(position, np.float64)
         shape = positions.shape
 
@@ -153,6 +154,7 @@ class ActuatorState(Measurements):
             array(current),
             array(temperature),
             stamp=stamp,
+            fresh=fresh,
             grasped=grasped,
             extras=extras,
             warnings=warnings,

@@ -133,6 +133,15 @@ class Driver(ABC):
         except (BusTimeout, FrameError) as error:
             raise NotConnected(self.spec.name, absent, hint=hint) from error
 
+    @contextmanager
+    def busy(self, doing: str) -> Iterator[None]:
+        """Say what is under way, as in `doing`, until the context ends."""
+        self.doing = doing
+        try:
+            yield
+        finally:
+            self.doing = ""
+
     async def activate(self) -> None:
         """Power and enable the device; homes it only if the options allow it and it is not homed.
 

@@ -185,13 +185,9 @@ class RobotiqDriver(Driver, Generic[S, C]):
     async def _within(self, doing: str, steps: Callable[[], Awaitable[None]]) -> None:
         """Run steps that make the gripper move by itself, in limited time; cancelling stops it."""
         seconds = self._settings.activation_timeout
-        self.doing = doing
-        try:
-            with self.connection.link.relaxed_deadline():
-                async with time_limit(seconds, self._too_slow, end=self._end_activation):
-                    await steps()
-        finally:
-            self.doing = ""
+        with self.busy(doing), self.connection.link.relaxed_deadline():
+            async with time_limit(seconds, self._too_slow, end=self._end_activation):
+                await steps()
 
     def _too_slow(self) -> DeviceFault:
         hint = "free the fingers, then `rtee recover`"

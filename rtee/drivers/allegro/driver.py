@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -369,15 +368,15 @@ class AllegroDriver(Driver):
         fresh, self._returned = control.sets != self._returned, control.sets
         info = self._info
         temperature = math.nan if info is None else float(info.temperature)
-        state = ActuatorState.measured(
+        # The loop may be faster than the hand: the same set must not count as a new measurement.
+        return ActuatorState.measured(
             [control.position[j] for j in self._joints],
             control.stamp,
             velocity=[control.velocity[j] for j in self._joints],
             effort=[control.torque[j] for j in self._joints],
             temperature=np.full(len(self._joints), temperature),
+            fresh=fresh,
         )
-        # The loop may be faster than the hand: the same set must not count as a new measurement.
-        return state if fresh else replace(state, fresh=False)
 
     async def move(self, reference: Reference) -> None:
         """Change the reference and the limits of the joint control."""

@@ -249,11 +249,8 @@ class Cia402Driver(Driver):
         holding = [d.state is State.ENABLED for d in cycle.drives]
         await cycle.enable()
         for drive in unhomed:
-            self.doing = f"homing {drive.name}"
-            try:
+            with self.busy(f"homing {drive.name}"):
                 await cycle.home(drive)
-            finally:
-                self.doing = ""
             self._homed.add(drive.id)
         self._home_asked = False
         for drive, holds in zip(cycle.drives, holding, strict=True):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
@@ -311,7 +310,7 @@ class HeriEthercatDriver(Driver):
             dtype=np.float64,
         ).reshape(-1)
         fresh, self._returned = self._stamp != self._returned, self._stamp
-        state = ActuatorState.measured(
+        return ActuatorState.measured(
             [r.positions[s] for r, s in zip(replies, sides, strict=True)],
             self._stamp,
             velocity=[r.velocities[s] for r, s in zip(replies, sides, strict=True)],
@@ -323,8 +322,8 @@ class HeriEthercatDriver(Driver):
                 for b, reply in enumerate(self._replies)
                 if codec.Fault(reply.fault & codec.ACKNOWLEDGE) & codec.WARNINGS
             ),
+            fresh=fresh,
         )
-        return state if fresh else replace(state, fresh=False)
 
     async def move(self, reference: Reference) -> None:
         """Exchange process data with the new references."""

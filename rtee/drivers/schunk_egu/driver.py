@@ -372,11 +372,8 @@ class SchunkEguDriver(Driver):
             self._refuse(now)
             return now.status & codec.Status.RECEIVED != before and bool(now.status & codec.RESULTS)
 
-        self.doing = "testing its brake"
-        try:
+        with self.busy("testing its brake"):
             await self._until(done, _BRAKE_TEST)
-        finally:
-            self.doing = ""
         if self._input.status & codec.Status.NOT_FEASIBLE:
             raise self._error(_BRAKE, "brake test not feasible; has this model a brake?")
         await self._write(codec.Output(codec.Control.RUN))

@@ -249,9 +249,8 @@ class SchunkSvhDriver(Driver):
         await self._limits.write(self.connection.link, self._index)
         stops: dict[int, int] = {}
         order = [channel for channel in HOMING_ORDER if channel in self._index]
-        try:
-            for number, channel in enumerate(order, start=1):
-                self.doing = f"homing {self._table[channel].name}, {number} of {len(order)}"
+        for number, channel in enumerate(order, start=1):
+            with self.busy(f"homing {self._table[channel].name}, {number} of {len(order)}"):
                 stops[channel] = await homing.home(
                     self.connection.link,
                     self.spec.name,
@@ -260,8 +259,6 @@ class SchunkSvhDriver(Driver):
                     self._limits.current[channel],
                     timeout=self.options.home_timeout,
                 )
-        finally:
-            self.doing = ""
         self._adopt_stops(stops)
         homing.write_stops(self.options.stops_file, stops)
 

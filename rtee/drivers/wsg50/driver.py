@@ -184,8 +184,7 @@ class Wsg50Driver(Driver):
             hint = "free the fingers, then `rtee recover`"
             return self.fault(_NOT_REFERENCED, "homing not done in time", hint)
 
-        self.doing = "homing"
-        try:
+        with self.busy("homing"):
             async with time_limit(self.options.home_timeout, too_slow, end=self.stop):
                 await link.begin(home())
                 while True:
@@ -194,8 +193,6 @@ class Wsg50Driver(Driver):
                     self._refuse(report)
                     if report.state & State.REFERENCED and not report.state & State.MOVING:
                         return
-        finally:
-            self.doing = ""
 
     async def examine(self) -> str:
         """Return whether it is not homed; raises the fault that it reports."""

@@ -7,7 +7,6 @@ import contextlib
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -250,14 +249,14 @@ class XBot2Driver(Driver):
             raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")
         fresh, self._seen = self._stamp != self._seen, self._stamp
         joints = list(zip(self._index, self._reported, self._signs, strict=True))
-        found = ActuatorState.measured(
+        return ActuatorState.measured(
             [scale.to_si(state.position[i]) for i, scale, _ in joints],
             self._stamp,
             velocity=[state.velocity[i] * scale.gain for i, scale, _ in joints],
             effort=[sign * state.effort[i] for i, _, sign in joints],
             temperature=[state.temperature[i] for i, _, _ in joints],
+            fresh=fresh,
         )
-        return found if fresh else replace(found, fresh=False)
 
     async def move(self, reference: Reference) -> None:
         """Send position references, or efforts with ``control: effort``."""
