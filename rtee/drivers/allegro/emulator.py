@@ -159,9 +159,8 @@ class AllegroEmulator(Emulator, Grasps):
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close: with all joints but the first of each, which spreads it."""
-        closed = _CLOSED
         return [
-            Closing(joint, 0.0, closed, _STRONG)
+            Closing(joint, 0.0, _CLOSED, _STRONG)
             for number, joint in enumerate(self.joints)
             if number % (codec.JOINTS // codec.FINGERS)
         ]

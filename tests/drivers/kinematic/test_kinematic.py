@@ -157,7 +157,7 @@ async def test_an_object_at_rest_lets_no_finger_close() -> None:
 async def test_what_turns_without_end_has_no_place_for_an_object() -> None:
     turn = replace(BEND, name="turn", kind=JointKind.CONTINUOUS, lower=-math.inf, upper=math.inf)
     driver = KinematicDriver(DeviceSpec("dummy", "test", "kinematic", (turn, BEND)), BusPool())
-    with pytest.raises(ConfigError, match="'turn' turns without end"):
+    with pytest.raises(ConfigError, match="'turn' turns endlessly"):
         driver.place_object("turn", 0.0)
     driver.place_object("index", 0.0)
     driver.now = clock = Time()
