@@ -134,14 +134,10 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> EguIdentity:
         raise HandshakeError(
             device, _WHAT, f"a device of module type {int.from_bytes(module, 'little')}"
         )
-    least, most = (
-        await number(codec.Parameter.LEAST_POSITION),
-        await number(codec.Parameter.MOST_POSITION),
-    )
-    force, speed = (
-        await number(codec.Parameter.MOST_FORCE),
-        await number(codec.Parameter.MOST_SPEED),
-    )
+    least = await number(codec.Parameter.LEAST_POSITION)
+    most = await number(codec.Parameter.MOST_POSITION)
+    force = await number(codec.Parameter.MOST_FORCE)
+    speed = await number(codec.Parameter.MOST_SPEED)
     # Another device may return zeros for registers that it does not have.
     if not (least < most and force > 0.0 and speed > 0.0):
         raise HandshakeError(

@@ -262,14 +262,9 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         command = codec.COMMANDS.get(code)
         if command is None:
             raise Refused(ILLEGAL_VALUE)
-        position, speed, force = (
-            codec.float_of(codec.registers(self._kept[parameter]))
-            for parameter in (
-                codec.Parameter.SET_POSITION,
-                codec.Parameter.SET_SPEED,
-                codec.Parameter.SET_FORCE,
-            )
-        )
+        position = self._number(codec.Parameter.SET_POSITION)
+        speed = self._number(codec.Parameter.SET_SPEED)
+        force = self._number(codec.Parameter.SET_FORCE)
         outward = (
             codec.Control.OUTWARD
             if any(self._kept[codec.Parameter.DIRECTION])
@@ -277,6 +272,9 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         )
         values = round(1e3 * position), round(1e3 * speed), round(force)
         self._take(command, codec.Output(codec.Control.RUN | command | outward, *values))
+
+    def _number(self, parameter: codec.Parameter) -> float:
+        return codec.float_of(codec.registers(self._kept[parameter]))
 
     def _acknowledge(self) -> None:
         left = [_ERRORS[f] for f in self.faults if f in _ERRORS and f != "brake_test"]
@@ -326,7 +324,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         if command is codec.Control.MOVE_BY:
             return self.axis.position + position, speed, free
         if command is codec.Control.RELEASE:
-            release = codec.float_of(codec.registers(self._kept[codec.Parameter.RELEASE_DELTA]))
+            release = self._number(codec.Parameter.RELEASE_DELTA)
             way = -release if outward else release
             wanted = min(max(self.axis.position + way, 0.0), made.stroke)
             return wanted, made.grip_speed, free
