@@ -86,9 +86,11 @@ def presses(force: float, least: float, still: Iterable[bool]) -> bool:
     """Return whether fingers that stand still press on something, by their efforts alone.
 
     Args:
-        force: The force between them by their efforts, besides weight and friction [N].
+        force: The force between them by the efforts of those that stand still, besides weight and
+            friction [N].
         least: The force to press with [N].
-        still: Whether each actuator that presses, and whose friction is known, stands still.
+        still: Whether on each side an actuator that presses, and whose friction is known, stands
+            still.
     """
     return force >= least and all(still)
 

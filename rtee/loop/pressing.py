@@ -9,7 +9,7 @@ that is asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
@@ -223,12 +223,18 @@ class ForceEstimate:
             uneven = 0.5 * abs(one - other)
         return _SENSED * force + uneven
 
-    def by_efforts(self, effort: Sequence[float], position: Sequence[float]) -> float:
+    def by_efforts(
+        self,
+        effort: Sequence[float],
+        position: Sequence[float],
+        only: Container[int] | None = None,
+    ) -> float:
         """Return the force by efforts [N]; ``NaN``: they are not measured.
 
         Args:
             effort: Efforts of all actuators [N·m | N].
             position: Their positions [rad | m].
+            only: Those that press: others may take their effort to speed up; ``None``: all.
         """
         grip, names = self._grip, self._hand.finger_names
         along: dict[int, float] = {}
@@ -242,6 +248,7 @@ class ForceEstimate:
                     * self._closing[i]
                     * grip.efficiency[k]
                 )
+                held = held if only is None or i in only else 0.0
                 along[finger] = along.get(finger, 0.0) + lever * held
                 square[finger] = square.get(finger, 0.0) + lever * lever
         sides = [

@@ -461,16 +461,27 @@ class Reflexes:
             return False
         if not math.isnan(grip.tip_force(measured.touch)):
             return False  # sensors decide
-        return rules.presses(
-            estimate.by_efforts(measured.effort, measured.position),
-            approach.share(measured) * force,
+        pressing = {i: each for i, each in approach.watched.items() if i in approach.predicted}
+        still = {
+            i
+            for i, each in pressing.items()
             # The effort of friction must be known.
-            (
-                each.touched or (stamp - each.kept_up >= _LOOKED_AT and self._tare.sure(i))
-                for i, each in approach.watched.items()
-                if i in approach.predicted
-            ),
+            if each.touched or (stamp - each.kept_up >= _LOOKED_AT and self._tare.sure(i))
+        }
+        if not still:
+            return False
+        fingers = [self._fingers_of(side) for side in (pressing, still)]
+        sides = (grip.fingers, grip.others)
+        return rules.presses(
+            estimate.by_efforts(measured.effort, measured.position, still),
+            approach.share(measured) * force,
+            (not fingers[1].isdisjoint(side) for side in sides if not fingers[0].isdisjoint(side)),
         )
+
+    def _fingers_of(self, indices: Iterable[int]) -> set[int]:
+        """Return the fingers of some actuators, by index."""
+        names = self._hand.finger_names
+        return {names.index(f) for i in indices for f in self._hand.actuators[i].fingers}
 
     def _weigh(
         self,
