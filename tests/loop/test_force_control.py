@@ -22,7 +22,7 @@ from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip, grip_at
 from rtee.loop.measured import GRIP_FORCE, Measured
 from rtee.loop.planning import make_plan
-from rtee.loop.pressing import ceilings
+from rtee.loop.pressing import ForceEstimate, Tare, ceilings
 from rtee.loop.settings import loop_settings
 from rtee.sample import TickRecord
 from rtee.types import (
@@ -379,6 +379,12 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     [told] = [item for item in controller.outbox.items if isinstance(item, Event)]
     assert (told.kind, told.stamp) == ("slowed", time_began)
     assert "meet the object at 7.79 mm/s instead of 10 mm/s" in told.text
+    assert plan.grip is not None
+    estimate = ForceEstimate(hand, plan.grip, Tare())
+    efforts, one = [plan.effort.get(i, 0.0) for i in range(size)], list(plan.effort)[:1]
+    every = estimate.by_efforts(efforts, position)
+    assert 0.0 < estimate.by_efforts(efforts, position, one) < every, "others may speed up"
+    assert estimate.by_efforts(efforts, position, list(plan.effort)) == pytest.approx(every)
     text = slowed(replace(plan, lag=1.0), hand)
     assert "at 3 mm/s instead of 10 mm/s: faster, the blow of fingers that lag 1 s" in text
 
