@@ -27,15 +27,16 @@ def section(driver: str) -> str:
     ]
     found = recorded().get(driver)
     bytes_of = (
-        f"Bytes of the real world that the tests decode: {len(found.frames)} ({found.source})."
+        f"The tests decode {len(found.frames)} published frames ({found.source})."
         if found is not None
-        else "No public recording of what such a device sends was found: what is known of its "
-        "bytes comes from documents and programs."
+        else "No public recording of such a device was found: its frames are known from documents "
+        "and programs only."
     )
     return "\n".join(
         [
-            "What the authors have not confirmed on a device, by topic. `rtee doctor "
-            "--first-contact HAND` [confirms or refutes it](../how-to/first-contact.md) on yours.",
+            "Assumptions that the authors have not confirmed on a device, by topic. "
+            "`rtee doctor --first-contact HAND` "
+            "[confirms or refutes them](../how-to/first-contact.md) on yours.",
             "",
             "| about | assumed | source |",
             "| --- | --- | --- |",

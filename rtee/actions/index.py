@@ -133,7 +133,7 @@ class ActionIndex:
         if normalise(which) != DEEPEST:
             raise ActionError(f"'{name}': only '{plain}@{DEEPEST}' asks for another posture")
         if not isinstance(action, Primitive) or not action.evidence:
-            raise ActionError(f"'{action.name}' is not a pinch so it has no deepest posture")
+            raise ActionError(f"'{action.name}' is not a pinch, so it has no deepest posture")
         return action.deepest
 
     def _names_of(self, kind: ActionKind | None) -> list[str]:

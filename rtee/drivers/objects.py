@@ -154,7 +154,7 @@ class Grasps(ABC):
         at = obj.closure if obj.width is None else self.closure_at(obj.width)
         if not 0.0 <= at <= 1.0:
             width = 0.0 if obj.width is None else obj.width
-            raise ConfigError(f"an object {width * 1e3:g} mm wide is not between the fingers")
+            raise ConfigError(f"an object {width * 1e3:g} mm wide does not fit the fingers")
         closings = self.closings()
         # Motors that press on an object are not compared: the new object replaces it.
         if any(one.motor.obstacle is None and one.part > at + _SLACK for one in closings):

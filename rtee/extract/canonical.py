@@ -238,7 +238,7 @@ class _Points:
         for i, finger in enumerate(self._fingers):
             key = (-len(finger.actuators), -len(finger.own), finger.tip is None)
             groups.setdefault(key, []).append(i)
-        # Cut off each by itself, too, since `product` begins with all that it is given.
+        # Each iterator is limited, too, since `product` reads all of them first.
         within = [islice(permutations(groups[key]), _MOST_ORDERS) for key in sorted(groups)]
         orders = (tuple(i for part in parts for i in part) for parts in product(*within))
         return islice(orders, _MOST_ORDERS)

@@ -63,7 +63,7 @@ def coarsened(points: FloatArray, faces: Faces, kept: FloatArray) -> FloatArray:
 
 
 def welded(corners: FloatArray) -> tuple[FloatArray, Faces]:
-    """Return the distinct ones of corners ``(3 t, 3)`` [m], and triangles as their indices."""
+    """Return the distinct corners of ``(3 t, 3)`` corners [m], and triangles as their indices."""
     _, first, faces = np.unique(_number(corners), return_index=True, return_inverse=True)
     return corners[first], faces.reshape(-1, 3)
 

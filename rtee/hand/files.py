@@ -256,9 +256,7 @@ def _regular(path: Path, folder: int, owner: int, limit: int) -> bytes | None:
         if not stat.S_ISREG(status.st_mode):
             return None
         if status.st_uid != owner:
-            raise ConfigError(
-                "and its folder belong to different users; give both the same owner", path=path
-            )
+            raise ConfigError("must have the same owner as its folder", path=path)
         content = file.read(limit + 1)
     if len(content) > limit:
         raise ConfigError(f"is larger than {limit // 1_000_000} MB", path=path)

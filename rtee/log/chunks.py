@@ -122,7 +122,7 @@ class InColumns:
 
     Attributes:
         channel: Channel of their message.
-        every: Of so many ticks, one is also in messages of its own, for other software.
+        every: Every n-th tick is also written as messages, for other software.
     """
 
     channel: int

@@ -139,7 +139,7 @@ class Finder:
         if opcode == DAMAGE or not self._followed(offset + length):
             return None
         if opcode in _CHECKED or opcode not in _LAYOUTS or (said or length) < length:
-            # A kind, or fields, of later versions; or a content whose reader notices its damage.
+            # Written by a later version, or damaged in a way that its reader notices.
             return Record(opcode, offset, length)
         return Record(DAMAGE, position, HEAD.size + length)
 

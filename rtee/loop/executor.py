@@ -362,7 +362,7 @@ class Executor:
         # Fingers that touch elsewhere than the levers assume.
         elsewhere = source not in (TIPS, DEVICE) and grasped and within is False
         if felt == felt:
-            # Better known: by finger, and without what weight and friction take.
+            # More exact: by finger, and without the share of weight and friction.
             force, error = felt, doubt
             if elsewhere or doubt != doubt:
                 force, error, source = math.nan, math.nan, ""

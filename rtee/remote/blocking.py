@@ -51,7 +51,7 @@ _PORTALS: weakref.WeakSet[BlockingPortal] = weakref.WeakSet()
 """The event loops of this process."""
 
 _FORKED: weakref.WeakSet[BlockingPortal] = weakref.WeakSet()
-"""Those that it has from the process it was forked from: their threads were left there."""
+"""Event loops copied by a fork, whose threads stayed in the parent process."""
 
 os.register_at_fork(after_in_child=lambda: _FORKED.update(_PORTALS))
 

@@ -53,7 +53,7 @@ class EmulatedDevices(ABC):
 
     @abstractmethod
     def _act(self, what: str, detail: str, device: str | None) -> None:
-        """Do one of `_DO` to a device, or to all."""
+        """Apply an operation of `_DO` to a device, or to all."""
 
     def unplug(self, device: str | None = None) -> None:
         """Unplug the cable."""

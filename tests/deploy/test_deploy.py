@@ -240,7 +240,7 @@ def test_files_of_others_are_not_copied(root: Path, hand: Path) -> None:
     """A hard link leads to a file as a symbolic one does."""
     (hand / "notes.txt").write_text("secret")
     os.chown(hand / "notes.txt", 12345, -1)
-    with pytest.raises(ConfigError, match="and its folder belong to different users"):
+    with pytest.raises(ConfigError, match="must have the same owner as its folder"):
         install(root, hand)
     assert not (root / "etc/rtee/hands/jaw").exists()
 

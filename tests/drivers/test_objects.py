@@ -129,7 +129,7 @@ def test_an_internal_grip_opens_into_its_object() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("robotiq_2f", "90mm", "90 mm wide is not between the fingers"),
+        ("robotiq_2f", "90mm", "90 mm wide does not fit the fingers"),
         ("qb_softhand", "50mm", "give the fraction of the travel"),
         ("schunk_svh", "0.1", "open them first"),
     ],

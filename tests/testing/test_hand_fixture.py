@@ -75,7 +75,7 @@ def test_a_part_is_pulled_out_and_the_cable_too(rtee_hand):
     for mistake, call in (
         ("unknown fault 'rust'", lambda: hand.fault("rust")),
         ("no device 'grip'; did you mean 'gripper'", lambda: hand.unplug("grip")),
-        ("not between the fingers", lambda: hand.place("500mm")),
+        ("does not fit the fingers", lambda: hand.place("500mm")),
     ):
         with pytest.raises(ConfigError, match=mistake):
             call()

@@ -81,7 +81,7 @@ def add_object(
             radius, length = shape.size
             geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
             _set_size(geom, radius)
-            # MuJoCo counts without the caps, which alone get smaller.
+            # MuJoCo's length excludes the caps; only these get smaller.
             geom.size[1] = 0.5 * length - radius
     return body
 

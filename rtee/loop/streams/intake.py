@@ -73,7 +73,7 @@ class TimeBase:
         wrong = self._wrong(placed, now)
         if wrong or placed <= self._newest:
             if self._agrees(stamp, now):
-                # With the least delay of these samples as the least delay before.
+                # The least delay of these samples replaces the earlier one.
                 least = min(arrival - each for each, arrival in self._doubted)
                 self._shift = least - self._least(now)
                 placed, wrong = stamp + self._shift, ""
