@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind
 
@@ -53,6 +53,11 @@ def actuator(
     )
 
 
+_APART: Final = 4.0
+"""Least distance between the postures of an actuator, in tolerances: they must not be mistaken for
+each other."""
+
+
 @dataclass(frozen=True)
 class DeviceCase:
     """A device for the contract suite, which tests its driver against its emulator.
@@ -69,7 +74,8 @@ class DeviceCase:
         deadline: Longest time of one exchange [s]; ``None``: the driver's default.
         postures: Two postures to move between [rad | m]; by default a quarter and three quarters
             of the way from the lower to the upper limits.
-        tolerance: Error within which a posture counts as reached [rad | m].
+        tolerance: Error within which a posture counts as reached [rad | m], at most a fourth of
+            the distance between the postures.
         within: Longest time to reach a posture [s].
         stopping: Time after which a stopped device must be at rest [s].
         grip_object: Makes the emulated device active and holding an object, as found at start-up.
@@ -114,6 +120,16 @@ class DeviceCase:
     wire_faults: frozenset[str] | None = None
     cycles: int = field(default_factory=cycles)
     share: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse a tolerance within which a device that does not move would seem to arrive."""
+        for actuator, near, far in zip(self.actuators, *self.between(), strict=True):
+            apart = abs(far - near)
+            if 0.0 < apart < _APART * self.tolerance:
+                raise ValueError(
+                    f"the postures of '{actuator.name}' are {apart:g} apart, too little for a "
+                    f"tolerance of {self.tolerance:g}; give 'tolerance', such as {apart / 20:.1g}"
+                )
 
     def spec(self, name: str = "device") -> DeviceSpec:
         """Return the device's specification, emulated."""

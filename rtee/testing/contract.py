@@ -88,7 +88,9 @@ class DriverContract:
         """Yield a session whose device is active and at a posture, and its state there."""
         async with self.session(within) as session:
             await session.start()
-            yield session, await session.reach(posture)
+            state = await session.reach(posture)
+            assert session.near(state, posture), "it does not get where it is sent"
+            yield session, state
 
     def needed(self, name: str) -> Any:
         """Return an attribute of the case, or skip the test if it is ``None``."""
@@ -224,14 +226,14 @@ class DriverContract:
         self.moving()
         near, far = self.case.between()
         async with self._session_at(near) as (session, _):
-            for _ in range(5):
-                await session.cycle(Reference.at(list(far)))
+            await session.leave(near, far)
             await session.driver.stop()
             await asyncio.sleep(self.case.stopping)
             there = await session.sense()
             await asyncio.sleep(0.2)
             later = await session.sense()
             assert session.near(later, there.position.tolist())
+            assert not session.near(later, far), "it went on to where it was sent"
 
     @pytest.mark.parametrize("seen", [False, True])
     async def test_stop_commands_no_position_that_cannot_be(self, seen: bool) -> None:

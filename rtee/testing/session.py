@@ -127,6 +127,15 @@ class Session:
             # Emulators in this process also need the processor, even on a slow machine.
             await asyncio.sleep(0.002)
 
+    async def leave(self, posture: Sequence[float], goal: Sequence[float]) -> None:
+        """Cycle with a goal until the device is seen to have left a posture."""
+        end = monotonic.now() + self.case.within
+        while (state := await self.cycle(Reference.at(list(goal)))) is None or self.near(
+            state, posture
+        ):
+            assert monotonic.now() < end, "it does not move"
+            await asyncio.sleep(0.002)
+
     async def approach(self, goal: Sequence[float], share: float) -> list[float]:
         """Move part of the way to a posture as the loop does; return the last reference.
 
