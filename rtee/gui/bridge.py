@@ -62,6 +62,19 @@ class Bridge:
 
         return follow
 
+    def entered(self, use: Callable[[Any], None]) -> Callable[[Any], Coroutine[None, None, None]]:
+        """Return a callback for a control that takes the values that a person enters.
+
+        What the program itself shows in the control is no event. The value is taken at once, in
+        viser's own thread: what is shown next must not take its place.
+        """
+
+        async def follow(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:
+                use(event.target.value)
+
+        return follow
+
     def _start(self, work: Work, always: bool) -> None:
         task = asyncio.ensure_future(self._guarded(work, always))
         self._working.add(task)  # the event loop itself keeps only a weak reference

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import anyio
 import anyio.lowlevel
@@ -87,6 +87,13 @@ async def says(app: App, part: str, text: str, window: int = 0) -> None:
     """Wait until a part of a window's bar says something."""
     while text not in str(app.words(app.pages[window].key)[part]):  # noqa: ASYNC110
         await anyio.sleep(0.02)
+
+
+async def entered(control: viser.GuiInputHandle[Any], value: object) -> None:
+    """Let a person enter a value, as viser does."""
+    control._impl.value = value
+    for callback in control._impl.update_cb:
+        await cast("Any", callback)(viser.GuiEvent(client=None, client_id=1, target=control))
 
 
 def session_of(app: App) -> HandSession:
@@ -344,7 +351,7 @@ async def test_sliders_say_what_is_measured_and_go_there_after_a_stop(
     panel.follow(measured)
     assert slider.value == pytest.approx(0.3)
     panel._hold.value = True
-    slider.value = 0.7
+    await entered(slider, 0.7)
     panel.follow(measured)
     assert slider.value == 0.7
     assert [(mark.value, mark.label) for mark in slider._marks] == [(0.3, "measured")]

@@ -94,7 +94,7 @@ def test_a_tick_that_cannot_be_packed_is_counted_as_one_that_cannot_be_encoded(
         feed(recorder, 101, 200)
         gate.set()
         wait_for(lambda: recorder.status().dropped == 1)
-        assert "do not fit" in recorder.status().problem
+        assert "have the wrong length" in recorder.status().problem
     ticks = read(recorded(tmp_path)[0]).actuator_states.tick.tolist()
     assert ticks == [*range(100), *range(101, 200)]
 

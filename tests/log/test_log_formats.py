@@ -181,7 +181,7 @@ def test_columns_that_do_not_fit_are_said() -> None:
         {"order": b""},
     )
     for other in others:
-        with pytest.raises(MessageError, match="do not fit"):
+        with pytest.raises(MessageError, match="do not match"):
             decode_ticks(kind.encode(fields | other))
     with pytest.raises(MessageError, match="without messages"):
         messages_in(rows, [0])

@@ -150,7 +150,7 @@ def test_a_tick_that_cannot_be_encoded_ends_nothing(claw: Hand, tmp_path: Path) 
         recorder.on_tick(wrong)
         feed(recorder, 11, 20)
         wait_for(lambda: recorder.status().dropped == 1)
-        assert "do not fit" in recorder.status().problem
+        assert "have the wrong length" in recorder.status().problem
     ticks = read(recorded(tmp_path)[0]).actuator_states.tick.tolist()
     assert ticks == [*range(10), *range(11, 20)]
 

@@ -278,7 +278,7 @@ def test_the_hand_can_be_unpacked_where_its_files_are_not(shared: Path, tmp_path
         assert address.startswith("file:///")
     again = CliRunner().invoke(app, ["unpack", str(path), str(tmp_path / "out")])
     assert again.exit_code != 0
-    assert "there already" in str(again.exception)
+    assert "exists already" in str(again.exception)
 
 
 def test_names_that_leave_the_folder_are_refused_and_nothing_is_written(

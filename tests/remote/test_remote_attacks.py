@@ -196,7 +196,7 @@ async def test_nobody_takes_the_name_of_another_client(
             ]
 
         assert "already" in (await in_thread(hello, victim.client, token))[0]
-        assert "32 hexadecimal digits" in (await in_thread(hello, "x", "*"))[0]
+        assert "32 random hexadecimal digits" in (await in_thread(hello, "x", "*"))[0]
         assert (await in_thread(hello, "x", token)) == [""]
         there.undeclare()
 

@@ -57,9 +57,7 @@ async def test_a_client_in_javascript(hand: Hand, library: ActionLibrary) -> Non
         assert goal == replace(meant, goal_id=goal.goal_id, client=goal.client)
         refused = await run("small", "Nothing")
         assert refused.returncode == 2
-        assert refused.stderr.startswith(
-            "client: UnknownAction: unknown action 'Nothing'; there are"
-        )
+        assert refused.stderr.startswith("client: UnknownAction: unknown action 'Nothing'; valid: ")
 
 
 async def test_what_a_wrong_request_gets(hand: Hand, library: ActionLibrary) -> None:

@@ -86,7 +86,7 @@ async def test_a_router_as_it_comes_passes_on_all(tmp_path: Path) -> None:
             # Another thread may count a tick meanwhile.
             assert 0 < counts.busy[-1] <= looks[2].status.statistics.ticks + 1
             lines = fleet_table(looks).lines()
-            assert "nobody answers" in lines[1]
+            assert "nothing answers" in lines[1]
             assert "reached" in lines[3]
 
 

@@ -117,7 +117,7 @@ async def test_a_hand_that_is_silent_is_not_waited_for(
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as frozen:
             frozen.bind(str(remote._stops))
             for stop in (stop_hand, remote.stop):
-                with pytest.raises(NoHand, match=r"'small' does not answer .* emergency stop"):
+                with pytest.raises(NoHand, match=r"'small' does not confirm .* emergency stop"):
                     await stop()
             assert frozen.recv(100).endswith(b" python"), "it would stop as soon as it goes on"
         assert not served.watcher.events

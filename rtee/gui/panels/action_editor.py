@@ -152,7 +152,8 @@ class TuningPanel:
         self._set_before: dict[str, float] = {}
         # Whether the field holds a value of its gain; the first click must not set it to 0.
         self._typed = False
-        self._quiet = False
+        # What the hand said last: what is entered stays until it says something else.
+        self._said: float | None = None
         self._holding = gui.add_slider(
             "Holding effort [%]",
             0,
@@ -171,15 +172,20 @@ class TuningPanel:
         )
         self._set = gui.add_button("Set gain", hint="Change it now; needs the lease", visible=False)
         bridge.need(Role.MAINTAINER, self._holding, self._value, self._set)
-        self._holding.on_update(lambda _: self._hold())
+        self._holding.on_update(bridge.entered(self._hold))
         self._which.on_update(lambda _: self._recall())
         self._value.on_update(lambda _: self._type())
         self._set.on_click(lambda _: bridge.call(self._change))
 
-    def _hold(self) -> None:
-        if not self._quiet:
-            share = self._holding.value / 100.0
-            self._bridge.call(lambda: self._remote.set_gains({"grip_effort": share}))
+    def _hold(self, percent: float) -> None:
+        self._bridge.call(partial(self._keep, percent / 100.0))
+
+    async def _keep(self, share: float) -> None:
+        try:
+            await self._remote.set_gains({"grip_effort": share})
+        except RemoteError:
+            self._said = None  # shown again
+            raise
 
     def _type(self) -> None:
         self._typed = True
@@ -202,10 +208,8 @@ class TuningPanel:
     def show(self, status: HandStatus) -> None:
         """Show the grip effort and offer the gains of the devices."""
         share = round(100.0 * status.grip_effort)
-        if share != self._holding.value:
-            self._quiet = True  # or the callback would send the change back to the hand
-            self._holding.value = share
-            self._quiet = False
+        if share != self._said:
+            self._said = self._holding.value = share
         gains = {
             f"{device.name}: {gain}": (device.name, gain)
             for device in status.devices
@@ -253,7 +257,6 @@ class JogPanel:
         self._bridge = bridge
         self._remote = remote
         self._hand = hand
-        self._quiet = False
         self._hold = gui.add_checkbox(
             "Jog (holds the hand)", False, hint="While ticked, nobody else can move the hand"
         )
@@ -287,7 +290,7 @@ class JogPanel:
                     disabled=True,
                     hint=f"Position of {actuator.name} [{unit}]; moves it while Jog is ticked",
                 )
-                slider.on_update(lambda _, at=index: self._moved(at))
+                slider.on_update(bridge.entered(partial(self._moved, index)))
                 self._sliders.append(slider)
             self._which = gui.add_dropdown(
                 "Step", names, hint="The actuator that − and + move, by 0.02 rad or 1 mm"
@@ -331,12 +334,11 @@ class JogPanel:
             self._follow.value = False
             raise
 
-    def _moved(self, index: int) -> None:
-        if self._quiet or not self._hold.value:
+    def _moved(self, index: int, value: float) -> None:
+        if not self._hold.value:
             return
         self._moved_after = self._bridge.truth.turn
         actuator = self._hand.actuators[index]
-        value = float(self._sliders[index].value)
         if self._follow.value:
             self._wanted[actuator.name] = value
             return
@@ -344,9 +346,11 @@ class JogPanel:
         self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
 
     def _step(self, sign: float) -> None:
-        slider = self._sliders[list(self._which.options).index(self._which.value)]
+        index = list(self._which.options).index(self._which.value)
+        slider = self._sliders[index]
         step = _CLICK["m" if slider.label.endswith("[m]") else "rad"]
         slider.value = min(max(slider.value + sign * step, slider.min), slider.max)
+        self._moved(index, slider.value)
 
     @property
     def holding(self) -> bool:
@@ -376,19 +380,15 @@ class JogPanel:
         )
         if not moved:
             self._wanted.clear()
-        self._quiet = True  # or the callbacks would take these moves for the user's
-        try:
-            for slider, position in zip(self._sliders, state.position, strict=True):
-                value = min(max(float(position), slider.min), slider.max)
-                # Skip NaN, and changes within the noise of a measurement.
-                if value != value:
-                    continue
-                off = abs(value - slider.value) > 2.0 * slider.step
-                if off and not moved:
-                    slider.value = value
-                mark(slider, *([(value, "measured")] if off and moved else ()))
-        finally:
-            self._quiet = False
+        for slider, position in zip(self._sliders, state.position, strict=True):
+            value = min(max(float(position), slider.min), slider.max)
+            # Skip NaN, and changes within the noise of a measurement.
+            if value != value:
+                continue
+            off = abs(value - slider.value) > 2.0 * slider.step
+            if off and not moved:
+                slider.value = value
+            mark(slider, *([(value, "measured")] if off and moved else ()))
 
 
 class PartsPanel:

@@ -66,7 +66,6 @@ class RecordingsPanel:
         self._bridge, self._remote, self._hand, self._opened = bridge, remote, hand, opened
         self._playback: Playback | None = None
         self._files: dict[str, Path] = {}
-        self._quiet = False
         self._shown = ""
         self._played = self._drawn = 0.0
         self._status = gui.add_html("")
@@ -104,8 +103,8 @@ class RecordingsPanel:
         mark.on_click(lambda _: bridge.call(self._mark))
         self._folder.on_update(lambda _: self._refresh())
         show.on_click(lambda event: self._clicked(str(event.target.value)))
-        self._time.on_update(lambda _: self._scrubbed())
-        self._span.on_update(lambda _: self._go())
+        self._time.on_update(bridge.entered(self._scrubbed))
+        self._span.on_update(bridge.entered(self._go))
         self._refresh()
 
     # --- the recording being written
@@ -173,7 +172,6 @@ class RecordingsPanel:
         # In a thread, since reading a long recording takes seconds.
         playback = await anyio.to_thread.run_sync(lambda: Playback(read(path), self._hand))
         self._playback = None
-        self._quiet = True  # the slider is changed here, not by the user
         self._time.value = 0.0
         self._time.max = playback.duration
         self._time.step = max(playback.duration / 1e5, 0.001)  # far finer than a pixel
@@ -183,7 +181,6 @@ class RecordingsPanel:
         }
         self._span.options = tuple(sorted(self._places, key=self._places.__getitem__)) or (NOTHING,)
         self._span.value = self._span.options[0]
-        self._quiet = False
         self._playback, self._shown = playback, path.name
         self._player.visible = self._play.value = True
         self._line.content = timeline(playback)
@@ -195,19 +192,20 @@ class RecordingsPanel:
         self._player.visible = False
         self._opened(None)
 
-    def _go(self) -> None:
-        if not self._quiet and self._span.value in self._places:
-            self._time.value = self._places[str(self._span.value)]
+    def _go(self, span: str) -> None:
+        if span in self._places:
+            self.scrub(self._places[span])
 
     def scrub(self, time: float) -> None:
         """Show another time of the recording [s]."""
         if self._playback is not None:
             self._time.value = min(time, self._playback.duration)
+            self._scrubbed(self._time.value)
 
-    def _scrubbed(self) -> None:
+    def _scrubbed(self, time: float) -> None:
         playback = self._playback
-        if playback is not None and not self._quiet:
-            playback.time = float(self._time.value)
+        if playback is not None:
+            playback.time = time
             self._line.content = timeline(playback)
 
     def advance(self) -> None:
@@ -224,7 +222,5 @@ class RecordingsPanel:
             self._play.value = False
         if now - self._drawn >= _REDRAW or not self._play.value:
             self._drawn = now
-            self._quiet = True
             self._time.value = playback.time
-            self._quiet = False
             self._line.content = timeline(playback)
