@@ -419,6 +419,7 @@ class _Following:
         self._begin = motion.end - (times[-1] if times else 0.0)
         self._outcome: ActionOutcome | None = None
         self._changed = anyio.Event()
+        self._played = False  # the hand has begun to
         self._play = Play(
             motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
         )
@@ -482,6 +483,7 @@ class _Following:
             async for state in self._action.served.hand.states(_RATE):
                 now = monotonic.now()
                 lag = state.channels.get(_LAG)
+                self._played |= lag is not None
                 # The stream plays set-points with a lag.
                 at = now - (0.0 if lag is None else float(lag[0]))
                 desired, actual = self._motion.at(at), self._action.measured(state)
@@ -502,6 +504,9 @@ class _Following:
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
             return
         outside, moving = _outside(limits.goal, desired, actual), _moving(limits.stopped, actual)
+        if not self._played:
+            # Joints that have not set off yet do not move, either.
+            moving = moving or "the hand did not play it"
         # Without goal tolerances, the goal is reached after the time to settle: measurements may be
         # older than the end.
         if not (outside or moving) and (limits.goal or now >= end + SETTLED):
