@@ -18,6 +18,7 @@ from rtee.buses.simulated import SimulatedLine
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.cia402.emulated_drive import DriveProperties
 from rtee.drivers.cia402.emulator import Cia402Emulator
+from rtee.drivers.diagnosis import probes, slaves
 from rtee.drivers.diagnosis.checks import Check, Verdict
 from rtee.drivers.diagnosis.device import check_device
 from rtee.drivers.diagnosis.machine import check_machine
@@ -243,6 +244,14 @@ async def test_a_zero_that_cannot_be_right_is_told_with_what_to_do() -> None:
     assert check.remedy == "correct its options in hand.yaml, or calibrate it"
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a busy computer answer in time, on a line of real time."""
+    for module in (slaves, probes):
+        monkeypatch.setattr(module, "ANSWER", 0.15)
+
+
+@pytest.mark.usefixtures("patient")
 async def test_a_hand_that_speaks_modbus_alone_is_found_out() -> None:
     hand = make_emulator("inspire_rh56", {"protocol": "modbus"})
     with SimulatedLine([hand], wire_time=False) as line:
@@ -254,6 +263,7 @@ async def test_a_hand_that_speaks_modbus_alone_is_found_out() -> None:
     assert "set driver: inspire_rh56, unit: 1, protocol: modbus" in check.remedy
 
 
+@pytest.mark.usefixtures("patient")
 async def test_a_hand_that_speaks_frames_is_told_with_its_protocol() -> None:
     """Advice that leaves a wrong setting out is followed in vain."""
     with SimulatedLine([make_emulator("inspire_rh56", {"port": "/dev/x"})]) as line:
