@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import time
 from pathlib import Path
@@ -186,11 +187,19 @@ def test_clients_of_the_universal_controller_find_the_gripper_at_register_0() ->
         client.close()
 
 
+def three_free_ports() -> int:
+    """Return the first of three free ports below those that the system hands out."""
+    for base in range(20_000, 30_000, 3):
+        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+            for port in range(base, base + 3):
+                stack.enter_context(socket.socket()).bind(("127.0.0.1", port))
+            return base
+    raise AssertionError("no three ports are free")
+
+
 def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
     zmq = pytest.importorskip("zmq")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        base = probe.getsockname()[1] - 10
+    base = three_free_ports()
     with (
         Player("xbot2", {"joints": ["claw"]}, tcp=base) as player,
         zmq.Context() as context,
