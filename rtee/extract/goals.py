@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final, Protocol
 
-import numpy as np
-
 from rtee.extract.descent import Slope
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
@@ -165,9 +163,6 @@ class MultiPinchGoal:
         self._edges = edges
         self._ends = [edge.ends for edge in edges]
         self._pairs = [edge.tips for edge in edges]
-        # What alone decides their distances, and so the key of those measured for a value.
-        self._deciding = [np.array(sorted(pair.actuators)) for pair in self._pairs]
-        self._known: dict[tuple[int, bytes], float] = {}
         self._bystanders = bystanders
         self._touched: list[LinkPair] = []
 
@@ -181,26 +176,13 @@ class MultiPinchGoal:
         return bool(new)
 
     def value(self) -> float:
-        """Return the value [m].
-
-        Postures that differ in one finger share the distances of all others.
-        """
-        gaps = self._gaps()
+        """Return the value [m]."""
+        gaps = self._scene.distances(self._pairs)
         value = sum(min(gap, 0.0) for gap in gaps)
         value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in self._tree(gaps))
         for pair in self._touched:
             value += _PULL * max(0.0, -self._scene.distance(pair))
         return value
-
-    def _gaps(self) -> list[float]:
-        """Return the distances of the pairs that can touch, each measured once [m]."""
-        scene, known, gaps = self._scene, self._known, []
-        for number, deciding in enumerate(self._deciding):
-            key = number, scene.actuators[deciding].tobytes()
-            if key not in known:
-                known[key] = scene.distance(self._pairs[number])
-            gaps.append(known[key])
-        return gaps
 
     def _tree(self, gaps: Sequence[float]) -> Sequence[int]:
         """Return the pairs whose gaps are to be closed: the tips are linked without the others."""

@@ -61,7 +61,6 @@ class Scene:
         shapes: All collision shapes, and the clipped ones of joined tips.
         pairs: All pairs of links that have geometry and move against each other, by names in the
             order of the URDF's tree.
-        actuators: Actuator positions at the posture ``(n,)`` [rad | m].
         joints: Joint positions at the posture ``(m,)`` [rad | m].
         query_cost: Cost of queries of original meshes so far, in units of a contact query.
         tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
@@ -186,7 +185,7 @@ class Scene:
         pin.forwardKinematics(self._model, self._data, self.joints)
         # Invalidate all measurements at the previous posture.
         self._stamp += 1
-        self.actuators = u
+        self._at = u
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
@@ -272,7 +271,7 @@ class Scene:
         if self._jacobian_stamp != self._stamp:
             pin.computeJointJacobians(self._model, self._data)
             if not self.couplings.linear:
-                self._slope = self.couplings.slope(self.actuators)
+                self._slope = self.couplings.slope(self._at)
             # Computed once per posture, and only for a derivative.
             self._jacobian_stamp = self._stamp
             self._joints = self._data.J.reshape(6, -1)
