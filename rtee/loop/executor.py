@@ -33,7 +33,8 @@ from rtee.types import (
 )
 
 _RANGE_SHARE = 0.01
-"""A prismatic actuator's error must be below this share of its range as well: the usual tolerance
+"""The play that may leave an actuator at rest short of its target, as a share of its range [1]. A
+prismatic actuator's error must be below this share as well: the usual tolerance
 of 0.01 is a small angle [rad], but in metres a fifth of the stroke of a typical gripper jaw. By
 position alone, an object thinner than twice this share of the stroke cannot be distinguished from
 nothing."""
@@ -471,8 +472,10 @@ class Executor:
         At rest, the play and the friction of many actuators add up to more than their tolerance.
         """
         to, actuators = run.plan.to, self._hand.actuators
-        # An opening is asked for with a tolerance of its own.
-        share = to.tolerance if isinstance(to, Intensity | FirstContact) else Intensity().tolerance
+        # A goal with a stricter tolerance is stricter here, too; an opening has one of its own.
+        usual = Intensity().tolerance
+        asked = to.tolerance if isinstance(to, Intensity | FirstContact) else usual
+        share = _RANGE_SHARE * min(asked / usual, 1.0)
         near = not (
             isinstance(to, Opening) or self._profile.moving or self._reflexes.touched
         ) and all(
