@@ -149,8 +149,7 @@ def public_origin(text: str) -> str:
     if url.scheme != "https" or not url.hostname or url.path not in ("", "/") or url.query:
         raise ConfigError(
             f"--behind-proxy {text} is not an origin; give the address under which browsers reach "
-            "the proxy, "
-            "such as https://hand.example.org"
+            "the proxy, such as https://hand.example.org"
         )
     name = f"[{url.hostname}]" if ":" in url.hostname else url.hostname
     return f"https://{name}" + (f":{port}" if port not in (None, 443) else "")

@@ -35,7 +35,7 @@ from rtee.gui.access import PageRole as AccessRole
 from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import StateHistory
-from rtee.gui.panels.action_editor import JogPanel
+from rtee.gui.panels.action_editor import JogPanel, TuningPanel
 from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.header import HeaderPanel
 from rtee.gui.panels.plots import PlotsPanel
@@ -362,6 +362,39 @@ async def test_sliders_say_what_is_measured_and_go_there_after_a_stop(
     panel._step(1.0)
     await anyio.wait_all_tasks_blocked()
     assert sent == [pytest.approx(0.7), pytest.approx(0.32)]
+
+
+async def test_an_entered_effort_stays_until_the_hand_says_another_one(
+    server: viser.ViserServer,
+) -> None:
+    bridge, sent = Bridge(server), list[float]()
+
+    async def set_gains(gains: dict[str, float]) -> None:
+        sent.extend(gains.values())
+        if len(sent) > 1:
+            raise LeaseHeld("another client holds the hand")
+
+    panel = TuningPanel(bridge, cast("RemoteHand", SimpleNamespace(set_gains=set_gains)))
+
+    def says(percent: float) -> float:
+        panel.show(status(grip_effort=percent / 100.0, devices=()))
+        return float(panel._holding.value)
+
+    assert says(30.0) == 30.0
+    assert not sent, "what is shown is not sent back"
+    await entered(panel._holding, 70.0)
+    assert says(30.0) == 70.0, "an older status must not take its place"
+    await anyio.wait_all_tasks_blocked()
+    assert sent == [0.7]
+    assert says(70.0) == 70.0
+    await entered(panel._holding, 90.0)
+    await anyio.wait_all_tasks_blocked()
+    assert says(70.0) == 70.0, "the hand has refused it"
+    bridge.refused = "an observer only looks"
+    await entered(panel._holding, 10.0)
+    await anyio.wait_all_tasks_blocked()
+    assert says(70.0) == 70.0
+    assert sent == [0.7, 0.9]
 
 
 async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> None:

@@ -178,13 +178,15 @@ class TuningPanel:
         self._set.on_click(lambda _: bridge.call(self._change))
 
     def _hold(self, percent: float) -> None:
+        if self._bridge.refused:
+            self._said = None  # what the hand has is shown again
         self._bridge.call(partial(self._keep, percent / 100.0))
 
     async def _keep(self, share: float) -> None:
         try:
             await self._remote.set_gains({"grip_effort": share})
         except RemoteError:
-            self._said = None  # shown again
+            self._said = None
             raise
 
     def _type(self) -> None:
