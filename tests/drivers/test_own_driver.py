@@ -126,6 +126,7 @@ async def test_the_example_in_lines_of_text_is_homed_and_drives_its_gripper(
         await jaw.stop()
         assert not pool.played("jaw/jaw").axes[0].moving
         await jaw.close()
+        await jaw.stop()
 
 
 async def test_the_example_drives_its_gripper(examples: dict[str, Any], tmp_path: Path) -> None:
