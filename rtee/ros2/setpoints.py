@@ -420,6 +420,7 @@ class _Following:
         self._outcome: ActionOutcome | None = None
         self._changed = anyio.Event()
         self._played = False  # the hand has begun to
+        self._passed = False  # its end has been looked at
         self._play = Play(
             motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
         )
@@ -498,10 +499,13 @@ class _Following:
     def _judge(self, now: float, at: float, desired: SetPoint, actual: _Joints) -> None:
         """End the goal if it is reached or a tolerance is violated."""
         end, limits = self._motion.end, self._limits
-        if at < end:
-            outside = _outside(limits.path, desired, actual)
-            if outside:
+        # The first state after the end, too: of a short trajectory there may be no earlier one.
+        if self._played and not self._passed:
+            self._passed = at >= end
+            if outside := _outside(limits.path, desired, actual):
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
+                return
+        if at < end:
             return
         outside, moving = _outside(limits.goal, desired, actual), _moving(limits.stopped, actual)
         if not self._played:
