@@ -340,7 +340,7 @@ def test_a_driver_of_others_is_not_imported(
     hand = write_hand(tmp_path, driver="foreign:Gripper", options=options)
     needs = needs_of(hand)
     assert [port.path for port in needs.ports] == ["/dev/ttyTHS1"]
-    done = rtee("install", hand, "--root", root, path=str(tmp_path))
+    done = rtee("install", hand, "--root", root, "--program", PROGRAM, path=str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert "the drivers of gripper are not rtee's" in done.stdout
     assert "DeviceAllow=char-ttyTHS rw" in text_for(hand, DROP_IN)
