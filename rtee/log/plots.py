@@ -14,6 +14,7 @@ from rtee.log.export import replacing
 from rtee.log.figure import MARK_COLOUR, Figure, PlotLine, PlotRow
 
 _WIDTH = 14.0  # of the drawing [inch]: two panels beside each other
+_LEFT = 0.075  # where the left panels begin, as a share of the width: after numbers like 0.00125
 _ROW_INCHES = 1.9  # of a panel [inch]
 _LANE_INCHES = 0.22  # of a row of labels [inch]
 _DPI = 110  # dots per inch: 1540 pixels, a screen's width
@@ -36,9 +37,9 @@ def write_png(figure: Figure, path: Path) -> None:
         len(figure.rows), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": (3, 2)}
     )
     drawing.subplots_adjust(
-        left=0.06, right=0.985, top=1 - head / height, bottom=0.5 / height, hspace=0.3, wspace=0.13
+        left=_LEFT, right=0.985, top=1 - head / height, bottom=0.5 / height, hspace=0.3, wspace=0.13
     )
-    drawing.suptitle(figure.title, x=0.06, y=1 - 0.14 / height, ha="left", va="top", size=13)
+    drawing.suptitle(figure.title, x=_LEFT, y=1 - 0.14 / height, ha="left", va="top", size=13)
     for row, (left, right) in zip(figure.rows, axes, strict=True):
         _row(row, left, right, figure)
         for panel in (left, right):
