@@ -55,7 +55,7 @@ _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
 _JAWS_HELD: Final = (0.0, 0.5, 0.9), (0.0, 0.86, 0.95)
 _FINGERS_HELD: Final = (0.0, 0.28, 0.38, 0.65, 0.8), (0.0, 0.1, 0.6, 0.75, 0.95)
 """Scores, and the share of the grasps scored so that held in simulation on a table, with 5 mm, 5
-degrees and friction varied: by two jaws, and by more fingers (docs/benchmarks.md)."""
+degrees and friction varied: by two jaws, and by more fingers (docs/benchmarks/index.md)."""
 
 
 def share_held(fingers: int, score: float) -> float:

@@ -49,7 +49,8 @@ def documented(text: str) -> list[list[str]]:
 @pytest.mark.heavy
 def test_documented_command_lines_are_understood(repository: Path) -> None:
     pytest.importorskip("mujoco")
-    lines = documented((repository / "docs" / "benchmarks.md").read_text())
+    pages = sorted((repository / "docs" / "benchmarks").glob("*.md"))
+    lines = documented("\n".join(page.read_text() for page in pages))
     lines += [[f"benchmarks/{name}.py"] for name in ("gui", "loop", "drivers", "simulation")]
     assert {Path(words[0]).stem for words in lines} > {"codecs", "extract", "gui_motion", "log"}
     lines.append(["benchmarks/codecs.py", "--no-such-option"])
