@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtee.actions.naming import label, normalise
-from rtee.actions.types import Action, Primitive, Timed
+from rtee.actions.types import Action, Primitive, PrimitiveKind, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.frames import tip_pose_and_jacobian
@@ -59,6 +59,11 @@ _WEAKEST: Final = 1e-3
 _CROWDED: Final = 0.005
 """Depth from which on two fingers of one side meet before the object is between the sides [m]: more
 than the overlap of fingers that only lie side by side."""
+
+_FOLDED: Final = 0.8
+"""Intensity from which on a finger that bends alone may meet the palm or itself: no geometry of its
+path is stored, and those of seven hands get as far in simulation. One that swings about its base
+may meet its neighbour anywhere."""
 
 _TAKES_PART: Final = 0.1
 """Share of the largest lever below which an actuator does not press."""
@@ -251,6 +256,23 @@ def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> floa
         if each.evidence and each.waypoints[-1].position == wanted.position
     ]
     return max((opening.at(at) for at in contacts if at is not None), default=opening.narrowest)
+
+
+def meets_at(action: Action, *, opposed: bool) -> float | None:
+    """Return the intensity from which on the empty hand may meet itself; ``None``: not known.
+
+    Args:
+        action: The action.
+        opposed: Whether its fingertips oppose each other.
+    """
+    if not isinstance(action, Primitive):
+        return None
+    if action.evidence:
+        evidence = action.evidence[0]
+        return evidence.contact_at if evidence.path_clear else 0.0
+    if opposed or len(action.fingers) > 1:
+        return None
+    return 0.0 if action.kind is PrimitiveKind.FING_FLEX else _FOLDED
 
 
 def suitability(

@@ -12,13 +12,16 @@ from typing import Final
 
 from rtee.loop.free_motion import FREELY
 
-VERSION: Final = 10
+VERSION: Final = 11
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made by others."""
 
 _LOST_MOVE: Final = 0.02
 """A grasp looks lost once the actuator has closed further by this share of its range [1], more than
 a soft object gives way."""
+
+_PAIR: Final = 2
+"""Fingers that hold an object between them."""
 
 _CREEP: Final = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
@@ -158,18 +161,33 @@ def shows(grasping: bool, *, word: bool, effort: float, hard: float) -> bool:
     return effort >= hard or word or grasping
 
 
-def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
+def may_be_nothing(opening: float, doubt: float, *, word: bool, alone: bool = False) -> bool:
     """Return whether what seems to be held may be the hand itself.
 
     Fingertips press on one another as they press on an object. Where the opening is no wider than
-    it may be in the empty hand, force and effort say nothing.
+    it may be in the empty hand, force and effort say nothing. Nor do they where the fingers came as
+    far as those of the empty hand: when they press on one another, the stronger push the weaker
+    back, to openings that an object could have.
 
     Args:
         opening: The opening by the actuators' positions [m]; ``NaN``: not known.
         doubt: How wide it may seem to be when the tips touch one another [m].
         word: Whether the device itself says that it holds something.
+        alone: Whether the fingers came as far as in the empty hand; see `alone`.
     """
-    return opening <= doubt and not word
+    return (opening <= doubt or alone) and not word
+
+
+def alone(passed: Sequence[bool]) -> bool:
+    """Return whether fingers that close together came as far as in the empty hand.
+
+    One of several that goes that far has passed what they would hold together. One of two may push
+    what both hold.
+
+    Args:
+        passed: Whether each finger came to where the empty hand meets itself.
+    """
+    return any(passed) if len(passed) > _PAIR else bool(passed) and all(passed)
 
 
 def lost(

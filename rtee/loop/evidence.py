@@ -97,6 +97,7 @@ class _WatchedActuator:
     since: float
     seen: float
     start: float = math.nan
+    farthest: float = math.nan
     led: int = 0
     blocked_at: float = math.nan
     grasping: bool = False
@@ -261,6 +262,18 @@ class ContactMonitor:
         watched = self._watched.get(i)
         return watched is not None and not math.isnan(watched.blocked_at)
 
+    def closes(self, i: int, rest: float) -> bool:
+        """Return whether a watched actuator set out away from its rest position [rad | m]."""
+        watched = self._watched.get(i)
+        return watched is not None and (
+            (watched.target - watched.start) * (watched.target - rest) > 0.0
+        )
+
+    def farthest(self, i: int) -> float:
+        """Return how far a watched actuator has come towards its target [rad | m]."""
+        watched = self._watched.get(i)
+        return math.nan if watched is None else watched.farthest
+
     def grasping(self, i: int) -> bool:
         """Return whether an actuator holds an object."""
         watched = self._watched.get(i)
@@ -390,6 +403,8 @@ class ContactMonitor:
             self._listen(i, watched, position, stamp)
             ahead = 1.0 if watched.target >= position else -1.0
             tolerance = watched.tolerance
+            if not (watched.farthest - position) * ahead >= 0.0:
+                watched.farthest = position
             lag = (reference[i] - position) * ahead
             if watched.new and lag > 0.0:
                 # It hung behind before it set out, as a servo under load does.

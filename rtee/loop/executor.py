@@ -43,6 +43,10 @@ _STEADY = 0.25
 """How long a grasp must be at rest before its result comes [s]: a blow is over, and what springs
 away is gone."""
 
+_EARLY = 0.05
+"""Share of its way by which an actuator may be stopped before the empty hand meets itself: it lags,
+and fingers are broader in simulation, and in rubber gloves, than in their model."""
+
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
 time [s]: it must not merely pass the target."""
@@ -320,27 +324,44 @@ class Executor:
         """
         plan, contact = run.plan, self._contact
         grasped = any(contact.grasping(i) for i in plan.involved)
-        closes = plan.aim is Aim.POSTURE and self._stopped_closing(run, measured)
-        if plan.grip is None or not (self._reflexes.touched or grasped or closes):
+        closes = plan.aim is Aim.POSTURE and self._stopped_closing(run)
+        word = contact.says(plan.involved)
+        alone = closes and self._alone(run)
+        if plan.grip is None:
+            return rules.may_be_nothing(math.nan, math.nan, word=word, alone=alone)
+        if not (self._reflexes.touched or grasped or closes):
             return False
         # Fingers that bend as they press have an opening only where they met the object.
         met = run.touched if run.touched and self._bends(run) else measured.position
         opening, doubt = plan.grip.opening(met), plan.grip.doubt(met)
-        if rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved)):
+        if rules.may_be_nothing(opening, doubt, word=word, alone=alone):
             return True
         last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
         if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):
             return False  # the goal asks only for a touch
         return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
 
-    def _stopped_closing(self, run: _Run, measured: Measured) -> bool:
+    def _stopped_closing(self, run: _Run) -> bool:
         """Return whether all actuators that were stopped in the last leg were closing."""
-        rest = self._hand.rest
+        rest, contact = self._hand.rest, self._contact
         return run.stalled[-1] and all(
-            (target - measured.position[i]) * (target - rest[i]) > 0.0
-            for i, target in run.present.targets.items()
-            if self._contact.blocked(i)
+            contact.closes(i, rest[i]) for i in run.present.targets if contact.blocked(i)
         )
+
+    def _alone(self, run: _Run) -> bool:
+        """Return whether the fingers came as far as those of the empty hand."""
+        passed: dict[str, bool] = {}
+        for i, meets in run.plan.meets.items():
+            actuator, target = self._hand.actuators[i], run.present.targets[i]
+            way, least = target - actuator.rest, run.shares[i]
+            if abs(way) <= least:
+                continue  # it hardly moves, and others push it
+            ahead = math.copysign(1.0, way)
+            came = ahead * (self._contact.farthest(i) - actuator.rest)
+            enough = max(ahead * (meets - actuator.rest) - _EARLY * abs(way), least)
+            for finger in actuator.fingers:
+                passed[finger] = passed.get(finger, True) and came >= enough
+        return rules.alone(list(passed.values()))
 
     def _grip_values(
         self, run: _Run, measured: Measured, grasped: bool, aborted: bool

@@ -46,6 +46,8 @@ class Plan:
         on_contact: Reaction to a contact by finger; "": all others.
         timed: Whether the legs are inner actions.
         grip: Computes opening and force of the fingertips, for an action that has an opening.
+        meets: Positions of actuators from which on the empty hand may meet itself on the action's
+            path, by index [rad | m]; empty: not known.
         lag: Time by which its actuators follow their references, where the depth of these makes the
             force [s]; 0: not known.
     """
@@ -63,6 +65,7 @@ class Plan:
     on_contact: Mapping[str, OnContact] = field(default_factory=dict)
     timed: bool = False
     grip: Grip | None = None
+    meets: Mapping[int, float] = field(default_factory=dict)
     lag: float = 0.0
 
     @property

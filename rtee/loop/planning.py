@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, doubtful, meeting, suitability
+from rtee.actions.openings import MARGIN, Opening, doubtful, meeting, meets_at, suitability
 from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
 from rtee.errors import ActionError, GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
@@ -273,7 +273,14 @@ def make_plan(
         on_contact=goal.on_contact,
         timed=isinstance(action, Timed),
         grip=None if tips is None else tips.grip,
+        meets=_meets(action, tips, hand),
     )
+
+
+def _meets(action: Action, tips: OpposingTips | None, hand: Hand) -> Mapping[int, float]:
+    """Return the positions from which on the empty hand may meet itself, by index [rad | m]."""
+    at = meets_at(action, opposed=tips is not None)
+    return {} if at is None else targets_of(action.waypoints[-1], hand, at)
 
 
 def _legs(

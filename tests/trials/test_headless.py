@@ -91,6 +91,21 @@ def test_a_timed_action_runs_through() -> None:
     assert result.grasped
 
 
+@pytest.mark.parametrize(
+    ("name", "action", "elements"),
+    [
+        ("ability_hand", "PinchTight", ("thumb", "middle")),  # the thumb is pushed back
+        ("ability_hand", "Trig", ("index",)),  # it meets the palm
+        ("schunk_svh", "MultiPinchTight_3", ("index", "middle", "ring")),
+    ],
+)
+def test_an_empty_hand_closes_on_itself(name: str, action: str, elements: tuple[str, ...]) -> None:
+    headless = start(name)
+    result = headless.do(Goal(Named(action, elements)))
+    assert result.outcome == "closed"
+    assert result.grasped_fingers == ()
+
+
 def test_an_unknown_action_is_refused() -> None:
     with pytest.raises(UnknownAction):
         start("robotiq_2f_85").do(Goal(Named("Wave")))
