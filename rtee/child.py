@@ -1,4 +1,4 @@
-"""How rtee starts Python processes: the same rtee, and never a module of the working folder.
+"""Start Python processes with the same rtee, never with a module of the working folder.
 
 Python puts the working folder, or with ``-m`` the folder it is started in, first on its path. A
 ``typer.py`` in a folder of downloads would run instead of the library.

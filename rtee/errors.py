@@ -489,10 +489,11 @@ class GoalRejected(ActionError, RequestRejected):
     The same error, whether the hand refuses it or this computer already does.
 
     Attributes:
-        code: Kind of the mistake: ``unknown`` for a name or word that there is not, else ``value``.
+        code: Kind of the mistake: ``unknown`` for a name or word that there is not, otherwise
+            ``value``.
         option: The option or argument that is wrong, if one is.
         valid: What would be possible there, where it can be listed.
-        nearest: What of it is most like what was given; empty: nothing.
+        nearest: The most similar valid name; empty: none.
     """
 
     def __init__(

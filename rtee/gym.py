@@ -108,7 +108,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
         Args:
             hand: The hand's name, or the path of its folder.
             task: What to do.
-            object: The object, as ``rtee run --object`` has it.
+            object: The object, in the syntax of ``rtee run --object``.
             mass: Its mass [kg].
             render_mode: None is known.
 

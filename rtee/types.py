@@ -263,7 +263,7 @@ class Aim(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a goal ended, in one word."""
+    """Outcome of a goal in one word."""
 
     HELD = "held"
     """The hand holds an object; of the width that was asked for, if one was."""
@@ -467,7 +467,7 @@ class Goal(Value):
         to: Where to: a posture, an opening, an object or the first contact.
         speed: Share of the velocity limits, above 0 and up to 1, or the speed of the opening. The
             first contact is sought at 10 mm/s unless a lower share or a speed is given.
-        effort: Effort limit by actuator [N·m | N], else those of the hand; or a force.
+        effort: Effort limit by actuator [N·m | N], otherwise those of the hand; or a force.
         on_contact: Reaction to a contact by finger; "": all others. Fingers in neither react as
             configured for the hand.
         timeout: Longest time the goal may take [s]; ``None``: as configured for the hand.
@@ -516,7 +516,7 @@ class Feedback(Value):
     Attributes:
         goal_id: The goal.
         progress: 0 to 1, never falling while the goal runs.
-        inner: For a timed action, the name (alias) of the inner action under way, else empty.
+        inner: For a timed action, the name (alias) of the inner action under way, otherwise empty.
         inner_progress: For a timed action, the progress of every inner action, by name, in order.
         stamp: CLOCK_MONOTONIC [s].
     """
@@ -590,7 +590,7 @@ class Result(Value):
 
     @property
     def outcome(self) -> Outcome:
-        """How the goal ended; the reason for an early end takes precedence over its findings."""
+        """Outcome of the goal; the reason for an early end takes precedence over its findings."""
         for early in (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT):
             if getattr(self, early):
                 return early
@@ -610,7 +610,7 @@ class Result(Value):
         return self.outcome in _SUCCESS
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON has them, and the ``outcome``; see `Value.to_dict`."""
+        """Return the fields and the ``outcome`` as JSON values; see `Value.to_dict`."""
         return {"outcome": self.outcome.value, **Value.to_dict(self)}
 
     def __bool__(self) -> bool:

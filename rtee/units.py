@@ -88,7 +88,7 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
 
 
 class AngleUnit(StrEnum):
-    """Unit of the angles of an MJCF, as its ``<compiler angle>`` has it."""
+    """Unit of the angles of an MJCF: the values of ``<compiler angle>``."""
 
     DEGREE = "degree"
     RADIAN = "radian"

@@ -1,4 +1,4 @@
-"""Values that programs keep: they compare, print in a line, and can be pickled and made plain."""
+"""Values for programs: comparable, printed on one line, picklable, convertible to plain data."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Value:
         return _cut(f"{type(self).__name__}({', '.join(shown)})")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON has them.
+        """Return the fields as JSON values.
 
         Arrays and tuples become lists, words of an enumeration texts, and numbers that JSON does
         not have ``None``: ``NaN``, which is what was not measured, and infinite limits.
@@ -87,7 +87,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it; see `Value.to_dict`."""
+    """Return a value as a JSON value; see `Value.to_dict`."""
     match value:
         case Value():
             return value.to_dict()

@@ -242,7 +242,7 @@ def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> floa
     """Return the opening at which the empty hand's fingertips meet one another [m].
 
     That of an action is where its own evidence has the first contact, or that of an action with the
-    same posture; else the narrowest of its table.
+    same posture; otherwise the narrowest of its table.
 
     Args:
         action: The action.

@@ -22,7 +22,7 @@ _MEETING: Final = 0.02
 
 
 def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
-    """Return a sentence about a rest posture that is a pinch, with a remedy; else ``""``.
+    """Return a sentence about a rest posture that is a pinch, with a remedy; otherwise ``""``.
 
     Needs no shapes. The rest posture is a pinch if a stored pinch of two fingers lies at it, its
     evidence says that the tips touch there or nearly do, and the motion that moves the tips

@@ -50,7 +50,7 @@ class PrimitiveKind(StrEnum):
     ) -> PrimitiveKind:
         """Make a kind; see the attributes."""
         kind = str.__new__(cls, name)
-        # Or the enumeration would take the tuple of all arguments as the value.
+        # Otherwise the enumeration would take the tuple of all arguments as the value.
         kind._value_ = name
         kind.label, kind.noun, kind.elements = label, noun, elements
         kind.counted, kind.pinch = counted, pinch

@@ -100,7 +100,7 @@ class Agent:
             remote = await self.remote()
             if out := (await remote.status()).agents_out:
                 raise GoalRejected(
-                    f"agents are out since the hand was {out}; ask a person to admit them"
+                    f"agents may not move the hand since it was {out}; ask a person to admit them"
                 )
             played = await self._pass(remote, goal, words, obj)
             result = texts.result(await _done(remote, goal))

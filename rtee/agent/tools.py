@@ -186,7 +186,7 @@ class Tools:
     async def stop(self, hand: HandName = "") -> dict[str, Any]:
         """Stop the hand at once; afterwards only a person lets you move it again."""
         agent = self._agent(hand)
-        # By its own socket, whatever the state of the connection.
+        # Through the stop socket, whatever the state of the connection.
         _, confirmed = await stop_hand(agent.name, endpoint=agent.endpoint, client=AGENT)
         return {"confirmed": confirmed}
 

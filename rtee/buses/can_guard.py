@@ -95,7 +95,7 @@ class GuardedCan:
         self._failed = failed
         self._dead = threading.Event()
         self._ended = False
-        self._prompt = self.fileno_or_none() is not None  # else the notifier has its own thread
+        self._prompt = self.fileno_or_none() is not None  # without one, the notifier has a thread
         self.channel_info = bus.channel_info
 
     def fileno(self) -> int:

@@ -47,10 +47,10 @@ class Emulator(ABC):
     only grows.
 
     Attributes:
-        PROPERTIES: What can be set of it (``emulator:`` in a driver's options), a `Section` that
-            its constructor takes; ``None``: nothing.
+        PROPERTIES: Its configurable properties (``emulator:`` in a driver's options), a `Section`
+            that its constructor takes; ``None``: nothing.
         SHARED: Options of the driver that are properties, too.
-        FAULTS: Names of the faults that `inject` knows; every emulator knows ``stuck`` (the
+        FAULTS: Names of the faults that `inject` accepts; every emulator accepts ``stuck`` (the
             position does not follow) and ``wrong_device`` (another model answers).
         turnaround: Time between a request's last byte and the answer's first [s].
         period: How often `step` wants to be called without traffic [s]; 0: only with traffic.

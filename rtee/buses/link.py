@@ -260,7 +260,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             return
         if data:
             self._protocol.data_received(data)
-        elif self._hung_up():  # else `read_now` has already read the bytes
+        elif self._hung_up():  # no data and no hang-up: `read_now` took the bytes
             self._close(exc=OSError("the port vanished"))
 
     def _hung_up(self) -> bool:

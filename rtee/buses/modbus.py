@@ -71,7 +71,7 @@ class ModbusBus(SerialBus):
     this case, too.
 
     Attributes:
-        rtu: Whether the frames are RTU frames; else TCP frames.
+        rtu: Whether the frames are RTU frames; otherwise TCP frames.
 
     Args:
         gap: Silence kept before a request [s]; by default 3.5 characters, see `silence`.
@@ -185,7 +185,7 @@ class ModbusBus(SerialBus):
         )
         if isinstance(answer, ExceptionResponse):
             code = answer.exception_code
-            # Only a gateway says so, of a unit that it cannot reach: the unit has said nothing.
+            # Only gateways report these codes, for units that do not answer.
             if code in _OF_GATEWAYS:
                 raise UnitUnreachable(self.name, f"unit {request.dev_id}: {EXCEPTIONS[code]}")
             raise ModbusRefusal(self.name, request.function_code, answer.exception_code)

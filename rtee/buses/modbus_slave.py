@@ -47,9 +47,9 @@ class ModbusEmulator(Emulator):
     """A device of 16-bit registers.
 
     Attributes:
-        FUNCTIONS: Function codes that it knows, unless others are given.
-        EXCEPTIONS: Whether it refuses by an exception; else it stays silent.
-        PORT: Address of a driver whose options name none.
+        FUNCTIONS: Supported function codes, unless the caller gives others.
+        EXCEPTIONS: Whether it refuses a request by an exception; otherwise it stays silent.
+        PORT: Default address, for drivers whose options give none.
         unit: Its number on the line.
         any_unit: Whether it answers to any number, as many devices do on TCP.
         requests: Requests received, newest last, for tests.

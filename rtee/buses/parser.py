@@ -171,7 +171,7 @@ class FramedParser(ABC, Generic[F]):
         return frames
 
     def _only(self, data: bytes) -> F | None:
-        """Return the frame if ``data`` is exactly one, as most answers are; else ``None``."""
+        """Return the frame if ``data`` is exactly one, as most answers are; otherwise ``None``."""
         # Put into the buffer only since `_length` reads it there.
         self._buffer += data
         length = self._length(0) if len(data) >= self.HEAD else 0
@@ -257,7 +257,7 @@ class LineParser:
     def feed(self, data: bytes) -> list[str]:
         """Receive bytes and return the lines that they complete, without their ends."""
         *found, rest = (self._buffer + data).split(self._end)
-        # Of a line that is too long, enough is kept to see that it is.
+        # Keep enough of an overlong line to recognise it as such.
         self._buffer = rest[-self._most - len(self._end) :]
         lines = []
         for raw in found:

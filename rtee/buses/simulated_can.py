@@ -62,7 +62,7 @@ class SimulatedCan(Simulation):
         return self._bus is not None or self._there
 
     def connect(self, receive: Callable[[CanFrame], None]) -> DirectCan | None:
-        """Connect a host that receives frames on simulated time; ``None``: it is not."""
+        """Connect a host that receives frames on simulated time; ``None`` in real time."""
         if self._loop is None:
             return None
         host = DirectCan(self, self._loop, receive)

@@ -172,7 +172,7 @@ class SimulatedQueue(queue.Queue[Any]):
 
 
 def on_simulated_time() -> SimulatedTimeLoop | None:
-    """Return the running event loop if it is on simulated time, else ``None``."""
+    """Return the running event loop if it is on simulated time, otherwise ``None``."""
     try:
         loop = asyncio.get_running_loop()
     except RuntimeError:  # in a thread without one

@@ -68,7 +68,7 @@ class SimulatedZmq(Simulation, DirectServer):
 
     @property
     def place(self) -> Endpoints | DirectServer:
-        """Where a client finds it: at addresses, or on simulated time here."""
+        """Where clients connect: at its addresses, or directly on simulated time."""
         return self.endpoints if self._loop is None else self
 
     def connect(self, receive: Callable[[bytes], None], broke: Callable[[str], None]) -> None:

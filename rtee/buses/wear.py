@@ -1,4 +1,4 @@
-"""How a real device differs from a tidy one, as data that every emulator shares."""
+"""Wear: how real devices differ from ideal ones, as data that all emulators share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 class Wear(Section, frozen=True):
-    """How an emulated device differs from its data sheet.
+    """Deviations of an emulated device from its data sheet.
 
     The shares are of a motor's full travel.
 

@@ -480,7 +480,7 @@ def with_hand(
 
     Args:
         hand: Name of the hand; not needed if only one hand runs.
-        endpoint: Address of the hand; ``None``: that in ``RTEE_CONNECT``, else this computer.
+        endpoint: Address of the hand; ``None``: that in ``RTEE_CONNECT``, otherwise this computer.
         what: Name of the command; the client is called ``rtee-`` and this name.
         function: The function.
         wait: Longest time to wait until the hand runs and is ready [s]; ``None``: do not wait.

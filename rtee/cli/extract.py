@@ -79,7 +79,7 @@ def extract(
     Arguments and options:
         hand ([HAND]): Name of a hand, or its folder.
         urdf: A URDF, or a xacro file, instead of a hand of the configuration.
-        mjcf: An MJCF, as MuJoCo has it, instead of a URDF.
+        mjcf: A model in MuJoCo's MJCF instead of a URDF.
         srdf: The model's SRDF; without it the fingers are found.
         package_dir: Folder to look packages up in; repeatable.
         out: Write the primitives to files in this folder.
@@ -252,7 +252,7 @@ def _uncollected() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function ``show(done, total)`` for progress; ``None`` if stderr is no terminal."""
+    """Yield a function ``show(done, total)`` for progress; ``None`` if stderr is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -289,7 +289,7 @@ def measured_openings(folder: Path) -> Openings:
         from rtee.extract.openings import make_openings
     from rtee.actions.openings import Openings
 
-    # By its path, since the name may find another folder first.
+    # Load by path, since the name may match another folder first.
     library = actions_of(str(folder))
     with progress_bar("measuring openings") as progress:
         return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))

@@ -49,7 +49,7 @@ def info(
     """Show the contents of a recording.
 
     Arguments and options:
-        deep: Read all of it, which also finds damage within.
+        deep: Read the whole file, which also finds damage inside it.
     """
     from rtee.log.info import info as summarise
 
@@ -156,7 +156,7 @@ def plot(
 
     Arguments and options:
         output (--out; PATH): Path of the files .html and .png; that of FILE unless given.
-        by: A row per 'actuator' or per 'finger'.
+        by: A row for each 'actuator' or for each 'finger'.
         actuator: Only this actuator; may be given again.
         start (--from): Begin here [s].
         end (--to): End here [s].
@@ -342,8 +342,8 @@ def _telling(pieces: Iterable[Recording]) -> Iterator[Recording]:
 def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     """Run the hand of a recording on its recorded states until Ctrl-C.
 
-    The hand is the configured one of that name if it has the same actuators, else the one that the
-    recording itself describes. A recording that was never closed is repaired in a copy first.
+    The hand is the configured one of that name if it has the same actuators, otherwise the one that
+    the recording itself describes. A recording that was never closed is repaired in a copy first.
     """
     import anyio
 
@@ -381,7 +381,7 @@ def _configured(name: str, actuators: list[str]) -> bool:
     from rtee.hand.load import load_hand
 
     try:
-        # By name alone, so that a recording cannot point to some folder on this computer.
+        # Look up by name only, so that a recording cannot point to a folder on this computer.
         find_hand(name)
         return sorted(load_hand(name).actuator_names) == sorted(actuators)
     except UserError:

@@ -77,7 +77,7 @@ def mcp(
 
 
 async def _say_if_absent(name: str, connect: str | None) -> None:
-    """Say on stderr that a hand does not run; raises `ConfigError` if none of this name can."""
+    """Note on stderr that a hand is not running; raises `ConfigError` if there is no such hand."""
     import anyio.to_thread
 
     from rtee.remote.find import open_hand

@@ -60,7 +60,7 @@ def new(
     Arguments and options:
         name: Name of the new hand.
         urdf: Its URDF, or a xacro file, which is run.
-        mjcf: Its MJCF, as MuJoCo has it, instead of a URDF.
+        mjcf: Its model in MuJoCo's MJCF instead of a URDF.
         srdf: Its SRDF; without one the fingers are found.
         package_dir: Folder to look packages up in; may be repeated.
         source (--from; HAND): A hand to copy instead, with its actions.
@@ -107,7 +107,7 @@ def _copy(folder: Path, target: Path) -> None:
 
 
 def _known(folder: Path) -> str:
-    """Return the argument that finds a hand: its name in ./config or here, else its folder."""
+    """Return the argument that finds a hand: its name in ./config or here, otherwise its folder."""
     return folder.name if folder.parent in (Path("config"), Path()) else str(folder)
 
 

@@ -1,4 +1,4 @@
-"""`rtee retarget`: which finger of a hand follows which of a person's."""
+"""`rtee retarget`: show the person's finger that each finger of a hand follows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def retarget(
     Arguments and options:
         save: Find it in the model, and store it as retarget.yaml.
         show: Show it in the browser, beside a person's hand.
-        landmarks (FILE): The points to show; else a hand that pinches.
+        landmarks (FILE): The points to show; by default, a pinching hand.
         port (0..65535): Port of the page.
     """
     with needing_extra("retargeting", "retarget"):

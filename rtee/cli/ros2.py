@@ -187,7 +187,7 @@ def _in_graph(
 
 
 async def _the_type(context: Context, sort: Sort, name: str, given: str | None) -> str:
-    """Return the type given for a topic, service or action, else its type in the graph.
+    """Return the type given for a topic, service or action, otherwise its type in the graph.
 
     Raises `ConfigError` if no type is given and the graph has none, or several.
     """

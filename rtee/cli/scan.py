@@ -30,12 +30,12 @@ def scan(
     The exit status is 1 if a port could not be scanned.
 
     Arguments and options:
-        port (PORT): A tty, or socket://host:port; else all serial ports.
+        port (PORT): A tty, or socket://host:port; by default, all serial ports.
         host (HOST): A Modbus TCP address, host[:port].
         can (CHANNEL): A CAN channel, such as can0.
         interface: python-can interface.
         bitrate (1..): Bits per second of the CAN bus.
-        unit (0..255; N): Modbus number to query; else the usual.
+        unit (0..255; N): Modbus number to query; by default, the usual ones.
     """
     import asyncio
 

@@ -125,7 +125,7 @@ def set_id(
         baudrate: Rate of the line [baud]; else that of new servos, 1000000 (Feetech) and 57600
             (Dynamixel).
         new_baudrate: Rate that a Dynamixel servo gets, too [baud].
-        family: Who is asked; else both are.
+        family: Servo family to query; by default, both.
     """
     import asyncio
 
@@ -138,7 +138,7 @@ def set_id(
                 raise ConfigError(
                     f"the id of a {servo.name} servo must be at most {servo.largest_id}, not {new}"
                 )
-            if number == new and new_baudrate is None:  # else only the rate changes
+            if number == new and new_baudrate is None:  # no change at all
                 raise ConfigError(f"the servo at {port} has the id {new} already")
             model = await servo.set_id(pool, port, rate, number, new, new_baudrate)
             faster = f", at {new_baudrate} baud" if new_baudrate is not None else ""

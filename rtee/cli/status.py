@@ -192,7 +192,7 @@ def _changes(
 ) -> dict[str, dict[str, float]]:
     """Return the gains to set, by device and by name of the gain.
 
-    The values go by kind of gain: ``kp``, ``ki``, ``kd``; without an actuator, they are for all.
+    Values are keyed by gain (``kp``, ``ki``, ``kd``); without an actuator, they apply to all.
     Raises `ConfigError` if no device has such a gain, or none for this actuator.
     """
     gains = [(device.name, gain) for device in status.devices for gain in device.gains]
@@ -249,8 +249,8 @@ def info(
     With --json also tip poses, Jacobians, the transmission and the URDF.
 
     Arguments and options:
-        at (ACTUATOR=POSITION): Posture for the poses and Jacobians [rad | m]; may be repeated; else
-            at rest.
+        at (ACTUATOR=POSITION): Posture for the poses and Jacobians [rad | m]; may be repeated;
+            otherwise at rest.
     """
     posture = dict(map(_position, at or ()))
     description = with_hand(hand, connect, "info", lambda remote: remote.info(posture))

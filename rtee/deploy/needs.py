@@ -71,7 +71,7 @@ class Port:
 
     @property
     def kind(self) -> str:
-        """The kernel's name of the port without the number, such as ``ttyUSB``; else empty."""
+        """The kernel's name of the port without the number, such as ``ttyUSB``; otherwise empty."""
         name = _KERNEL_NAME.match(self.path)
         return name[1] if name else ""
 
@@ -112,9 +112,13 @@ class Needs:
     def of(cls, prepared: PreparedHand, serials: Mapping[str, str]) -> Needs:
         """Return the needs of a hand that is prepared with the driver ``devices``.
 
-        The serial numbers of adapters go by name of the device. Raises `ConfigError` if a device
-        with one has no port, a value is not valid in a system file, or the service could not run
-        with it.
+        Args:
+            prepared: The hand.
+            serials: Serial numbers of adapters by device name.
+
+        Raises:
+            ConfigError: A device with a serial number has no port, a value is not valid in a system
+                file, or the service could not run with it.
         """
         options = {device.spec.name: _options(device.spec) for device in prepared.devices}
         exposed(prepared.config.remote)  # the service would refuse to start

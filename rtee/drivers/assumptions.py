@@ -35,7 +35,7 @@ class Assumption:
     """Something that a driver relies on.
 
     Attributes:
-        topic: What it is about.
+        topic: Its subject.
         text: The assumption.
         source: Where it comes from; empty: nowhere, it is a guess.
     """

@@ -39,8 +39,8 @@ class Driver(ABC):
         capabilities: What the device measures and accepts; may be refined by `configure`.
         active: Whether the device has been activated, in drivers that note it: one that is not is
             only read.
-        doing: A lengthy operation under way, in words such as ``homing the thumb``; else empty.
-            It is published while the call is under way.
+        doing: A lengthy operation under way, in words such as ``homing the thumb``; otherwise
+            empty. It is published while the call is under way.
         object_description: Shape of the object that a simulated device grasps, after `configure`.
         connection: The device's bus from `configure` to `close`, for drivers that have one bus.
         standstill: Judges what `stop` measures, before it is commanded; the caller tells it what
@@ -112,7 +112,7 @@ class Driver(ABC):
         *strangers: type[Exception],
         check: str = "check the address",
     ) -> Iterator[None]:
-        """Say of an error in the first exchanges whether no device or another one is there.
+        """Distinguish in errors of the first exchanges between no device and another device.
 
         Args:
             expected: The device, with its article, such as ``an SVH``.
@@ -135,7 +135,7 @@ class Driver(ABC):
 
     @contextmanager
     def busy(self, doing: str) -> Iterator[None]:
-        """Say what is under way, as in `doing`, until the context ends."""
+        """Set `doing` until the context ends."""
         self.doing = doing
         try:
             yield
@@ -199,7 +199,7 @@ class Driver(ABC):
         """Check whether a device that is connected, but not active, could be activated at once.
 
         Returns:
-            Why it would have to move first, such as ``not homed``; else empty.
+            Why it would have to move first, such as ``not homed``; otherwise empty.
 
         Raises:
             DeviceFault: if the device reports a fault.
@@ -218,7 +218,7 @@ class Driver(ABC):
         return DeviceFault(self.spec.name, code, name, hint=hint)
 
     def stranger(self, expected: str, found: str, hint: str = "") -> HandshakeError:
-        """Return that another device was found than the one expected."""
+        """Return the error for another device than the one expected."""
         return HandshakeError(self.spec.name, expected, found, hint=hint)
 
     def counters(self) -> Mapping[str, int]:

@@ -57,7 +57,7 @@ class GripForce:
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What a device measures and accepts.
+    """Quantities that a device measures and commands that it accepts.
 
     Attributes:
         measures: Measured quantities: ``position velocity effort current temperature pressure
@@ -91,6 +91,6 @@ class Capabilities:
     touch: tuple[TouchSensor, ...] = ()
 
     def __post_init__(self) -> None:
-        """Escape what a device reports of itself: it goes to terminals, files and pages."""
+        """Escape the device's own texts, since they reach terminals, files and pages."""
         identity = {foreign(name): foreign(value) for name, value in self.identity.items()}
         object.__setattr__(self, "identity", identity)

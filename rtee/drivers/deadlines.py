@@ -1,4 +1,4 @@
-"""How long drivers wait: for an exchange in a cycle, outside a cycle, and for a motion to end."""
+"""Deadlines of drivers: of an exchange in a cycle or outside one, and of the end of a motion."""
 
 from __future__ import annotations
 

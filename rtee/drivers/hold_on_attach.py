@@ -44,7 +44,7 @@ class Attached:
         self._first.clear()
 
     def all_left(self, reference: Reference, measured: FloatArray) -> bool:
-        """Return whether all actuators are to be left alone; else all follow from now on.
+        """Return whether all actuators are to be left alone; otherwise all follow from now on.
 
         For devices that take the set-points of all actuators at once. Arguments as for `left`.
         """

@@ -23,7 +23,7 @@ def read_calibration_file(
         device: The device's name, for the message.
         kind: The type of the content.
         of: What the calibration is of, for the message, such as `` of servos``.
-        made_with: Fields of it that must have these values: another device's is wrong here.
+        made_with: Required values of fields; a file with other values belongs to another device.
 
     Raises:
         CalibrationError: if the file is missing, not such a calibration, or that of another device.

@@ -57,7 +57,7 @@ class Closes(Protocol):
 
 
 class Closing(NamedTuple):
-    """How a motor closes on an object, in the motor's units.
+    """Closing motion of a motor on an object, in the motor's units.
 
     Attributes:
         motor: The motor.

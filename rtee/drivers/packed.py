@@ -38,7 +38,7 @@ class PackedPart(NamedTuple):
     def getter(self, at: int) -> Callable[[tuple[Any, ...]], Any]:
         """Return what takes the value from all numbers, of which its first is at an index.
 
-        It raises `ValueError` for a number that is no value.
+        It raises `ValueError` for a number that does not encode a value.
         """
         kind, per, many = self.kind, self.per, self.many
         if per is not None:
@@ -121,7 +121,7 @@ class Packed:
 
 
 class _Layout(NamedTuple):
-    """How a block is packed; ``None``: each value is its only number."""
+    """Layout of a block; ``None``: each value is its only number."""
 
     form: struct.Struct
     codes: str

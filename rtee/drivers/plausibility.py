@@ -162,7 +162,7 @@ class Plausibility:
         self._reference[i] = reference
 
     def words(self, i: int) -> str:
-        """Return in words that the position of an actuator is implausible, else an empty string."""
+        """Describe an actuator's implausible position; return an empty string if plausible."""
         name = self._actuators[i].name
         return f"the measured position of {name} is not plausible" if i in self._doubted else ""
 

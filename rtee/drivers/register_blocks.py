@@ -31,7 +31,7 @@ class Blocks(RelaxedDeadline, Generic[S]):
     """The output and the input block of one gripper.
 
     ``S`` is the type of its state, which the input block holds. One exchange writes the output
-    block and reads the input block, with function 23 where the gripper supports it, else with
+    block and reads the input block, with function 23 where the gripper supports it, otherwise with
     functions 16 and 3 or 4. Some grippers ignore an unsupported function, so 23 counts as not
     supported after `_TRIES` attempts without any answer.
 

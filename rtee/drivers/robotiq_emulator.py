@@ -44,7 +44,7 @@ class RobotiqProperties(Section, frozen=True):
         baudrate: Bits per second.
         activation_time: Duration of the activation [s].
         activated: Whether it is activated at power-up, as after an earlier connection.
-        functions: Function codes that it knows.
+        functions: Supported function codes.
         haste: Factor by which it moves and activates faster than the real one.
     """
 

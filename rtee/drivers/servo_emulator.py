@@ -21,7 +21,7 @@ class EmulatedServo(ABC):
         ID: The register of its id.
         MODEL: That of its model number.
         BAUD_RATE: That of the rate of its line.
-        PENDING: The register that tells whether bytes wait for `action`.
+        PENDING: The register that shows whether bytes wait for `action`.
         RETURN_DELAY: That of its return delay.
         axis: Its shaft.
         silent_until: Time before which it does not answer [s].

@@ -71,7 +71,7 @@ class LineOptions(DeviceOptions, frozen=True):
     calibration: Path | None = None
     """File of a calibration (``rtee calibrate``); its zeros replace those above."""
     p: Annotated[int, Meta(ge=0)] | None = None
-    """Proportional gain; else as the servos have it."""
+    """Proportional gain; by default, that of the servos."""
     i: Annotated[int, Meta(ge=0)] | None = None
     """Integral gain."""
     d: Annotated[int, Meta(ge=0)] | None = None

@@ -202,7 +202,7 @@ class ServoDriver(Driver, Generic[L]):
         GOAL: The register of the goal position.
         GAINS: The registers of the gains that can be tuned, by name.
         MOST_GAIN: Largest gain [counts].
-        STORED: Bytes of the table from its beginning that tell how a servo is set up.
+        STORED: Number of bytes at the beginning of the table that hold a servo's set-up.
         NEAR: Difference of the goal read back from a servo without torque that is tolerated.
         HINT: What to do about the errors that servos report.
         LOST: What to do about servos that have lost their torque.

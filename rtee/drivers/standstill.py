@@ -1,4 +1,4 @@
-"""Where a driver may stop its actuators: at no position that cannot be theirs."""
+"""Decide where a driver may stop its actuators: never at an impossible position."""
 
 from __future__ import annotations
 

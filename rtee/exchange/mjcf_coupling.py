@@ -402,7 +402,7 @@ def _fitted(
     y: FloatArray,
     what: str,
 ) -> Follow:
-    """Return the coupling of a joint: linear if possible, else a polynomial."""
+    """Return the coupling of a joint: linear if possible, otherwise a polynomial."""
     middle, half = float(0.5 * (x[0] + x[-1])), float(0.5 * (x[-1] - x[0]))
     # Scaled to -1 … 1, since high powers of the plain positions would lose digits.
     t = (x - middle) / half

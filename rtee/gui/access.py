@@ -47,7 +47,7 @@ _DIVERTING: Final = ("websocket", "playbackPath")
 _POLICY: Final = "; ".join(
     (
         "default-src 'none'",
-        # viser's page unpacks its script from an inline one, and that compiles others.
+        # An inline script of viser's page unpacks the main one, which compiles further scripts.
         "script-src 'unsafe-inline' 'unsafe-eval'",
         "script-src-attr 'none'",  # so that HTML in a panel cannot run anything
         "style-src 'unsafe-inline'",

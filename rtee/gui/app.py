@@ -98,9 +98,9 @@ class Page:
                 with anyio.CancelScope() as self._scope:
                     try:
                         await self._show(self.watch)
-                    except RteeError:  # the bar says why
+                    except RteeError:  # the bar shows the reason
                         pass
-                    except BaseExceptionGroup as errors:  # from the tasks of the session
+                    except BaseExceptionGroup as errors:  # raised by the session's tasks
                         first_message(errors)
                 if not self._scope.cancel_called:
                     await anyio.sleep(AGAIN)

@@ -65,7 +65,7 @@ class Bridge:
     def entered(self, use: Callable[[Any], None]) -> Callable[[Any], Coroutine[None, None, None]]:
         """Return a callback for a control that takes the values that a person enters.
 
-        What the program itself shows in the control is no event. The value is taken at once, in
+        A value that the program itself sets is not an event. The value is taken at once, in
         viser's own thread: what is shown next must not take its place.
         """
 

@@ -50,7 +50,7 @@ def first_message(errors: BaseExceptionGroup[BaseException]) -> str:
 
 
 class Watch:
-    """One hand, until cancelled; it is looked for again when it has gone.
+    """Watch one hand until cancelled; search for it again after it has gone.
 
     Attributes:
         name: The hand's name; ``None``: the only one at the endpoint.

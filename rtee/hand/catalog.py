@@ -39,7 +39,7 @@ def own_dirs() -> list[Path]:
     """Return the folders for hands of the user, existing or not, in the order of precedence.
 
     They are those in ``RTEE_CONFIG_PATH``, ``./config``, and ``rtee/hands`` in the user's
-    configuration directory (``XDG_CONFIG_HOME``, else ``~/.config``).
+    configuration directory (``XDG_CONFIG_HOME``, otherwise ``~/.config``).
     """
     found = [
         Path(os.path.expanduser(p)) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p

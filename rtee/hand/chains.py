@@ -184,7 +184,7 @@ def joints_of_hand(srdf: Srdf, urdf: Urdf) -> frozenset[str] | None:
     """Return the joints inside the groups of the hand; ``None`` if the SRDF names none.
 
     Those are the joints of the group that `fingers_of` takes, of its subgroups, and those between
-    its links; or else those of the fingers.
+    its links; otherwise those of the fingers.
     """
     chosen = _group_of_fingers(srdf)
     if chosen is None:

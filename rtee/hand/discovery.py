@@ -35,7 +35,7 @@ _NUMBER: Final = re.compile(r"(?<![a-z0-9])f(?:inger)?_?([0-9]+)")
 def make_fingers(
     urdf: Urdf, srdf: Srdf | None, movers: Mapping[str, Mover]
 ) -> tuple[tuple[Finger, ...], list[str]]:
-    """Return the fingers that the SRDF names, or else those found from the tree.
+    """Return the fingers that the SRDF names, otherwise those found from the tree.
 
     Args:
         urdf: The hand's URDF.

@@ -208,7 +208,7 @@ def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
 
 
 def _place(uri: str, source: Path) -> str:
-    """Return the new path of a mesh: that inside its package, or else in the folder ``meshes``."""
+    """Return the new path of a mesh: inside its package, otherwise in the folder ``meshes``."""
     scheme, separator, rest = uri.partition("://")
     if separator:
         parts = [] if scheme == "file" else rest.split("/")[1:-1]

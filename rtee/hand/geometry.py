@@ -483,7 +483,7 @@ class AllowedCollision(NamedTuple):
 
 
 def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
-    """Find the pairs of links whose contact is no collision.
+    """Find the pairs of links that may touch without being in collision.
 
     Adjacent links are connected by one moving joint. Other pairs are checked with the exact
     geometry at rest and, if they touch there, at postures spread evenly over the actuators' limits.

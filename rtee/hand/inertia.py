@@ -57,7 +57,7 @@ def inertia_of(
     Args:
         spec: The actuator.
         limit: Its effort limit [N·m | N]; infinite: nothing can be derived from it.
-        known: What hand.yaml says of it.
+        known: Its values in hand.yaml.
         kp: Its position gain [N·m/rad | N/m]; ``None``: as known, or derived.
         bandwidth: Its bandwidth [Hz].
         armature: Least inertia [kg·m²]; a thousand times as many kg of a prismatic one.

@@ -80,7 +80,7 @@ def load_model(
     if actuators is not None:
         settled = {*actuators, *passive, *(semantics.passive if semantics else ())}
         free = (j.name for j in model.joints.values() if j.moving and j.mimic is None)
-        # A recording knows its actuators: whatever else moves was ignored when it was made.
+        # A recording lists its actuators: other moving joints were ignored when it was made.
         ignore = [*ignore, *(name for name in free if name not in settled)]
     overrides = Overrides(
         HandConfig(name="hand", urdf="", rest=dict(rest or {}), ignore=list(ignore)),
@@ -282,7 +282,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         base=urdf.root,
         joints=joints,
         actuators=tuple(
-            # A finger without a tip cannot touch anything, so no action is about it.
+            # A finger without a tip cannot touch anything, so no action uses it.
             replace(s, fingers=tuple(f.name for f in fingers if f.tip and s.name in f.actuators))
             for s in specs
         ),
@@ -357,7 +357,7 @@ def _touch(overrides: Overrides, urdf: Urdf) -> Mapping[str, TouchSection]:
 
 
 def _tip_friction(fingers: Sequence[Finger], overrides: Overrides, urdf: Urdf) -> dict[str, float]:
-    """Return the friction of the fingertips: as configured, else as in the URDF, if anywhere."""
+    """Return the friction of the fingertips: as configured, otherwise as in the URDF, if given."""
     given, names = overrides.config.tip_friction, [finger.name for finger in fingers]
     for name in given:
         if name not in (*names, "defaults"):

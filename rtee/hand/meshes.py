@@ -172,7 +172,7 @@ _UNIT: Final = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)[\"']")
 
 
 def unit_of(path: Path) -> float:
-    """Return the length of a mesh's unit [m]: the one that a COLLADA file states, or else 1.
+    """Return the length of a mesh's unit [m]: the one that a COLLADA file states, otherwise 1.
 
     Raises:
         ModelError: The file cannot be read.

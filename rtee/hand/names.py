@@ -46,7 +46,7 @@ def check_name(
 
 
 def safe_name(text: str, default: str = "hand") -> str:
-    """Return a valid name made from ``text``, or ``default`` if nothing of it is left."""
+    """Return a valid name made from ``text``, or ``default`` if nothing remains."""
     name = _FORBIDDEN.sub("_", text).strip("_.")[:MAX_LENGTH]
     # Repeatedly, since three dots become two.
     while ".." in name:

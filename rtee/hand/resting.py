@@ -42,7 +42,7 @@ chosen for the others are known."""
 
 @dataclass(frozen=True)
 class ClosedRest:
-    """A rest posture that is a pinch, and a better one.
+    """A rest posture that closes a pinch, and an open alternative.
 
     Attributes:
         fingers: The pairs of fingers whose tips touch or nearly touch.

@@ -31,8 +31,8 @@ class Subtree:
     def of(self, robot: Element, whole: Urdf) -> Element:
         """Return the ``<robot>`` of the hand alone.
 
-        Joints outside stand at 0. Parts of simulators and controllers stay if they name nothing
-        outside.
+        Joints outside are fixed at 0. Elements of simulators and controllers are kept unless they
+        refer to links or joints outside.
 
         Raises:
             UnknownLink: The robot has no such link.

@@ -50,7 +50,7 @@ _LIMITED: Final = ("revolute", "prismatic")
 
 
 class Edit(Protocol):
-    """A change of a robot's description, before anything else is made of it."""
+    """A change to a robot's description that is made before anything is derived from it."""
 
     def of(self, robot: Element, whole: Urdf) -> Element:
         """Return the changed ``<robot>``, given the present one, also as it was read."""

@@ -72,7 +72,7 @@ def arm_joints(
     """Return the joints of the arm that carries the hand, nearest the root first.
 
     An arm has four joints or more in a row, or names such as ``shoulder``. With a single finger,
-    such as one jaw, it ends where names begin that are those of a finger, or else before the last
+    such as one jaw, it ends where names begin that are those of a finger, otherwise before the last
     joint that moves.
     """
     if len(branches) > 1:
@@ -199,7 +199,7 @@ def _plain(part: str, urdf: Urdf) -> list[str]:
 
 
 def _base(link: str, urdf: Urdf) -> str:
-    """Return the topmost link welded to a palm that is called like a hand, or else the palm."""
+    """Return the topmost link welded to a palm that is called like a hand, otherwise the palm."""
     base = at = link
     while (joint := urdf.joint_to.get(at)) is not None and not joint.moving:
         at = joint.parent

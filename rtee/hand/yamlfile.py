@@ -326,7 +326,7 @@ def _as_json(token: re.Match[str]) -> str:
 
 
 def read_emitted(text: str) -> dict[str, Any] | None:
-    """Return the document if its text is exactly what `emit` writes for it, else ``None``.
+    """Return the document if its text is exactly what `emit` writes for it, otherwise ``None``.
 
     ruamel.yaml reads the SVH's 900 lines of stored actions in 250 ms; this takes 12 ms, and a hand
     starts only when its actions are read. It need not judge the text: what it makes of any text is

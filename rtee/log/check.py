@@ -240,7 +240,7 @@ class _Checker:
             # It was captured before its tick's results were reported: they belong to the state
             # before.
             self._controller.outbox.items.clear()
-            # As in the live loop: a command may look at what this tick has measured.
+            # As in the live loop: commands may read this tick's measurements.
             self._measured = self._controller.measured
             self._begin, self._begin_wall = state["tick"] + 1, state["wall"]
             self._next_tick = self._begin

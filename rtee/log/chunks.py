@@ -73,7 +73,7 @@ class PackedChunk:
         start: Earliest log time [ns since 1970].
         end: Latest log time [ns since 1970].
         compression: ``zstd``, ``lz4`` or empty.
-        digest: What a digest tells of it (`rtee.log.digest`); ``None``: not known.
+        digest: Its lines of the digest (`rtee.log.digest`); ``None``: not known.
     """
 
     record: bytes | memoryview

@@ -106,7 +106,7 @@ def messages(data: Bytes, offsets: Any) -> Messages | None:
 def messages_of(
     place: ChunkPlace, stream: BinaryIO, data: bytes, channels: Collection[int]
 ) -> dict[int, Messages]:
-    """Return the messages of a chunk by channel: by its index, or else by walking over it."""
+    """Return the messages of a chunk by channel: by its index, otherwise by walking over it."""
     array = np.frombuffer(data, dtype=np.uint8)
     found = _indexed(place, stream, array, channels)
     if found is None:

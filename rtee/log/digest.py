@@ -25,7 +25,7 @@ def line_of(item: object, wall: int) -> list[Any]:
             return ["plan", wall, item.goal_id, item.action, item.timed]
         case Result():
             return ["result", wall, item.goal_id, item.outcome]
-        # Of those with the bytes on a bus there may be several in each tick.
+        # Traces of bus bytes are left out: there may be several in each tick.
         case Event() if item.kind != EventKind.TRACE:
             return ["event", wall, item.kind, item.source, item.text, item.severity]
         case LoopStatistics():

@@ -311,7 +311,7 @@ def read_for(paths: Sequence[Path], start: float | None, end: float | None) -> I
     first = next(pieces)
     if first.actuator_states.names:
         return chain((first,), pieces)
-    # Of other programs: states of joints, which rtee's own repeat.
+    # Recordings of other programs have only joint states; rtee's own have them in addition.
     return windows(paths, only=(*only, topics.JOINT_STATES), start=start, end=end)
 
 

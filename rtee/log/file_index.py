@@ -108,7 +108,7 @@ class FileIndex:
 
     @property
     def hand(self) -> str:
-        """Name of the hand in the metadata, or else in the first topic with joint states."""
+        """Name of the hand in the metadata, otherwise in the first topic with joint states."""
         if "hand" in self.values:
             return self.values["hand"]
         for channel in self.channels.values():

@@ -50,7 +50,8 @@ _MODE = 0o640
 class Preamble:
     """The records before the first chunk of a file.
 
-    The library is the name and version of the software that writes the file; metadata go by name.
+    The library is the name and version of the software that writes the file; metadata are keyed by
+    name.
     """
 
     library: str

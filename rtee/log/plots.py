@@ -13,10 +13,10 @@ from rtee.errors import needing_extra
 from rtee.log.export import replacing
 from rtee.log.figure import MARK_COLOUR, Figure, PlotLine, PlotRow
 
-_WIDTH = 14.0  # of the drawing [inch]: two panels beside each other
+_WIDTH = 14.0  # width of the drawing [inch]: two panels side by side
 _LEFT = 0.075  # where the left panels begin, as a share of the width: after numbers like 0.00125
-_ROW_INCHES = 1.9  # of a panel [inch]
-_LANE_INCHES = 0.22  # of a row of labels [inch]
+_ROW_INCHES = 1.9  # height of a panel [inch]
+_LANE_INCHES = 0.22  # height of a row of labels [inch]
 _DPI = 110  # dots per inch: 1540 pixels, a screen's width
 
 
@@ -120,8 +120,8 @@ def _name(panel: Any, figure: Figure) -> None:
         )
 
 
-_ROW_HEIGHT = 210  # of a panel [pixels]
-_LANE_HEIGHT = 18  # of a row of labels [pixels]
+_ROW_HEIGHT = 210  # height of a panel [pixels]
+_LANE_HEIGHT = 18  # height of a row of labels [pixels]
 _HEAD = 90  # room for title and legend [pixels]
 
 

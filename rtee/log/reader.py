@@ -72,7 +72,8 @@ def read(
             are recorded for viewers and follow from the joint states, are never read.
 
     Raises:
-        LogError: if a file cannot be opened, is no MCAP file or contains no recording of a hand.
+        LogError: if a file cannot be opened, is not an MCAP file, or contains no recording of a
+            hand.
     """
     return read_indexed([index_file(each) for each in paths_of(path, series=series)], only)
 
@@ -235,7 +236,7 @@ class _Collector:
                 for place, data in _chunks_ahead(file.path, wanted):
                     if not isinstance(data, DamagedRecordError):
                         self._chunk(place, data, stream, channels)
-                    elif id(place) not in self._told:  # by the piece before
+                    elif id(place) not in self._told:  # not yet reported by the previous piece
                         self._told.add(id(place))
                         self._note_damage(str(data))
         except OSError as error:

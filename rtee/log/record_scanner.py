@@ -146,8 +146,8 @@ class Finder:
     def after(self, position: int) -> int | None:
         """Return where the scan continues after damage that begins at a position [bytes].
 
-        This is the next chunk, else the summary, else the footer. Returns ``None`` if there is none
-        of them.
+        This is the next chunk, otherwise the summary, otherwise the footer. Returns ``None`` if
+        there is none of them.
         """
         ends = [end for end in self._ends() if end > position]
         chunk = self._search(position + 1, ends[0] if ends else self.size)
@@ -215,7 +215,7 @@ class Finder:
         return None
 
     def _ends(self) -> tuple[int, ...]:
-        """Return the offsets of summary and footer of a file that was closed, else nothing."""
+        """Return the offsets of summary and footer of a file that was closed, otherwise nothing."""
         position = self.size - _FOOTER.size - len(MAGIC)
         data = self._read(max(position, 0), _FOOTER.size + len(MAGIC))
         if position < len(MAGIC) or data[_FOOTER.size :] != MAGIC:

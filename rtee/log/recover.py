@@ -186,4 +186,4 @@ def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
             compression=chunk.compression,
             digest=digest,
         )
-        digest = digest and []  # reported with the first
+        digest = digest and []  # the first part carries the whole digest

@@ -217,7 +217,7 @@ _GRIP_PERIOD = 0.02
 _AROUND = 5 * SECOND
 """Time recorded before and after an occurrence [ns]: seconds later, a hand rests."""
 
-_SELDOM = 1 << 30  # of so many ticks one, which is the first of each chunk
+_SELDOM = 1 << 30  # one tick in so many, so only the first of each chunk
 _FLIGHT_FILES = 20  # most names kept of the flight recorder's files, the newest last
 
 
@@ -363,7 +363,7 @@ class LogWriter:
         new = [state for name, state in states.items() if known.get(name) is not state]
         if any(s.device not in known or known[s.device].sensors is not s.sensors for s in new):
             sensors = TOUCH_SENSORS.encode(sensors_fields(states.values(), wall))
-            self._contents.latched[topics.TOUCH_SENSORS] = sensors  # for files begun later
+            self._contents.latched[topics.TOUCH_SENSORS] = sensors  # copied into files begun later
             self._add(topics.TOUCH_SENSORS, wall, sensors)
         for state in new:
             measured = self.wall_of(state.stamp)

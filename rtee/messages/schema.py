@@ -65,10 +65,10 @@ def _short(name: str) -> str:
 
 
 def sections(text: str, first: str = "") -> dict[str, str]:
-    """Return the definitions in a text of several, by their full names.
+    """Split a text of several definitions; return them by full name.
 
-    Each is after a rule and a line such as ``MSG: package/Name``; the text may begin with that of
-    ``first``.
+    A rule and a line such as ``MSG: package/Name`` precede each definition. The text may begin with
+    the definition of ``first``, which has no such head.
     """
     head, *rest = text.split(_RULE)
     definitions = {first: head} if first else {}
@@ -140,7 +140,7 @@ class Field:
         return _short(self.kind) + bound + many[self.many]
 
     def blank(self, number: float) -> Any:
-        """Return the default value, ``number`` [any unit] for one of floating point without any."""
+        """Return the default value; ``number`` for a floating-point field without a default."""
         if self.default is not None:
             # A new list for each message, since fields may be changed.
             return list(self.default) if isinstance(self.default, list) else self.default

@@ -113,9 +113,9 @@ def sensors_fields(states: Iterable[TouchState], wall_ns: int = 0) -> dict[str, 
 
 
 def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
-    """Return the sensors by device in a decoded ``rtee_msgs/TouchSensors``.
+    """Return the sensors of a decoded ``rtee_msgs/TouchSensors`` by device.
 
-    Raises `MessageError` if places do not fit the taxels.
+    Raises `MessageError` if the number of positions differs from the number of taxels.
     """
     by_device: dict[str, list[TouchSensor]] = {}
     for each in fields["sensors"]:

@@ -19,7 +19,7 @@ OBJECT_POSE: Final = "object_pose"
 """Channel: position [m] and unit quaternion (w, x, y, z) of the object in the world ``(7,)``."""
 
 BASE_POSE: Final = "base_pose"
-"""Channel: the same for the hand's base frame, if an arm carries the hand; else it is the world."""
+"""Channel: pose of the hand's base frame if an arm carries the hand; otherwise it is the world."""
 
 CONTACTS: Final = "contacts"
 """Channel: a row of `CONTACT_COLUMNS` numbers for each contact of the hand, the strongest first."""

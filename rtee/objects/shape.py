@@ -79,7 +79,7 @@ class ObjectShape:
 
     @property
     def name(self) -> str:
-        """How it is written on the command line, such as ``sphere:0.03``."""
+        """Name on the command line, such as ``sphere:0.03``."""
         if self.path is not None:
             return str(self.path)
         if not self.size:

@@ -1,1 +1,1 @@
-"""Which action for an object: grasps planned from geometry, forces and the hand's actions."""
+"""Choose an action for an object: plan grasps from geometry, forces and the hand's actions."""

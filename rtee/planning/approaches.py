@@ -1,4 +1,4 @@
-"""How an object comes towards the open hand, and which poses it may have there."""
+"""Approaches of an object to the open hand, and its possible poses there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a hand closes on an object: link after link until they oppose each other; no dynamics.
+"""Close a hand on an object, link by link until links oppose each other; no dynamics.
 
 The object is pushed by what touches it, without turning, until the forces of the contacts can
 balance, friction included. Then the actuators of the links that touch stand still, and the others
@@ -294,7 +294,7 @@ class _HandBatch:
                 if not deep or self._facing[row]:
                     continue
                 push = sum((_clear_of(touch) for touch in deep), np.zeros(3)) / len(deep)
-                # As several shapes of a jaw: the mean would leave it inside.
+                # All belong to one link: the mean push would leave the object inside the deepest.
                 if len({self._links[touch.shape] for touch in deep}) == 1:
                     push = _clear_of(min(deep, key=lambda touch: touch.distance))
                 pushes[row] = push

@@ -87,7 +87,7 @@ def _combinations(library: ActionLibrary) -> Iterator[tuple[ActionReference, ...
         for size in range(len(trigs), 1, -1)
         for chosen in combinations(trigs, size)
     ]
-    # By turns, so that both kinds are among those that are tried.
+    # Alternate, so that both kinds are among those tried.
     for first, second in zip(alone, mixed, strict=False):
         yield first
         yield second

@@ -1,4 +1,4 @@
-"""How near a hand is to an object while both move: lower bounds, and distances where they matter.
+"""Lower bounds on the distance of a moving hand to an object; exact distances where they matter.
 
 A distance of two convex parts costs microseconds, and a hand has dozens of parts, an object a few:
 most of the distances that a search might ask for are not worth measuring. What was measured last
@@ -29,7 +29,7 @@ _EXACT: Final = 5e-6
 
 
 class Placed(Protocol):
-    """Where the shapes of one hand or of several are; see `HandPose` and `HandPoses`."""
+    """Shape poses of one hand or of several; see `HandPose` and `HandPoses`."""
 
     def where(self, slot: int, /) -> coal.Transform3s:
         """Return a shape's pose for Coal."""

@@ -203,7 +203,7 @@ def reach_gripper_pose(
         margin: How much wider the hand opens before it closes [m].
         tips: The fingertips, where their geometry was read already.
         obj: The object, or what else must not be met, to look for collisions with it; without
-            one, the hand's own collisions are looked for.
+            one, the hand's own collisions are checked.
         object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
 
     Raises:
@@ -296,7 +296,7 @@ def _best(
 
 
 def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: float) -> FloatArray:
-    """Return the pose ``(4, 4)`` of a hand's grasp in its base frame, as `GripperPose` has it.
+    """Return the pose ``(4, 4)`` of a hand's grasp in its base frame; axes as in `GripperPose`.
 
     Raises:
         ConfigError: if the tips meet at the base frame's origin: they reach in no direction.

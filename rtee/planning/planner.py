@@ -1,4 +1,4 @@
-"""How a hand grasps an object by its actions: geometry and forces, no dynamics."""
+"""Plan how a hand grasps an object with its actions: geometry and forces, no dynamics."""
 
 from __future__ import annotations
 

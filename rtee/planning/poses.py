@@ -1,4 +1,4 @@
-"""Where an object may be for an action: between the links that close, as deep as it comes."""
+"""Find poses of an object for an action: between the closing links, as deep as it fits."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def orientations(obj: GraspObject, up: FloatArray | None = None) -> list[FloatAr
             continue
         whole = turn @ obj.frame.T
         local = directions @ whole  # the directions in the object's frame
-        # From the box's middle: where a mesh has its origin does not change its looks.
+        # Relative to the box's centre, since the origin of a mesh does not change its shape.
         outline = np.append(obj.support(local) - local @ middle, whole @ stands)
         if all(np.abs(outline - other).max() > limit for other in seen):
             found.append(whole)
@@ -263,7 +263,7 @@ class Poses:
         """Return how far apart the fingertips' inner sides are at a step [m]."""
         middle, closing = self._at(step)
         around = not self._sides.any()
-        if not around:  # as the tips are, however the object is turned
+        if not around:  # the tips decide, not the object's orientation
             closing = self._between(step)
             closing = closing / max(float(np.linalg.norm(closing)), _STILL)
         inner: dict[float, float] = {}
@@ -358,8 +358,8 @@ class Poses:
             placed = self._placed(step, frame @ turns[number], width, directions)
             if len(self._fingers) < SEVERAL:
                 wide = self._last(width + 2.0 * _ROOM)
-                # Only where one jaw is fixed: where both move, the two places are the same one, and
-                # rounding would decide between equal candidates.
+                # Only with a fixed jaw: else the places coincide, so rounding would choose
+                # between equal candidates.
                 if self._aside(wide, step) > _STILL:
                     there = self._frame(wide) @ turns[number]
                     placed = interleaved(self._placed(wide, there, width, directions), placed)
@@ -398,7 +398,7 @@ class Poses:
                 yield steep <= STEEP, (turned, way)
 
     def _last(self, width: float) -> int:
-        """Return the last step, from the widest on, until which the opening is no less [m]."""
+        """Return the last step, counted from the widest, with at least the given opening [m]."""
         open_at = int(np.argmax(self.gaps))
         narrow = np.flatnonzero(self.gaps[open_at:] < width)
         left = int(narrow[0]) - 1 if len(narrow) else len(self.gaps) - 1 - open_at

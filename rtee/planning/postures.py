@@ -1,4 +1,4 @@
-"""Where the bodies and shapes of a hand are, at many postures at once.
+"""Poses of a hand's bodies and shapes at many postures at once.
 
 Planning looks at a hundred postures of each action. Pinocchio computes one at a time, and bringing
 its frames into arrays takes longer than computing them; here all are computed in numpy together,
@@ -26,7 +26,7 @@ Slots: TypeAlias = NDArray[np.intp]
 
 @dataclass(slots=True)
 class HandPose:
-    """Where the shapes of a hand are at a posture; the same for any number of rows.
+    """Shape poses of a hand at one posture; the same for any number of rows.
 
     Attributes:
         turns: Their rotations ``(n, 3, 3)`` in the base frame.

@@ -88,7 +88,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class ReachQuestion:
-    """Which grasp of a planner the hand is to reach: contacts, or a gripper's pose and width.
+    """Request to reach another planner's grasp: contacts, or a gripper's pose and width.
 
     Attributes:
         points: Points of the contacts, three numbers each [m]; none for a gripper's pose.

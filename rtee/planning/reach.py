@@ -125,7 +125,7 @@ def reach_contacts(
         tolerance: Farthest that a fingertip may be from its contact [m].
         tips: The fingertips, where their geometry was read already.
         obj: The object, or what else must not be met, to look for collisions with it; without
-            one, the hand's own collisions are looked for.
+            one, the hand's own collisions are checked.
         object_pose: Its pose ``(4, 4)`` in the frame of the contacts; that frame's unless given.
 
     Raises:

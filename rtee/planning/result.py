@@ -17,7 +17,7 @@ Matrix = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class Contact(Value):
-    """Where a hand touches an object; all in the hand's base frame.
+    """Contact of a hand with an object, in the hand's base frame.
 
     Attributes:
         link: The link that touches.
@@ -34,7 +34,7 @@ class Contact(Value):
 
 @dataclass(frozen=True, slots=True)
 class GraspCheck(Value):
-    """How a grasp ended in dynamics.
+    """Result of a grasp in the simulation.
 
     Attributes:
         held: The object was lifted, held and shaken and is still in the hand.
@@ -118,7 +118,7 @@ class GraspPlan(Value):
 
     @property
     def label(self) -> str:
-        """How it is called in a sentence; without a name, ``Trig:index*0.6 + Trig:thumb``."""
+        """Name in a sentence; without a name, ``Trig:index*0.6 + Trig:thumb``."""
         if self.action:
             return label(self.action, self.elements)
         return " + ".join(written(part) for part in self.parts)

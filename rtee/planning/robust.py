@@ -1,4 +1,4 @@
-"""Where an object may be for an action that holds it though it is not quite there."""
+"""Find object poses that an action holds even if the object is slightly misplaced."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
 
 
 def _two_tips(hand: Hand, action: Action, closing: HandClosing) -> frozenset[str]:
-    """Return the fingers between whose tips an action grasps, if they are two; else nothing."""
+    """Return the two fingers between whose tips an action grasps; nothing if there are more."""
     moved = {
         name for name, moves in zip(hand.actuator_names, closing.path.moving, strict=True) if moves
     }

@@ -27,7 +27,7 @@ NOWHERE: Final = np.zeros(3)
 
 
 class Touch(NamedTuple):
-    """How near a shape of the hand is to the object.
+    """Distance of a shape of the hand to the object.
 
     Attributes:
         shape: Its index.

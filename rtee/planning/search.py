@@ -34,7 +34,7 @@ class Search:
         ready: Poses to try next.
         tried: How many poses were tried.
         ground: The table to keep clear of, if there is one.
-        blocked: Whether a grasp was left out because of it.
+        blocked: Whether the ground ruled out a grasp.
     """
 
     action: Action
@@ -53,7 +53,7 @@ class Search:
 
         They are no more than are needed if the action holds the object at all of them.
         """
-        # At least one grasp more is looked for as long as there is a pose to try.
+        # Collects as many poses as grasps are missing.
         while len(self.ready) < self.enough - len(self.grasps):
             found = next(self.candidates, None)
             if isinstance(found, Approach):

@@ -65,7 +65,7 @@ def share_held(fingers: int, score: float) -> float:
 
 @dataclass(frozen=True)
 class Top:
-    """Where a table is in a hand's base frame.
+    """Pose of a table top in a hand's base frame.
 
     Attributes:
         pose: Pose ``(4, 4)`` of its top: z is up, x points out over the edge, and the origin is on

@@ -148,7 +148,7 @@ def least_squares(
     count = matrix.shape[1]
     x = np.zeros(count) if start is None else start.copy()
     used = x > 0.0
-    # The first guess of the search is solved first.
+    # Solve for the variables of the initial guess before another one enters.
     settled = not used.any()
     enough = 1e-10 * max(1.0, float(np.abs(matrix).max(initial=0.0)))
     # The limit of the authors' own code: rounding could make the exchange go on for ever.
@@ -170,7 +170,7 @@ def least_squares(
                 x = np.zeros(count)
                 x[columns] = shares
                 break
-            # As far towards the trial as no share becomes negative.
+            # Move towards the trial point until the first share becomes zero.
             before = x[columns]
             below = shares <= 0.0
             ratio = before[below] / np.maximum(before[below] - shares[below], 1e-300)

@@ -56,7 +56,7 @@ class Agents:
 
     @property
     def out(self) -> str:
-        """Why agents may not move the hand, in words; empty if they may."""
+        """Reason why agents may not move the hand, in words; empty if they may."""
         return self._out
 
     def shut_out(self, why: str) -> None:
@@ -95,7 +95,7 @@ class Agents:
         self._out = self._kept = ""
 
     def check(self, client: str) -> None:
-        """Raise `RequestRejected` if the client is an agent, and agents are out."""
+        """Raise `RequestRejected` if the client is an agent and agents are not admitted."""
         if self._out and is_agent(client):
             raise RequestRejected(
                 f"agents are out since the hand was {self._out}; a person lets them in with "

@@ -105,7 +105,7 @@ class BlockingStream:
 
     @property
     def ended(self) -> str:
-        """Why the stream has ended, in words; empty while it is open."""
+        """Reason why the stream has ended, in words; empty while it is open."""
         return self._stream.ended
 
     def pace(self) -> Iterator[float]:

@@ -434,7 +434,7 @@ def connect(
     Args:
         hand: The hand's name; not needed if only one hand runs.
         endpoint: The hand's address, such as ``tcp/robot:7447``; by default that in
-            ``RTEE_CONNECT``, else on this computer.
+            ``RTEE_CONNECT``, otherwise on this computer.
         client: A name for this client, shown to people.
         wait: Time to wait until the hand runs [s]; `RemoteHand.ready` waits until its
             devices are active, too.

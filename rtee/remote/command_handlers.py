@@ -137,7 +137,7 @@ class CommandHandlers:
             await self._stop_all()
         except BaseException:
             with self._stop_lock:
-                self._stopping.clear()  # or no stop would ever begin again
+                self._stopping.clear()  # otherwise no further stop could begin
             raise
 
     async def _stop_all(self) -> None:

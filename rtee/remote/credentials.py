@@ -83,7 +83,7 @@ def config_folder() -> Path:
 def secure_folder(hand: str) -> Path:
     """Return the folder with a hand's certificates.
 
-    It is a folder of the hand's name in ``RTEE_SECURE_DIR``, else in ``secure`` in the user's
+    It is a folder of the hand's name in ``RTEE_SECURE_DIR``, otherwise in ``secure`` in the user's
     folder for rtee's settings.
     """
     given = os.environ.get(FOLDER_VARIABLE)
@@ -271,7 +271,7 @@ def _base64(text: str) -> str:
 
 
 def identity() -> Identity:
-    """Return this user's certificate: the file in ``RTEE_IDENTITY``, else ``identity.pem``.
+    """Return this user's certificate: the file in ``RTEE_IDENTITY``, otherwise ``identity.pem``.
 
     Raises `ConfigError` if there is none, it cannot be used, or others can read it.
     """

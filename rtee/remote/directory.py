@@ -74,8 +74,8 @@ class Running(Value):
 def runtime_folder() -> Path:
     """Return this user's folder with the files of running hands, which a restart empties.
 
-    It is ``RTEE_RUNTIME_DIR``, else ``rtee`` in ``XDG_RUNTIME_DIR``, else ``rtee-<uid>`` in the
-    temporary folder.
+    It is ``RTEE_RUNTIME_DIR``, otherwise ``rtee`` in ``XDG_RUNTIME_DIR``, otherwise ``rtee-<uid>``
+    in the temporary folder.
     """
     if given := os.environ.get(VARIABLE):
         return Path(os.path.expanduser(given))

@@ -60,7 +60,7 @@ async def open_hand(
 
     Args:
         hand: The hand's name; ``None`` if only one hand runs.
-        endpoint: The hand's address; ``None``: that in ``RTEE_CONNECT``, else this computer.
+        endpoint: The hand's address; ``None``: that in ``RTEE_CONNECT``, otherwise this computer.
         wait: Time to wait for a hand that is not running yet [s].
         on_wait: Called with the reason for waiting, in words, whenever it changes.
         within: Time to open the session once the hand is found [s]; by default 10 s.

@@ -78,8 +78,8 @@ class Look:
     def condition(self) -> str:
         """The hand's condition in a word.
 
-        It is ``absent``, else the lifecycle of a device that is not active, else ``moving``,
-        ``leased`` or ``ready``.
+        It is ``absent``, otherwise the lifecycle of a device that is not active, otherwise
+        ``moving``, ``leased`` or ``ready``.
         """
         if self.status is None:
             return "absent"
@@ -153,7 +153,7 @@ class Fleet:
                 try:
                     if session is None:
                         session = await anyio.to_thread.run_sync(open_client, [endpoint])
-                        path = access_path(endpoint)  # by the identity with which it was opened
+                        path = access_path(endpoint)  # of the identity that opened it
                     self._troubles[nowhere] = "no hand runs there"
                     for name in await anyio.to_thread.run_sync(alive, session):
                         self._troubles.pop(nowhere, None)

@@ -70,8 +70,8 @@ class RunningGoal:
 
     Attributes:
         goal: The goal.
-        heard: When the hand was last heard of it, by the event loop's clock [s]; ``inf``: before
-            it is accepted.
+        heard: Time of the hand's last message about the goal, by the event loop's clock [s];
+            ``inf``: before it is accepted.
     """
 
     def __init__(self, goal: Goal, cancel: Callable[[], Awaitable[None]]) -> None:
@@ -164,7 +164,7 @@ class RunningGoals:
         self._running.pop(goal_id, None)
 
     def watch(self, running: RunningGoal) -> None:
-        """Ask for the result of an accepted goal if nothing is heard of it."""
+        """Ask for the result of an accepted goal if no message about it arrives."""
         running.heard = self._loop.time()
         if self._watch is None or self._watch.done():
             self._watch = self._loop.create_task(self._watch_silent())
@@ -223,7 +223,7 @@ class RunningGoals:
             running.heard = self._loop.time()
 
     async def _status(self, goal_id: str) -> Result | Literal[True] | None:
-        """Return the result of a goal, ``True`` if it runs, ``None`` if the hand knows neither."""
+        """Return a goal's result, ``True`` while it runs, ``None`` if the hand has no such goal."""
         fields = {"goal_id": goal_id, "client": self._link.client}
         status = await self._link.ask("goal", fields, within=_ASK_WITHIN)
         if status["result"]:
@@ -365,7 +365,7 @@ class GoalClient:
             action: Its name; case and underscores do not matter. Or the name with elements and
                 scale, such as ``trig:ring*0.8``.
             elements: Fingers or actuator of a primitive, in any order.
-            on_feedback: Called with the feedback until the goal ends; an error of it cancels the
+            on_feedback: Called with the feedback until the goal ends; an error in it cancels the
                 goal.
             options: See below.
 

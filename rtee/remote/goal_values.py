@@ -338,7 +338,7 @@ def _tolerances(pair: object) -> tuple[float, float]:
 def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options with quantities in SI units and words as those of enumerations.
 
-    Whether a number is possible is for the hand to say, which knows what is.
+    The hand checks whether the number is possible, since it knows its limits.
     """
     values = dict(options)
     for name, how in _QUANTITIES.items():

@@ -31,7 +31,7 @@ class Lease:
         self._now = now
         self._acquired = ""
         self._goals: dict[str, str] = {}
-        self._deadlines: dict[str, float] = {}  # of the streams among them
+        self._deadlines: dict[str, float] = {}  # by open stream [s]
         self._sampled = 0.0
         self._jogger = ""
         self._jogged_until = 0.0

@@ -51,7 +51,7 @@ def from_info(info: HandInfo) -> Hand:
 
 
 async def model_of(remote: RemoteHand, configured: Hand | None = None) -> Hand:
-    """Return the model of a running hand: the local one if it matches, else the hand's own.
+    """Return the model of a running hand: the local one if it matches, otherwise the hand's own.
 
     The local one is looked up by name unless given.
     """

@@ -54,10 +54,14 @@ class GraspPlanning:
         self._closed = False
 
     def handle(self, request: IncomingRequest, actions: Path | None) -> None:
-        """Queue a request, which is answered when the plan is ready.
+        """Queue a request; its answer is sent when the plan is ready.
 
-        The folder of actions is inside the hand's folder. Raises `RteeError` if the request is
-        refused.
+        Args:
+            request: The request to plan or reach a grasp.
+            actions: The hand's folder of actions.
+
+        Raises:
+            RteeError: The request is refused.
         """
         reach = request.request.name == "reach"
         question = _reach_question(request.fields) if reach else _question(request.fields)
@@ -417,7 +421,7 @@ class QueryHandlers:
         return accepted(text)
 
     def _copied(self) -> str:
-        """Return a remark if the change has just copied the hand, else an empty string."""
+        """Return a remark if the change has just copied the hand, otherwise an empty string."""
         before, self._folder = self._folder, self._library.folder
         if before is None or self._folder is None or before == self._folder:
             return ""

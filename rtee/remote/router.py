@@ -40,7 +40,7 @@ async def route(
     Args:
         site: The site's certificates; ``None``: anyone who reaches the router can move the hands.
         listen: Its endpoints.
-        tell: Called with a text on the admitted hands, or those that wait.
+        tell: Called with a sentence about hands that are admitted or waiting.
     """
     while True:
         settings = router_settings(site, listen)

@@ -44,7 +44,7 @@ def ending(result: Result) -> str:
 
 
 def sentence(result: Result, elements: Sequence[str] = ()) -> str:
-    """Return the result of a goal with some elements as a sentence."""
+    """Describe the result of a goal, and the elements of its action, in a sentence."""
     name = " ".join((result.action, *elements))
     return f"{name}: {ending(result)} (error {result.error:.3g}, {result.duration:.2f} s)"
 

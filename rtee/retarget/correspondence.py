@@ -1,4 +1,4 @@
-"""Which finger of a hand answers which of a person's, as ``retarget.yaml`` in the hand's folder."""
+"""Correspondence of a hand's fingers to a person's: ``retarget.yaml`` in the hand's folder."""
 
 from __future__ import annotations
 

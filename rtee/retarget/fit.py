@@ -47,7 +47,7 @@ def fit(library: ActionLibrary) -> Correspondence:
 
     Raises:
         ConfigError: The hand has less than two fingertips.
-        ModelError: A mesh of it cannot be read.
+        ModelError: One of its meshes cannot be read.
     """
     return _Fit(library, Tips(library.hand)).found()
 
@@ -84,7 +84,7 @@ class _Fit:
                     _vector(self._bases[name]),
                     _vector(self._ends[name][1]),
                     round(self._reach(name), 4),
-                    # A gripper's fingers open and close; where a human tip is says nothing else.
+                    # A gripper only opens and closes: the human tip's position does not matter.
                     follow=0.0 if grips else 1.0,
                 )
                 for name, human in humans.items()

@@ -154,8 +154,8 @@ def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
     """Return the frames in a file.
 
     A file of NumPy (``.npz``) has ``points`` or ``joints`` ``(k, count, 3)`` and perhaps the times
-    ``t`` ``(k,)`` [s], else it has 30 frames per second; all others have a frame in each line, as
-    `FrameReader` reads it.
+    ``t`` ``(k,)`` [s], otherwise it has 30 frames per second; all others have a frame in each line,
+    as `FrameReader` reads it.
 
     Raises:
         LogError: The file cannot be read, or has no frames.

@@ -19,7 +19,7 @@ index, middle, ring, little."""
 
 
 class Side(StrEnum):
-    """Which of a person's hands."""
+    """A person's left or right hand."""
 
     LEFT = "left"
     RIGHT = "right"

@@ -265,7 +265,7 @@ class Solver:
                 -1, len(u)
             )
             off = (follow[:, None] * (problem.targets - places)).ravel()
-            # What Gauss-Newton leaves out, by its size: else targets out of reach make it swing.
+            # Damp by the term that Gauss-Newton drops, or unreachable targets oscillate.
             damping = damping + _CURVED * float(np.abs(off).max()) * self._turned
         added = []
         for pair, gap, weight in problem.wanted:
@@ -384,7 +384,7 @@ class Retargeter:
         side: Side | str = Side.RIGHT,
         layout: Layout | str = "mediapipe",
     ) -> Self:
-        """Return the retargeter of a hand: as its ``retarget.yaml`` says, else from its model.
+        """Return the retargeter of a hand: as its ``retarget.yaml`` says, otherwise from its model.
 
         Args:
             hand: Its name, or the path of its folder.
@@ -403,7 +403,7 @@ class Retargeter:
         return cls(model, found, side=side_named(side), layout=known)
 
     def begin(self, at: Mapping[str, float]) -> None:
-        """Begin at positions by actuator [rad | m], such as the measured ones; else at rest."""
+        """Begin at positions by actuator [rad | m], such as measured ones; by default at rest."""
         for name, value in at.items():
             if math.isfinite(value):
                 self._u[self.hand.actuator_index(name)] = value

@@ -75,7 +75,7 @@ class Diagnostics(Part):
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics
-        # Since the last message only: a tick that was missed hours ago must not warn for ever.
+        # Since the last message only: a tick missed hours ago must not warn for ever.
         before, self._before = self._before or clock, clock
         missed, dropped = clock.missed - before.missed, clock.dropped - before.dropped
         level, summary = Level.OK, status.action or "ready"

@@ -26,7 +26,7 @@ def state_of(result: Result) -> GoalState:
 
 
 def reason_of(result: Result) -> str:
-    """Return the reason for an abortion as a sentence, else ``""``."""
+    """Return the reason for an abortion as a sentence, otherwise ``""``."""
     if state_of(result) is not GoalState.ABORTED:
         return ""
     match result.outcome:

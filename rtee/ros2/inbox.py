@@ -77,7 +77,7 @@ class Inbox(Generic[T]):
     Args:
         take: Called in the event loop with each item; must return soon.
         depth: Most items that wait.
-        keep_newest: Whether a full queue drops its oldest item, or else the new one.
+        keep_newest: Whether a full queue drops its oldest item, otherwise the new one.
         dropped: Called in Zenoh's thread for each dropped item.
     """
 

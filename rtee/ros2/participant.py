@@ -215,7 +215,7 @@ class Participant:
     def start(self, work: Coroutine[Any, Any, None]) -> None:
         """Run a coroutine until it or the context ends."""
         if self._closed:
-            # Or Python would warn of a coroutine that was never awaited.
+            # Otherwise Python would warn of a coroutine that was never awaited.
             work.close()
             return
         task = asyncio.get_running_loop().create_task(work)

@@ -54,7 +54,7 @@ class Shown:
     Attributes:
         settings: Domain, distribution, router and namespace.
         insecure: Allow a router on another computer without certificates.
-        configured: Model of the hand if it is configured here, else ``None``.
+        configured: Model of the hand if it is configured here, otherwise ``None``.
         thermal: Temperatures at which the hand warns and disables.
         endpoint: Address of the hand; ``None``: this computer.
     """

@@ -102,7 +102,7 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
 
 
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
-    """Return the domain of the environment, or else of the settings.
+    """Return the domain of the environment, otherwise of the settings.
 
     Raises `ConfigError` if the environment variable is not a domain.
     """

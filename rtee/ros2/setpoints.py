@@ -385,7 +385,7 @@ class TrajectoryAction:
 
 
 class _Limits(NamedTuple):
-    """When a goal is reached, and when it is violated.
+    """Conditions for reaching and for violating a goal.
 
     Attributes:
         path: Tolerances along the path, by joint.
@@ -439,7 +439,7 @@ class _Following:
                 raise RuntimeError("a goal has ended without an outcome")
             return self._outcome
         finally:
-            # Or the player would repeat the last set-point for ever and keep the lease.
+            # Otherwise the player would repeat the last set-point for ever and keep the lease.
             if math.isinf(self._play.until):
                 self._play.until = monotonic.now()
             self._action.forget(self)

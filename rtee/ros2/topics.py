@@ -45,7 +45,7 @@ def ros_name(name: str) -> str:
 def description(model: Hand, urdf: str) -> str:
     """Return the URDF of a running hand with absolute addresses of the meshes on this computer.
 
-    They are looked for in the folders of the model.
+    The model's folders are searched for them.
     """
     addresses = {}
     links = model.urdf.links.values()

@@ -47,7 +47,7 @@ class EventLines(Observer):
         self._goal = ""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Write that a goal was taken."""
+        """Write that a goal was accepted."""
         self._goal = goal.goal_id
         what = goal.what
         named = (what.action, *what.elements) if isinstance(what, Named) else what.elements
@@ -55,7 +55,7 @@ class EventLines(Observer):
         self._write("goal", goal.client, text, stamp)
 
     def on_result(self, result: Result) -> None:
-        """Write how a goal ended."""
+        """Write the outcome of a goal."""
         severity = "info" if result.succeeded else "warning"
         text = f"{result.action}: {result.outcome}"
         text += f" ({result.reason})" if result.reason else ""

@@ -1,7 +1,7 @@
 """The learned free motion of a hand, kept from one run to the next.
 
 One file for each hand in the user's folder of states, ``$XDG_STATE_HOME/rtee/free_motion`` (else
-``~/.local/state``). Each device has its part of it, and its emulator another one.
+``~/.local/state``). Each device has a section of it, and its emulator another one.
 """
 
 from __future__ import annotations

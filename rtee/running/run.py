@@ -154,7 +154,7 @@ async def run_hands(
         stack.callback(sys.setswitchinterval, share_the_interpreter())
         collector.start()
         stack.callback(collector.stop)
-        if not realtime.enabled:  # else no tick may wait for a page that was given back
+        if not realtime.enabled:  # a real-time tick must not wait for a returned page
             give_memory_back()
         try:
             loops = [hand.loop for hand in hands]

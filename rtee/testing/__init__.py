@@ -1,4 +1,4 @@
-"""For authors of drivers: one suite of tests that every driver passes, and simulated buses.
+"""Tools for authors of drivers: a test suite that every driver must pass, and simulated buses.
 
 Describe the device by a `DeviceCase` and derive from `DriverContract`::
 

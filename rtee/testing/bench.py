@@ -114,7 +114,7 @@ class Bench:
 
 
 def main(words: Sequence[str]) -> int:
-    """Run a hand until the socket closes; return the exit status, as ``rtee run`` has it.
+    """Run a hand until the socket closes; return the exit status of ``rtee run``.
 
     Args:
         words: Number of the socket's descriptor; the hand; the folder of the recordings; the

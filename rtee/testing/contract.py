@@ -237,7 +237,7 @@ class DriverContract:
 
     @pytest.mark.parametrize("seen", [False, True])
     async def test_stop_commands_no_position_that_cannot_be(self, seen: bool) -> None:
-        """If encoders jump right before `stop`, or in it, the device does not."""
+        """The device does not jump if its encoders do right before or during `stop`."""
         self.moving()
         self.wired()
         near, far = self.case.between()
@@ -307,7 +307,7 @@ class DriverContract:
         session.wire.faults = faults
         begun = monotonic.now()
         stopping = asyncio.ensure_future(session.driver.stop())
-        while not (faults.injected or stopping.done()):  # noqa: ASYNC110 - the wire tells nobody
+        while not (faults.injected or stopping.done()):  # noqa: ASYNC110 - the wire has no event
             await asyncio.sleep(_LOOK)
         faults.drop = 0.0
         await stopping
@@ -386,7 +386,7 @@ class DriverContract:
     @pytest.mark.parametrize("fault", WIRE_FAULTS)
     @pytest.mark.timeout(600)
     async def test_a_faulty_wire_is_survived(self, fault: str) -> None:
-        """At 5 % faults, only timeouts and frame errors are raised, and no value is wrong."""
+        """Only timeouts and frame errors are raised at 5 % faults, and no value is wrong."""
         self.wired()
         if fault in NEEDS_CHECKSUMS and not self.case.checksums:
             pytest.skip("frames of this device carry no checksum")
@@ -495,7 +495,7 @@ class DriverContract:
     # --- in real time ------------------------------------------------------------------------
 
     def test_it_works_over_a_real_port_in_real_time(self) -> None:
-        """With real bytes on a port of this computer, it moves, and comes back when unplugged."""
+        """The device moves over a real port of this computer, and reconnects after an unplug."""
         self.wired()
         asyncio.run(self._over_a_real_port())
 

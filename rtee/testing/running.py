@@ -169,7 +169,7 @@ def _connected(
 def _endpoint(name: str, process: subprocess.Popen[bytes]) -> str:
     """Return the endpoint of the hand that a process runs; raises `NoHand` until it does."""
     found = running().get(name)
-    # By the process: another hand of this name may have started at the same moment.
+    # Compare the process: another hand of this name may have started at the same moment.
     if found is None or found.pid != process.pid or not found.endpoints:
         raise NoHand(f"the hand '{name}' is not running yet")
     return found.endpoints[0]

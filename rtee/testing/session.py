@@ -139,7 +139,7 @@ class Session:
     async def approach(self, goal: Sequence[float], share: float) -> list[float]:
         """Move part of the way to a posture as the loop does; return the last reference.
 
-        At a tenth of the velocity limits, and what is measured and asked is told to the driver.
+        At a tenth of the velocity limits, and the driver receives what is measured and requested.
         """
         standstill = self.driver.standstill
         here = list(map(float, (await self.sense()).position))

@@ -198,7 +198,7 @@ class SimulatedHand(EmulatedDevices, Observer):
         self._run(self._loop.recover(device))
         self.wait(_LOOK_EVERY)
 
-    # --- what is known
+    # --- time and state
 
     def wait(self, seconds: float) -> None:
         """Let simulated time pass [s]."""

@@ -53,7 +53,7 @@ class Cluster:
             address: Address of the scheduler.
             hands: The hands as tasks call them, with their folders.
             objects: The objects, as on the command line.
-            tell: Told in a sentence of each worker that is left out.
+            tell: Called with a sentence for each worker that is left out.
 
         Raises:
             MissingExtra: if Dask is missing.
@@ -143,7 +143,7 @@ class Cluster:
     def look(self) -> None:
         """Leave out the workers without this rtee."""
         known = self._workers()
-        # Of Python's own library, so that a worker without rtee can answer, too.
+        # Standard library only, so that a worker without rtee can answer, too.
         said = self._client.run(
             importlib.metadata.version, "rtee", workers=list(known), on_error="return"
         )

@@ -1,4 +1,4 @@
-"""Which hand for which parts: the planner proposes actions for each, trials judge them."""
+"""Compare hands for parts: the planner proposes actions for each, and trials judge them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Cell:
 
     @property
     def missing(self) -> str:
-        """Why the object is not held, or is not yet; empty if it is."""
+        """Reason why the object is not held, or not yet; empty if it is."""
         if self.why or self.best:
             return self.why
         return "no action of the planner" if self.done else "not tried yet"
@@ -161,7 +161,7 @@ class Comparison:
             return
         if self.holds(cell):
             cell.why = ""
-        elif best.tries:  # else it stays why no variation was held
+        elif best.tries:  # without tries, keep the reason given
             cell.why = f"held in {best.survived} of {best.tries} variations"
         if self._pictures:
             trial = best.trial
@@ -175,7 +175,7 @@ class Comparison:
     def covering(self) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
         """Return the hands that hold all objects together, and which objects nobody holds.
 
-        They are those that do it alone, or else the pairs, or else the pair, or only hand, that
+        They are those that do it alone, otherwise the pairs, otherwise the pair, or only hand, that
         holds most: then with the objects that it does not hold.
         """
         held = {

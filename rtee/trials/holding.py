@@ -1,4 +1,4 @@
-"""When an object counts as held: it stays where it is in the hand, and the hand says no other."""
+"""Decide whether an object is held: it keeps its place, and the hand reports no loss."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def turned(shape: str, before: FloatArray, now: FloatArray) -> float:
 
 
 def said_lost(result: Result, events: Iterable[Event]) -> bool:
-    """Return whether a hand says of all fingers that held something that they lost it.
+    """Return whether the hand reports a loss for every finger that held something.
 
     Args:
         result: How the grasp ended.
-        events: What was told since.
+        events: Events since then.
     """
     lost = {
         finger

@@ -62,7 +62,7 @@ def write_pictures(recording: Recording, path: Path) -> bool:
 
 
 def moments(recording: Recording) -> list[tuple[str, float]]:
-    """Return what is worth a picture: captions and times since the recording's start [s]."""
+    """Return the moments to draw: captions and times since the recording's start [s]."""
     spans = recording.spans
     if not spans:
         return [("at the end", recording.duration)]
@@ -133,7 +133,7 @@ class _Strip:
 
 
 def _row(times: FloatArray, at: float) -> int:
-    """Return the row of the last values before a time, or else the first row."""
+    """Return the row of the last values before a time, otherwise the first row."""
     return max(0, int(np.searchsorted(times, at, side="right")) - 1)
 
 

@@ -43,7 +43,7 @@ _HELD_BY: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """How a goal went in simulation.
+    """Result of a goal in simulation.
 
     Attributes:
         result: How the goal ended.

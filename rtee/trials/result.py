@@ -79,12 +79,12 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """How a trial ended.
+    """Result of a trial.
 
     Attributes:
         trial: What was tried.
         held: The object was lifted, held and shaken and is where it was in the hand, within 5 mm
-            and 10 degrees, and the hand has not said that it lost it.
+            and 10 degrees, and the hand has not reported a loss.
         reason: Why not, in words; empty if it was held.
         outcome: How the goal ended: ``grasped``, ``reached`` and so on; empty if it never began.
         slip: How far the object moved in the hand from the grasp to the end [m].

@@ -92,7 +92,7 @@ class TrialScene:
         return self.headless.events[self._before :]
 
     def grasped(self, said: Result) -> None:
-        """Note how the grasp ended."""
+        """Record the result of the grasp."""
         self.said, self.outcome = said, said.outcome
         self._before = len(self.headless.events)
 
@@ -199,7 +199,7 @@ def release(scene: TrialScene) -> None:
 
 
 def mark(scene: TrialScene) -> None:
-    """Note where the object is in the hand, since from here on it should stay."""
+    """Record the object's pose in the hand, which it should keep from now on."""
     scene.start, scene.orientation = scene.around.position_in_hand, scene.turn
     scene.forces = scene.headless.forces
 
@@ -249,7 +249,7 @@ class Shake:
 
 @dataclass(frozen=True, slots=True)
 class During:
-    """Let time pass [s] and do something before each tick, with the share of it that is over.
+    """Let time pass [s]; call a function before each tick with the elapsed share of it.
 
     Then it settles [s]. It ends once the object has moved in the hand by a distance [m].
     """

@@ -58,7 +58,7 @@ def all_trials(
 
 
 class Workers(Protocol):
-    """Where tasks are done."""
+    """Workers that carry out tasks."""
 
     @property
     def capacity(self) -> int:
@@ -71,7 +71,7 @@ class Workers(Protocol):
         """Raise `WorkerLost` if nobody is left who works."""
 
     def failed(self, error: BaseException) -> None:
-        """Prepare that a task which failed is tried again, or raise why it is not."""
+        """Schedule a failed task for another attempt, or raise the reason why there is none."""
 
     def refuse(self, worker: str, why: str) -> None:
         """Give a worker no further tasks, or raise where that ends all."""

@@ -1,4 +1,4 @@
-"""Tasks that ask for more than to hold: an egg, a cup that is filled, a part that is tugged at.
+"""Tasks that require more than holding: an egg, a cup being filled, a part being tugged.
 
 Each is tried in several ways to grasp, with reflexes and without, and with variations of place,
 mass and friction. `rtee try --task` and ``benchmarks/reflexes.py`` run the same trials.
@@ -87,7 +87,7 @@ class Task(StrEnum):
 
 
 class GraspMode(StrEnum):
-    """How the object is grasped; the value is what people read."""
+    """Way of grasping the object; people read the value."""
 
     EFFORT = "hand's effort"
     FORCE = "force"
@@ -95,7 +95,7 @@ class GraspMode(StrEnum):
 
 
 class End(StrEnum):
-    """How a task ended; the value is what people read."""
+    """Outcome of a task; people read the value."""
 
     HELD = "held"
     MISSED = "not grasped"
@@ -152,7 +152,7 @@ class TaskTrial:
 
 @dataclass(frozen=True, slots=True)
 class TaskResult:
-    """How one variation of a task ended.
+    """Result of one variation of a task.
 
     Attributes:
         end: How it ended.

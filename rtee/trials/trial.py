@@ -104,7 +104,7 @@ def run_trial(
 
     Returns:
         The result at the first place where it was held. With variations, the place is chosen by
-        other draws than those that count: the first that survives nine of ten, or else the best
+        other draws than those that count: the first that survives nine of ten, otherwise the best
         one, moved to the middle of where the object is held around it. With more draws than usual
         (``trial.choosing``), the two best are always moved, and compared; with 40 or more, the
         better one is moved along each axis, too, to the middle of where these draws are held.
@@ -264,12 +264,12 @@ class _Tried:
 
     @property
     def lost(self) -> int:
-        """How many of these tries were lost."""
+        """Number of these tries that were lost."""
         return len(self.held) - sum(self.held)
 
     @property
     def share(self) -> float:
-        """Which share of these tries was held; 0 before the first."""
+        """Share of these tries that was held; 0 before the first."""
         return sum(self.held) / len(self.held) if self.held else 0.0
 
     @property
@@ -278,7 +278,7 @@ class _Tried:
         return self.result.held and not self.beaten, self.share, -self.result.slip
 
     def may_beat(self, other: _Tried, count: int) -> bool:
-        """Return whether it may rank above another one once there are so many tries."""
+        """Return whether it may rank above another one after the given number of tries."""
         most = count - self.lost
         return (self.result.held, most / count, -self.result.slip) > other.rank
 
@@ -385,7 +385,7 @@ class _Varied:
         return replace(here.result, survived=survived)
 
     def at(self, place: Place, free: Places, origin: _Tried) -> _Tried:
-        """Return how the trial ends at a place that another one was moved to.
+        """Return the result of the trial at a place that another one was moved to.
 
         The place is moved back until the open hand is clear of the object.
         """

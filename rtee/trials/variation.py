@@ -42,7 +42,7 @@ _CONFIDENCE = 1.96
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """How a trial differs from the one without variation.
+    """Differences of a trial from the one without variation.
 
     Attributes:
         size: Factor of all lengths of the object.
@@ -72,7 +72,7 @@ class Variation:
         )
 
     def moved(self, pose: FloatArray) -> FloatArray:
-        """Return where an object is that would be at a pose ``(4, 4)`` in the base frame."""
+        """Return an object's varied pose ``(4, 4)`` from its nominal one in the base frame."""
         found = np.array(pose)
         found[:3, 3] += self.position
         turn = np.array(self.turn)

@@ -86,7 +86,7 @@ def checksum(data: bytes) -> int:
 
 
 def stuffed(frame: bytes) -> bytes:
-    """Return a frame as sent."""
+    """Return a frame with its flags and byte stuffing, as it is sent."""
     # The escape byte first: the escape of a flag contains it.
     out = frame.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
     return b"\x7e" + out + b"\x7e"
@@ -126,7 +126,7 @@ class _Parser(Generic[F]):
         return len(self._run)
 
     def reset(self) -> None:
-        """Forget what has come in."""
+        """Discard the received bytes."""
         self._run.clear()
 
     def feed(self, data: bytes) -> list[F]:
@@ -282,7 +282,7 @@ def _touch_bytes(words: Sequence[int]) -> bytes:
 
 
 def _clipped(value: float) -> int:
-    most = 32767  # of a signed word of 16 bits, the same to both sides
+    most = 32767  # limit of a signed 16-bit word, symmetric
     return round(min(max(value, -most), most))
 
 

@@ -238,7 +238,7 @@ class AbilityHandDriver(Driver):
             self.options.retries,
             whom=f"address {self.options.address}",
         )
-        # The time of arrival: it also tells how long the hand has received nothing.
+        # The time of arrival also shows how long the hand has received nothing.
         now = monotonic.now()
         if not self._plausible(reply, now):
             self._doubted = reply

@@ -12,8 +12,8 @@ from rtee.buses.emulator import CanFrame
 from rtee.buses.parser import CodecError
 from rtee.drivers.packed import Packed, part
 
-BITRATE = 1_000_000  # of the bus [bit/s]; the hand has no other
-FINGERS = 4  # of the hand, four joints each
+BITRATE = 1_000_000  # [bit/s]; the hand's only rate
+FINGERS = 4  # per hand, four joints each
 PER_FINGER = 4  # joints of each finger
 JOINTS = FINGERS * PER_FINGER
 
@@ -84,7 +84,7 @@ class HandInfo(Packed):
     Attributes:
         hardware: Hardware version; its high byte is the hand's version.
         firmware: Firmware version.
-        handedness: 0: right, else left; valid only in version 4.
+        handedness: 0: right, otherwise left; valid only in version 4.
         temperature: Temperature [°C].
         status: Servo, over-temperature, internal communication.
     """

@@ -271,7 +271,7 @@ class Cia402Driver(Driver):
         ]
 
     async def examine(self) -> str:
-        """Return which drives are not homed; raises the fault that one reports."""
+        """Return the drives that are not homed; raises a fault that one reports."""
         cycle = self.connection.link
         await cycle.settle()
         cycle.check_faults()

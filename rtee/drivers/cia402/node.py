@@ -39,7 +39,7 @@ class _SdoServer(SdoServer):
 
     def __init__(self, node: EmulatedNode) -> None:
         super().__init__(cia301.SDO_REQUEST, cia301.SDO_ANSWER, node)  # type: ignore[no-untyped-call]
-        # As after a transfer, so that a request in the middle of none is answered.
+        # State after a transfer, so that a segment request without a transfer is answered.
         self._index = self._subindex = 0
         self._buffer = bytearray()
 

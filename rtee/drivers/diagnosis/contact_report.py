@@ -22,10 +22,10 @@ class ContactQuestion:
     """A question to the person at the device.
 
     Attributes:
-        topic: What it is about.
+        topic: Its subject.
         text: The question.
         kind: ``yes`` (y or n), ``number`` or ``enter``; a number may be left out by Enter.
-        actuator: The actuator that it is about; empty: the device.
+        actuator: The actuator concerned; empty: the device.
         unit: Unit of a number.
     """
 
@@ -100,7 +100,7 @@ class ContactReport:
         ]
 
     def verdict(self, topic: Topic) -> Conclusion:
-        """Return what all findings say of a topic: one refutes it, else one confirms it."""
+        """Return the verdict on a topic: one refuting finding outweighs all others."""
         said = {one.verdict for one in self.findings if one.topic is topic}
         for verdict in (Conclusion.REFUTED, Conclusion.CONFIRMED):
             if verdict in said:

@@ -18,7 +18,8 @@ _REST = "rest"
 def check_model(name: str) -> list[Check]:
     """Check a hand's rest posture, and whether it has devices.
 
-    The check uses the geometry if Pinocchio and Coal are installed, else the stored primitives.
+    The check uses the geometry if Pinocchio and Coal are installed, otherwise the stored
+    primitives.
 
     Args:
         name: The hand's name, or its folder.

@@ -40,7 +40,7 @@ class Probe:
 
 
 async def heard(answer: Awaitable[T]) -> T | None:
-    """Return an answer; ``None`` without one that can be understood."""
+    """Return an answer; ``None`` if none arrives or it cannot be decoded."""
     try:
         return await answer
     except (BusBroken, BusClosed):

@@ -96,7 +96,7 @@ async def scan(
     Args:
         plans: The addresses and their probes.
         pool: The buses.
-        tell: Called with the address and the name of each probe.
+        tell: Called with the address and name of each probe.
     """
     return [await _ask(plan, pool, tell) for plan in plans]
 

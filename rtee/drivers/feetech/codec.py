@@ -158,7 +158,7 @@ class GroupParser:
         return self._replies.errors
 
     def reset(self) -> None:
-        """Forget what has come in."""
+        """Discard the received bytes."""
         self._replies.reset()
         self._found = {}
 

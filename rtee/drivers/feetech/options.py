@@ -46,7 +46,7 @@ class PairOptions(Section, frozen=True):
 
 
 class DifferentialOptions(Section, frozen=True, kw_only=True):
-    """How pairs of servos drive pairs of actuators, the same for all pairs of the device.
+    """Differential drive of two actuators by two servos; the same for all pairs of the device.
 
     The matrix gives the angles of the two servos from two coordinates, flexion and tilt. Two curves
     map these coordinates to the actuators' positions.

@@ -13,13 +13,13 @@ from enum import IntEnum, IntFlag
 from rtee.buses.parser import CodecError
 from rtee.drivers.packed import Packed, part
 
-MOTORS = 2  # of a board
-PHALANXES = 3  # of a finger, each with a pressure sensor
+MOTORS = 2  # per board
+PHALANXES = 3  # per finger, each with a pressure sensor
 
 TORQUE_CONSTANT = 0.0418
 """Motor torque per current [N·m/A]."""
 GEAR = 138.0  # motor turns per turn of the output shaft
-EFFICIENCY = 0.9  # of the gear, at best
+EFFICIENCY = 0.9  # gear efficiency at best
 TORQUE_PER_AMPERE = TORQUE_CONSTANT * GEAR * EFFICIENCY
 """Torque at the output shaft per current [N·m/A], at the gear's best efficiency."""
 

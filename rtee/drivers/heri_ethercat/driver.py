@@ -54,7 +54,7 @@ class HeriEthercatOptions(DeviceOptions, frozen=True):
     Attributes:
         interface: Network interface of the boards; no other program may use it.
         motors: Motor of each actuator, counted over the boards from 0; by default those of the
-            public description (``motor_finger1`` and so on), else in the actuators' order.
+            public description (``motor_finger1`` and so on), otherwise in the actuators' order.
         vendor: Expected EtherCAT vendor id; by default any.
         product: Expected EtherCAT product code; by default any.
         gains: Five raw gains sent to every board; their meaning is not public.

@@ -50,7 +50,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         self.turnaround = max(self.turnaround, made.turnaround)
         self.memory = Rh56Memory(made)
         self._frames = codec.RequestParser() if made.protocol == "frames" else None
-        self._saved: tuple[float, bytes] | None = None  # when it tells that it has saved, and how
+        self._saved: tuple[float, bytes] | None = None  # time and content of the pending save reply
         self._before = b"\0\0"
 
     @classmethod

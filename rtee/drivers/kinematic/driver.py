@@ -121,7 +121,7 @@ class KinematicOptions(Section, frozen=True):
 
     Attributes:
         time_constant: Time constant with which it follows [s].
-        start: Position at the beginning by actuator [rad | m]; else the rest posture.
+        start: Position at the beginning by actuator [rad | m]; otherwise the rest posture.
         objects: Objects in the way: finger or actuator to the part of the way from rest to the
             farthest bound (0 to 1) at which it is stopped.
         full_effort_at: Distance behind the reference that gives full effort [rad | m].

@@ -17,11 +17,11 @@ from rtee.drivers.registers import Registers, at
 
 RIGHT, LEFT = 0x27, 0x28
 """Modbus number, and identifier on CAN, of a right and of a left hand."""
-BAUDRATE = 115_200  # of RS-485 [baud]; the hands have no other
+BAUDRATE = 115_200  # RS-485 [baud]; the hands' only rate
 VERSION_CODES = frozenset({0x64, 0xC2})
 """Properties on CAN with the version; newer firmware answers the second. That they hold the version
 block of RS-485 is assumed."""
-BITRATE = 1_000_000  # of CAN [bit/s]
+BITRATE = 1_000_000  # CAN [bit/s]
 MOST = 255
 """Largest value of a register."""
 

@@ -1,4 +1,4 @@
-"""The transmission as MuJoCo knows it: joints that follow their actuator rigidly, or by springs.
+"""The transmission in MuJoCo: joints that follow their actuator rigidly, or through springs.
 
 A rigid coupling is an equality constraint. A joint on a spring is coupled by a tendon with
 stiffness and damping, which pulls it to the position that its coupling prescribes. With a tendon of
@@ -62,7 +62,7 @@ it the joints hardly move with the actuator and would get immense torques."""
 
 @dataclass(frozen=True, slots=True)
 class Polynomial:
-    """How a joint follows an actuator: ``q = Σ cᵢ uⁱ``.
+    """Coupling of a joint to an actuator: ``q = Σ cᵢ uⁱ``.
 
     Attributes:
         joint: Name of the coupled joint.

@@ -115,7 +115,7 @@ def _add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: ObjectShape, mas
         geom.type = mujoco.mjtGeom.mjGEOM_MESH
         geom.meshname = OBJECT
         mesh.scale = [shape.scale] * 3
-        if parts:  # else the compilation of the whole says what is wrong with it
+        if parts:  # without parts, compiling the whole model reports the error
             smaller, geom.pos = _shrunk(geom, shape.scale * parts[0][0])
             mesh.scale = shape.scale * smaller
         return

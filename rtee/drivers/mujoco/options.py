@@ -1,4 +1,4 @@
-"""How a hand is simulated: numbers a user may change, with defaults that suit most hands."""
+"""Options of the simulation that users may change; the defaults suit most hands."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class SimOptions(Section, frozen=True):
             when two links have touched it for a while; ``table``; ``floating``: it never weighs
             anything while it is supported.
         carrier: What carries the hand: a fixed mount, a vertical lift, or an arm with six
-            degrees of freedom that follows a script. A hand that is carried reaches down, else
+            degrees of freedom that follows a script. A hand that is carried reaches down, otherwise
             the base frame is the world's.
         touch: Touch sensors: ``hand``: where hand.yaml places some; ``off``: none; a grid such as
             ``4x4`` (rows along the pad, columns): on each fingertip. With them, the fingers feel

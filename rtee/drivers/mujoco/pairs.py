@@ -1,4 +1,4 @@
-"""Which links of a hand can meet in the simulation: the pairs that the extraction allows."""
+"""Pairs of links that can touch in the simulation: those that the extraction allows."""
 
 from __future__ import annotations
 
@@ -85,9 +85,9 @@ def _adjacent(hand: Hand) -> list[tuple[str, str]]:
 def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str) -> None:
     """Let the outer shapes of two joined fingertips meet, though the links are excluded.
 
-    Near their joint the links always touch, which is no contact of the jaws. Outer shapes are those
-    whose middles are further from the joint's axis than `_OUTER` of the shorter link's reach, and
-    that are apart at rest.
+    Near their joint the links always touch; that does not count as a contact of the jaws. Outer
+    shapes are those whose middles are further from the joint's axis than `_OUTER` of the shorter
+    link's reach, and that are apart at rest.
     """
     model = data.model
     joint = max(int(model.body(LINK + name).jntadr[0]) for name in (first, second))

@@ -25,8 +25,8 @@ from rtee.objects.shape import ObjectShape, hollow_mesh, open_mesh, parse_object
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
-_INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # of the carrier's axes [kg, kg·m²]: a small arm's
-_STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # of its servos [N/m, N·m/rad]: 100 N bend it by 0.5 mm
+_INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # carrier's axes [kg, kg·m²]: a small arm's
+_STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # carrier's servos [N/m, N·m/rad]: 0.5 mm at 100 N
 _TABLE = (0.6, 0.6, 0.02)  # half sizes of the table's top [m]
 
 CONTAINER_SIZE = (0.34, 0.34, 0.04)
@@ -46,7 +46,7 @@ _CLOSURES = 26
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """How a gripper closes on what is between its two tips.
+    """Closing motion of a gripper on what is between its two tips.
 
     Attributes:
         end: Actuator positions with the tips on each other ``(n,)`` [rad | m].
@@ -101,7 +101,7 @@ def tips(hand: Hand, u: FloatArray) -> FloatArray:
 
 def grasp_centre(hand: Hand) -> FloatArray:
     """Return the middle of the half-closed hand's fingertips ``(3,)`` [m] in its base frame."""
-    half = 0.5  # of the way from rest to the far limits: about where fingers meet an object
+    half = 0.5  # halfway from rest to the far limits, about where fingers meet an object
     origins = tips(hand, from_rest(hand.rest, closed(hand), half))
     return np.asarray(origins.mean(axis=0)) if len(origins) else np.zeros(3)
 

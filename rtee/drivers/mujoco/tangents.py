@@ -47,7 +47,7 @@ def _table(couplings: tuple[Coupling, ...], lower: float, upper: float) -> list[
 
 
 class _Curves:
-    """How joints follow one actuator, tabulated: cubic between the points of a fine grid."""
+    """Tabulated couplings of joints to one actuator: cubic between the points of a fine grid."""
 
     def __init__(self, group: Sequence[Follower]) -> None:
         """Tabulate joints that all follow the same actuator."""

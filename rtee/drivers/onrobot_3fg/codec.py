@@ -47,7 +47,7 @@ class GripType(IntEnum):
 
     @property
     def sign(self) -> int:
-        """-1 where the fingertips' surfaces are closer together than their centres, else +1."""
+        """-1 if the fingertips' surfaces are closer together than their centres, otherwise +1."""
         return -1 if self is GripType.EXTERNAL else 1
 
 
@@ -101,7 +101,7 @@ class Status(Registers):
 
 @dataclass(frozen=True, slots=True)
 class Fingers:
-    """How the fingers are mounted: from the angle of their pivots to the diameter between the tips.
+    """Mounting of the fingers; converts the angle of their pivots to the diameter between the tips.
 
     Each finger is a lever on a pivot at 37 mm from the axis; the formula is that of a published
     simulator of the larger model and not the vendor's.

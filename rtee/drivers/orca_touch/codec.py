@@ -34,12 +34,12 @@ ENCODERS = 17
 
 _REQUEST, _REPLY, _STREAM, _ENCODER = b"\x55\xaa", b"\xaa\x55", b"\xaa\x56", b"\xaa\xa9"
 _HEAD = struct.Struct("<BBHH")  # 0, function, address, count
-_OVERHEAD = 9  # of a request or reply: header, the four above, and the check
-_AROUND = 6  # of a streamed frame: header, 0, length, and the check
+_OVERHEAD = 9  # bytes around a request's or reply's data: header, the four above, checksum
+_AROUND = 6  # bytes around a streamed frame's data: header, 0, length, checksum
 _LARGEST = 512
 """Largest number of register bytes in an exchange: more than the largest table, 168."""
 _ANGLE = 0x3FFF
-_TURN = 2.0 * math.pi / (_ANGLE + 1)  # of one count of an encoder [rad]
+_TURN = 2.0 * math.pi / (_ANGLE + 1)  # one count of an encoder [rad]
 
 
 class Function(IntEnum):

@@ -39,7 +39,7 @@ class QbOptions(Section, frozen=True):
         generation: Form of acknowledgements and long packets.
         limit: Upper limit of a motor [ticks]; the lower one is 0, or -4000 with two motors.
         activation_mask: Whether GET_ACTIVATE returns the true mask with one motor, too, as in some
-            firmware; else 3 or 0, as the vendor's library expects.
+            firmware; otherwise 3 or 0, as the vendor's library expects.
         watchdog: Whether SET_WATCHDOG is implemented: silence deactivates the motors.
         startup_active: Whether the motors are active after power-up, as from the factory.
         boot_time: Silence after power-up [s].

@@ -31,14 +31,14 @@ _WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}  # recorded value
 
 
 class ReplayOptions(Section, frozen=True):
-    """Which recording is played back, and how."""
+    """Recording to play back, and its playback settings."""
 
     file: Path
     """The recording, an MCAP file."""
     speed: Annotated[float, Meta(gt=0, le=1000)] = 1.0
     """How fast time passes in it."""
     repeat: bool = False
-    """Begin again at its end; else it stays at the end."""
+    """Begin again at its end; otherwise it stays at the end."""
 
 
 class ReplayDriver(Driver):

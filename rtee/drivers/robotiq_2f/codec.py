@@ -47,7 +47,7 @@ FAULTS: dict[int, Fault] = {
 
 @dataclass(frozen=True, slots=True)
 class Bars:
-    """Parallel bars that carry a gripper's fingertips: the opening is no linear function of counts.
+    """Parallel bars that carry a gripper's fingertips: the opening is not linear in the counts.
 
     Attributes:
         length: Their length [m].
@@ -135,7 +135,7 @@ class Command(RobotiqCommand):
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    COUNT = 3  # in use; the gripper leaves the rest 0
+    COUNT = 3  # registers in use; the gripper leaves the rest 0
 
     direction: bool = flag(0, 13)
     position: int = at(1, 0, 8)

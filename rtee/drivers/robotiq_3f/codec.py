@@ -85,7 +85,7 @@ class Command(RobotiqCommand):
 
     Attributes:
         mode: rMOD.
-        individual: rICF: the three fingers follow their own requests, else all that of ``a``.
+        individual: rICF: the three fingers follow their own requests, otherwise all that of ``a``.
         scissor: rICS: the scissor follows its own request in every mode.
         axes: Requests of the four motors, in the order of `AXES`.
     """

@@ -30,7 +30,7 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
     register_base: Literal[0, 1000] | None = None
     """Where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://."""
     function: Literal[3, 4] | None = None
-    """Modbus function to read with; by default 4 on tcp://, else 3."""
+    """Modbus function to read with; by default 4 on tcp://, otherwise 3."""
     current_per_count: Positive = 0.01
     """Current per count [A]; the manuals contradict each other about it."""
     activation_timeout: Positive = 30.0
@@ -38,7 +38,7 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
 
 
 def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
-    """Return what each actuator drives: as configured, else guessed from the names.
+    """Return what each actuator drives: as configured, otherwise guessed from the names.
 
     Raises `ConfigError` if two drive the same motor, or a name is not one of the device's.
     """

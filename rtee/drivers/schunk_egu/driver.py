@@ -37,7 +37,7 @@ _JITTER = 1e-3
 
 
 class GripTimer:
-    """Times a grip by the positions that are read of it.
+    """Times a grip by the positions read during it.
 
     Attributes:
         reading: Usual duration of a reading [s].
@@ -160,7 +160,7 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> EguIdentity:
     )
 
 
-_PER_FINGER = 2e6  # of the images [µm] by a metre of one finger: they have the distance between
+_PER_FINGER = 2e6  # image counts [µm] per metre of one finger: images hold the distance between
 _SAME, _REACHED = 1000.0, 200.0
 """Difference to the measured position within which a target commands no motion just after
 connecting, and within which it counts as reached [µm]."""

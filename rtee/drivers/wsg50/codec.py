@@ -312,14 +312,14 @@ class Limits(Packed):
 
 
 def state_of(frame: Frame) -> State:
-    """Return the system's state of an answer; raises `CodecError`."""
+    """Return the system state in an answer; raises `CodecError`."""
     if len(frame.payload) != _STATUS + 4:
-        raise CodecError("no state")
+        raise CodecError("the answer carries no state")
     return State(int.from_bytes(frame.payload[2:], "little"))
 
 
 def grasping_of(frame: Frame) -> Grasping:
-    """Return the state of a grasp of an answer; raises `CodecError`."""
+    """Return the grasping state in an answer; raises `CodecError`."""
     if len(frame.payload) != _STATUS + 1 or frame.payload[2] > max(Grasping):
-        raise CodecError("not the state of a grasp")
+        raise CodecError("the answer carries no grasping state")
     return Grasping(frame.payload[2])

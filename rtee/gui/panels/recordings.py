@@ -153,7 +153,7 @@ class RecordingsPanel:
         self._files = files_in(folder, self._hand.name)
         newest = self._file.value == self._file.options[0]
         offer(self._file, self._files)
-        if newest:  # of the present ones, unless somebody has chosen another
+        if newest:  # show the newest unless the user has chosen another
             self._file.value = self._file.options[0]
 
     def _clicked(self, button: str) -> None:

@@ -104,7 +104,7 @@ class Choice:
 
     Attributes:
         fps: Frames per second [Hz].
-        by: What episodes are told by.
+        by: The event that separates episodes.
         task: The task of all episodes; empty: each has its own.
         actions: Actions whose intensities are the action; none: the actuators' targets are.
         observe: What is observed, all of which must be known; none: all that is known.
@@ -150,7 +150,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
     Args:
         paths: Recordings of one hand, or folders with them, and files with images of cameras.
         output: The folder.
-        choice: What becomes of it.
+        choice: How its episodes are selected.
 
     Raises:
         LogError: A file cannot be read or written, or has no episodes, or what was chosen is not

@@ -181,7 +181,7 @@ class DatasetFiles:
             path = self._folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             with parquet.ParquetWriter(path, table.schema) as writer:
-                # Of the frames, an episode is a group of rows: training reads them at random.
+                # A row group per episode, since training reads episodes at random.
                 lengths = [len(part) for part in self._frames["index"]]
                 for rows in lengths if name.startswith("data/") else [table.num_rows]:
                     writer.write_table(table.slice(length=rows), rows)
