@@ -78,7 +78,7 @@ def extract(
 
     Arguments and options:
         hand ([HAND]): Name of a hand, or its folder.
-        urdf: A URDF, or a xacro file, instead of a hand of the configuration.
+        urdf: A URDF, or a xacro file, instead of a configured hand.
         mjcf: A model in MuJoCo's MJCF instead of a URDF.
         srdf: The model's SRDF; without it the fingers are found.
         package_dir: Folder to look packages up in; repeatable.
@@ -107,7 +107,7 @@ def extract(
     folder = hand_folder(hand) if hand is not None else None
     # Refuse all mistakes before the search, which may take minutes.
     if save and folder is None:
-        raise ConfigError("--save needs a hand of the configuration; with a file give --out")
+        raise ConfigError("--save needs a configured hand; for a file, give --out")
 
     home = own_place(folder) if save and folder else None
     targets = [*([out] if out else []), *([home / "actions"] if home else [])]

@@ -456,7 +456,7 @@ def recover(
 
     paths = [path for file in files for path in _paths(file, False)]
     if output is not None and len(paths) > 1:
-        raise LogError("--out goes with one file only")
+        raise LogError("--out needs exactly one file")
     if output is not None and in_place:
         raise LogError("--out and --in-place exclude each other")
     for file in paths:

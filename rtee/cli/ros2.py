@@ -211,7 +211,7 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
         names = [row.name for row in offered()]
         raise ConfigError(f"no node offers the {sort} {name}; {suggestion(name, names)}")
     if len(types) > 1:
-        raise ConfigError(f"the {sort} {name} has the types {' and '.join(types)}; say which")
+        raise ConfigError(f"the {sort} {name} has the types {' and '.join(types)}; give one")
     return types[0]
 
 

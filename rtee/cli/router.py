@@ -33,7 +33,7 @@ def router(
 
     check_files()
     if (site is None) is not insecure:
-        raise ConfigError("give the SITE of 'rtee secure init SITE', or --insecure")
+        raise ConfigError("give the SITE that 'rtee secure init SITE' made, or --insecure")
     credentials = None if site is None else Credentials(secure_folder(site))
     endpoints = listen or ["tcp/0.0.0.0:7447" if insecure else "tls/0.0.0.0:7447"]
     if zenohd:

@@ -190,7 +190,9 @@ async def _find(
         answers = await servos.probe(rate).ask(pool, port)
         present += [(servos, rate, int(servo.options["id"])) for servo in answers]
     if not present:
-        raise ConfigError(f"there is no servo at {port} ({asked}); --baudrate asks at another rate")
+        raise ConfigError(
+            f"there is no servo at {port} ({asked}); --baudrate searches at another rate"
+        )
     if len(present) > 1:
         ids = ", ".join(str(number) for _, _, number in present)
         raise ConfigError(

@@ -156,7 +156,7 @@ def _check_joint(joint: mujoco.MjsJoint, source: ParsedModel) -> None:
     if kind == mujoco.mjtJoint.mjJNT_FREE:
         raise ModelError(
             f"joint {named}of body '{body}' is free; a hand's base is fixed, so give the "
-            "hand's base by --root, or take the joint away (and bodies that are not parts of the "
+            "hand's base by --root, or remove the joint (and bodies that are not parts of the "
             "hand)",
             path=source.path,
         )

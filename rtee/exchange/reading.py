@@ -58,7 +58,7 @@ def as_urdf(
         ConfigError: There are arguments without a xacro file, or a unit without an MJCF.
     """
     if angle is not None and mjcf is None:
-        raise ConfigError("--angle goes with --mjcf; the angles of a URDF are radians")
+        raise ConfigError("--angle needs --mjcf; the angles of a URDF are radians")
     if urdf is not None and urdf.suffix == XACRO:
         return xacro_as_urdf(urdf, arguments_of(arguments), package_dirs)
     if arguments:

@@ -71,7 +71,9 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
         sensor = replace(sensor, unit=NEWTON, full=full)
     if section is None or section.link is None:
         if sensor.link and sensor.link not in hand.urdf.links:
-            raise ValueError(f"'{sensor.name}' is on the link '{sensor.link}', which is unknown")
+            raise ValueError(
+                f"'{sensor.name}' is on the link '{sensor.link}', which the hand does not have"
+            )
         return replace(sensor, finger=sensor.finger or finger_of(hand, sensor.link))
     finger = finger_of(hand, section.link)
     count = taxel_count(section)

@@ -231,7 +231,7 @@ class _Checker:
             state = json.loads(piece.attachments.get(STATE, b"{}"))
             if state.get("library") != library_name() or state["tick"] < ticks[0] - 1:
                 raise LogError(
-                    f"begins at tick {ticks[0]} of the loop, without a state of the controller by "
+                    f"begins at tick {ticks[0]} of the loop, without a controller state written by "
                     "this version of rtee: only what was recorded from the loop's start can be "
                     "recomputed (with rotated files: give --series)",
                     path=self.path,

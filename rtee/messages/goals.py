@@ -90,7 +90,7 @@ def goal_of(
     if force is not None and effort:
         raise GoalRejected("give efforts or a force, not both")
     if force is None and max_force is not None:
-        raise GoalRejected("a largest force needs the force to begin with")
+        raise GoalRejected("a largest force needs an initial force")
     pressing = (effort or {}) if force is None else Force(force, max_force)
     return Goal(what, to, speed if tip_speed is None else TipSpeed(tip_speed), pressing, **others)
 

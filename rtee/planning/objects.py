@@ -274,7 +274,7 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
     if mesh.num_tris > _MOST_TRIANGLES:
         raise ModelError(
             f"the mesh has {mesh.num_tris} triangles, {_MOST_TRIANGLES} are the most but in a "
-            "binary STL file; its convex hull counts, so a simplified copy of it will do",
+            "binary STL file; only its convex hull matters, so a simplified copy will do",
             path=path,
         )
     if path.suffix.lower() != ".stl":  # a single part

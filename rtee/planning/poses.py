@@ -358,8 +358,8 @@ class Poses:
             placed = self._placed(step, frame @ turns[number], width, directions)
             if len(self._fingers) < SEVERAL:
                 wide = self._last(width + 2.0 * _ROOM)
-                # Only with a fixed jaw: else the places coincide, so rounding would choose
-                # between equal candidates.
+                # Only with a fixed jaw: for two moving jaws both places are the same, and rounding
+                # would choose between equal candidates.
                 if self._aside(wide, step) > _STILL:
                     there = self._frame(wide) @ turns[number]
                     placed = interleaved(self._placed(wide, there, width, directions), placed)

@@ -1,4 +1,4 @@
-"""Agents: clients that a language model steers. A stop shuts them out; a person lets them in."""
+"""Agents: clients that a language model steers. A stop locks them out; a person admits them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ AGENT: Final = "rtee-mcp"
 """Name of the client of `rtee mcp`, by which the hand knows that an agent is behind it."""
 
 _SUFFIX: Final = ".agents-out"
-"""Ending of the file that shuts agents out; the rest is that of the hand's file."""
+"""Suffix of the file that locks agents out; the stem is that of the hand's file."""
 
 _LONGEST: Final = 200
 """Longest reason that is kept [characters]: names of clients are shorter than 100."""
@@ -60,7 +60,7 @@ class Agents:
         return self._out
 
     def shut_out(self, why: str) -> None:
-        """Shut agents out, at once and without waiting for a disk; then call `keep`."""
+        """Lock agents out at once, without waiting for a disk; call `keep` afterwards."""
         self._out = foreign(why)[:_LONGEST] or "stopped"
 
     def keep(self) -> None:
@@ -74,7 +74,9 @@ class Agents:
             with os.fdopen(descriptor, "w", encoding="utf-8") as file:
                 file.write(out)
         except OSError as error:
-            log.warning("%s: agents are out, but only while this hand runs: %s", self._file, error)
+            log.warning(
+                "%s: agents are locked out, but only while this hand runs: %s", self._file, error
+            )
         else:
             self._kept = out
 
@@ -98,7 +100,7 @@ class Agents:
         """Raise `RequestRejected` if the client is an agent and agents are not admitted."""
         if self._out and is_agent(client):
             raise RequestRejected(
-                f"agents are out since the hand was {self._out}; a person lets them in with "
+                f"agents may not move the hand since it was {self._out}; a person admits them with "
                 "'rtee agent admit'"
             )
 

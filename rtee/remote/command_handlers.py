@@ -110,7 +110,7 @@ class CommandHandlers:
 
         Stops that arrive while the devices are being stopped are carried out together afterwards. A
         stop shortly after a confirmed one, without a request in between that could move the hand,
-        gets the same answer. Each shuts agents out.
+        gets the same answer. Each stop locks agents out.
         """
         # First, so that no agent's goal comes after the stop; on disk afterwards, which takes time.
         self.agents.shut_out(f"stopped by {client or 'a client'}")

@@ -92,7 +92,7 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
     for node, names in nodes.items():
         if len(names) > 1:
             raise ConfigError(
-                f"{_listed(names)} would both be the node {node}; give each a namespace of its own"
+                f"{_listed(names)} would be the same node {node}; give each a namespace of its own"
                 " under 'ros2' in its hand.yaml"
             )
     spaces = _grouped((hand.settings.namespace.strip("/"), hand.name) for hand in hands)

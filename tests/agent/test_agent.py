@@ -179,13 +179,17 @@ async def test_after_a_stop_agents_are_out_until_a_person_lets_them_in(
         assert (await agent.done("do", **TRIG))["outcome"] == "reached"
         async with rtee.connect("small", client="ann") as person:
             await person.stop()
-        assert "agents are out since the hand was stopped by ann" in await agent.refused("open")
+        assert "agents may not move the hand since it was stopped by ann" in await agent.refused(
+            "open"
+        )
         assert "ann" in (await agent.done("state"))["agents_are_out"]["untrusted"]
     # Neither another server nor another run of the hand forgets it.
     async with both(hand, library, Gate.ACT) as (served, agent):
-        assert "agents are out" in await agent.refused("open")
+        assert "agents may not move the hand" in await agent.refused("open")
         async with rtee.connect("small", client=AGENT) as disguised:
-            with pytest.raises(RequestRejected, match="agents are out since the hand was stopped"):
+            with pytest.raises(
+                RequestRejected, match="agents may not move the hand since it was stopped"
+            ):
                 await disguised.open()
             with pytest.raises(RequestRejected, match="an agent cannot admit itself"):
                 await disguised.admit_agents()

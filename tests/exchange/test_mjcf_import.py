@@ -265,7 +265,7 @@ def test_the_unit_of_angles_is_given(tmp_path: Path) -> None:
     file.write_text(radians.replace("<worldbody>", '<compiler angle="radian"/><worldbody>'))
     with pytest.raises(ConfigError, match="files without <compiler angle>"):
         import_mjcf(file, tmp_path, radians=False)
-    with pytest.raises(ConfigError, match="--angle goes with --mjcf"):
+    with pytest.raises(ConfigError, match="--angle needs --mjcf"):
         as_urdf(file, None, (), (), angle=AngleUnit.RADIAN)
 
 

@@ -172,7 +172,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             raise self.stranger(
                 f"an X-series servo as {servo.id} ({name})",
                 f"model {model}",
-                hint="if it has the same control table, say so by 'model'",
+                hint="if it has the same control table, configure 'model'",
             )
 
     def _as_found(self, number: int, stored: bytes, powered: bool) -> FoundServo:
@@ -200,7 +200,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             raise self.stranger(
                 f"servo {found.id} ({name}) with drive mode {expected}",
                 f"drive mode {found.drive_mode}",
-                hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",
+                hint="its sense of rotation is reversed; set it back, or configure 'drive_mode'",
             )
 
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:

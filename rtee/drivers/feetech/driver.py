@@ -112,7 +112,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
                 f"model {data.hex(' ').upper()}"
                 if other is None
                 else f"{other.name}, of family {other.family}",
-                hint="is `family` right? If it has the same registers, say so by 'model'",
+                hint="is `family` right? If it has the same registers, configure 'model'",
             )
 
     def _as_found(self, number: int, stored: bytes, powered: bool) -> FoundServo:

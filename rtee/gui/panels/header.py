@@ -112,7 +112,7 @@ class HeaderPanel:
         if not self._bridge.may(Role.MAINTAINER):
             lines.append(f"this GUI's certificate: <b>{self._bridge.role.name.lower()}</b>")
         if status.agents_out:
-            lines.append(f"agents are out: {escape(status.agents_out)}")
+            lines.append(f"agents locked out: {escape(status.agents_out)}")
         if status.recording_trouble:
             lines.append(f"recording: {escape(status.recording_trouble)}")
         put(self._state, _text("<br>".join(lines)))
