@@ -460,7 +460,7 @@ def test_wrong_options_are_said(story: Path, tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"OUT ends with '\.json', which is not csv, parquet or npz"):
         run("export", story, tmp_path / "story.json")
     assert not (tmp_path / "story.json").exists()
-    with pytest.raises(LogError, match="one file only"):
+    with pytest.raises(LogError, match="exactly one file"):
         run("recover", story, story, "--out", tmp_path / "x")
     with pytest.raises(LogError, match="no settings of the loop"):
         run("replay", story, "--check")
