@@ -218,7 +218,7 @@ def _running(hand: str) -> str | None:
 
     try:
         name = load_configured(hand)[1].name
-    except RteeError:  # the check of the model says what is wrong with it
+    except RteeError:  # the model check reports the error
         return None
     return name if name in running() else None
 
@@ -266,7 +266,7 @@ def _service(hand: str) -> tuple[list[Check], Needs | None]:
 
     try:
         needs = Needs.of(prepare(hand, RunOptions(driver="devices")), {})
-    except RteeError:  # the check of the model says what is wrong with it
+    except RteeError:  # the model check reports the error
         return [], None
     return check_service(needs), needs if is_installed(needs.hand) else None
 
@@ -281,7 +281,7 @@ async def _graph(hand: str | None) -> list[Check]:
     if hand is not None:
         try:
             prepared = prepare(hand, RunOptions())
-        except RteeError:  # the check of the model says what is wrong with it
+        except RteeError:  # the model check reports the error
             return []
         settings, name = prepared.config.ros2, prepared.hand.name
     return await check_graph(settings, name)

@@ -150,6 +150,6 @@ def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
 
     if root is None and outside is not Outside.ABSENT:
         raise ConfigError(
-            "--outside needs --root LINK: it decides about the links that are not below that link"
+            "--outside needs --root LINK: it applies to the links that are not below that link"
         )
     return None if root is None else Subtree(root, outside)

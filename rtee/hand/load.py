@@ -148,7 +148,7 @@ def load_configured(
 def _subtree(config: HandConfig, document: YamlDocument) -> list[Edit]:
     if config.root is None and config.outside is not Outside.ABSENT:
         raise document.error(
-            ("outside",), "needs 'root:', because it decides about the links outside of the root"
+            ("outside",), "needs 'root:', because it applies to the links outside the root"
         )
     return [] if config.root is None else [Subtree(config.root, config.outside)]
 

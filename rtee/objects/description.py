@@ -64,7 +64,7 @@ class ObjectPart(Value):
 
     def __post_init__(self) -> None:
         """Check the part, since descriptions arrive over the network and from files."""
-        # As comparisons that NaN fails; no object in a hand is a kilometre large.
+        # Comparisons, since NaN fails them; no object in a hand measures a kilometre.
         if KINDS.get(self.kind) != len(self.size) or not all(0.0 < s < 1e3 for s in self.size):
             raise ValueError(f"'{self.kind[:20]}' with {len(self.size)} sizes is not a part")
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():

@@ -321,7 +321,7 @@ class _HandBatch:
         normals = np.array([touch.normal for touch in touches])
         slope = math.atan(self._friction)
         if float((normals @ normals.T).min()) <= -math.cos(slope):
-            return True  # two of them face each other
+            return True  # two sides face each other
         mean = normals.sum(axis=0)
         # Near their mean, every edge of every cone has a part along it: no sum of them is zero.
         if float((normals @ mean).min()) > math.sin(slope) * math.sqrt(float(mean @ mean)):

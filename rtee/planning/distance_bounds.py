@@ -1,11 +1,10 @@
 """Lower bounds on the distance of a moving hand to an object; exact distances where they matter.
 
 A distance of two convex parts costs microseconds, and a hand has dozens of parts, an object a few:
-most of the distances that a search might ask for are not worth measuring. What was measured last
-says a lot about what comes next. The gap between two planes across the closest points is never more
-than the distance of the parts, inside of each other or not; so where the object moves, the gap
-grows or shrinks by what it moves along the normal, and where a shape of the hand moves, by no more
-than that shape moves.
+most of the distances that a search might ask for are not worth measuring. The last
+measurement bounds the next one: the gap between two planes through the closest points never exceeds
+the distance of the parts, even if they overlap. When the object moves, the gap changes by its
+displacement along the normal; when a shape of the hand moves, by at most that shape's displacement.
 
 Many hands with the object are processed together, since numpy takes about as long for one of them
 as for a few.

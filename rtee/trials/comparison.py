@@ -175,8 +175,8 @@ class Comparison:
     def covering(self) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
         """Return the hands that hold all objects together, and which objects nobody holds.
 
-        They are those that do it alone, otherwise the pairs, otherwise the pair, or only hand, that
-        holds most: then with the objects that it does not hold.
+        These are the hands that hold all objects alone; otherwise the pairs that do; otherwise the
+        pair, or the only hand, that holds most, with the objects that it does not hold.
         """
         held = {
             hand: {o for o in self.objects if self.holds(self.cells[hand, o])}

@@ -173,7 +173,7 @@ class Parameter:
     label: str = ""
 
     def to_bytes(self) -> bytes:
-        """Return its slot of fifty bytes."""
+        """Return the parameter as a slot of fifty bytes."""
         form = _FORMS[self.kind]
         values = [v if form in "fd" else int(v) for v in self.values]
         body = struct.pack(f">{len(values)}{form}", *values)

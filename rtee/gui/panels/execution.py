@@ -98,7 +98,7 @@ class Execution:
         self._shown = None
 
     def _progress(self, feedback: Feedback) -> None:
-        # Feedback of a replaced goal, or for a card that was rebuilt since.
+        # The feedback is of a replaced goal, or its card has been rebuilt since.
         if feedback.goal_id != self._goal_id or self._removed:
             return
         self._bar.value = round(100.0 * feedback.progress, 1)
