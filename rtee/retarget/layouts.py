@@ -91,8 +91,8 @@ LAYOUTS: Final[Mapping[str, Layout]] = {
         _picked("mediapipe", range(21), 21),
         # XRHand: wrist, four of the thumb, five of each finger from the metacarpal's base.
         _picked("webxr", _WITHOUT_METACARPALS, 25),
-        # LeapC gives the ends of bones in millimetres: four of the thumb, whose metacarpal has no length,
-        # and five of each finger. The wrist is where the metacarpals begin.
+        # LeapC gives the ends of bones in millimetres: four of the thumb, whose metacarpal has no
+        # length, and five of each finger. The wrist is where the metacarpals begin.
         Layout(
             "leap",
             (
