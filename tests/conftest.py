@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import pytest_timeout
 from hypothesis import HealthCheck, settings
 
 from rtee import monotonic
@@ -142,6 +143,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         gone = set(left)
         items[:] = [item for item in items if item not in gone]
         config.hook.pytest_deselected(items=left)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Give a test that runs once more the time that it had: both timers ended with its failure."""
+    if getattr(item, "execution_count", 1) > 1:
+        pytest_timeout.timeout_setup(item)
 
 
 @pytest.hookimpl(optionalhook=True)

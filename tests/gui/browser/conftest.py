@@ -12,6 +12,7 @@ import rtee
 from rtee.actions.build import StepPlan
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.types import ActionReference
+from rtee.remote import session
 from rtee.remote.blocking import BlockingHand
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
@@ -19,7 +20,7 @@ from tests.testing.browser import browser
 
 from .many import make_many
 from .running import GRIPPER, MANY, SQUEEZER, Program, copy_of, free_port
-from .window import Window
+from .window import PATIENCE, Window
 
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext
@@ -64,9 +65,6 @@ new MutationObserver((changes) => {
 }).observe(document, {childList: true, subtree: true});
 """
 """Keeps what notifications say, which close by themselves."""
-
-PATIENCE = 60_000.0
-"""Longest wait in a page [ms]: for a hang, not for a slow computer."""
 
 GATE = "gate"
 """While a file of this name is in the hands' folder, trials and plans of the page wait to begin."""
@@ -127,11 +125,8 @@ def hands(place: Path) -> Iterator[Hands]:
 @pytest.fixture(scope="package")
 def gui(place: Path, hands: Hands) -> Iterator[Program]:
     assert hands[GRIPPER].process.poll() is None
-    gated = {
-        "RTEE_TEST_GATE": str(place / GATE),
-        "PYTHONPATH": str(Path(__file__).with_name("gate")),
-    }
-    program = Program(place, "gui", GRIPPER, "--port", "0", "--observer", **gated)
+    gate = str(place / GATE)
+    program = Program(place, "gui", GRIPPER, "--port", "0", "--observer", RTEE_TEST_GATE=gate)
     yield program
     program.end()
     said = program.rest()
@@ -153,7 +148,7 @@ def context(proxy_port: int) -> Iterator[BrowserContext]:
     with browser(1010, 700, scale=0.5, arguments=arguments) as opened:
         for script in (_SPARING, _NOTE_WHAT_IS_TOLD):
             opened.add_init_script(script)
-        opened.set_default_timeout(PATIENCE)
+        opened.set_default_timeout(1000 * PATIENCE)
         yield opened
 
 
@@ -224,5 +219,7 @@ def other(place: Path, hands: Hands, monkeypatch: pytest.MonkeyPatch) -> Iterato
     """Another client of the gripper."""
     assert hands[GRIPPER].process.poll() is None
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
+    # As in `gate`: a busy computer is no lost hand.
+    monkeypatch.setitem(session._COMMON, "transport/link/tx/lease", 30_000)
     with rtee.connect_blocking(GRIPPER, client="other") as hand:
         yield hand

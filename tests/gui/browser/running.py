@@ -28,6 +28,7 @@ class Program:
         runtime.mkdir(mode=0o700, exist_ok=True)
         environment = {k: v for k, v in os.environ.items() if not k.startswith("RTEE_")}
         environment |= {"XDG_RUNTIME_DIR": str(runtime), "PYTHONUNBUFFERED": "1", **more}
+        environment["PYTHONPATH"] = str(Path(__file__).with_name("gate"))
         self.process = subprocess.Popen(
             [*command, *arguments],
             cwd=folder,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
 Picture = NDArray[np.int16]
+
+PATIENCE = 60.0
+"""Longest wait in a page [s]: for a hang, not for a slow computer."""
 
 CLEAR, SHARE = 10, 0.004
 """Pictures differ where this share of the pixels differs by more than this, of 255."""
@@ -127,6 +131,7 @@ class Window:
 
         wanted = self.page.get_by_role("option", name=option, exact=True)
         field = self.field(label, within)
+        end = time.monotonic() + PATIENCE
         while True:
             # In the middle of the panel: at its edge, the heading of a folder may lie over it.
             field.evaluate("(each) => each.scrollIntoView({block: 'center'})")
@@ -134,7 +139,8 @@ class Window:
                 field.click(timeout=4000)
                 return wanted.click(timeout=4000)
             except NotThere:
-                continue
+                if time.monotonic() > end:
+                    raise
 
     def says(self, text: str | re.Pattern[str], within: Locator | None = None) -> Locator:
         """Wait until something is said that stays; returns where."""
@@ -152,8 +158,7 @@ class Window:
 
     def until(self, true: Callable[[], bool]) -> None:
         """Wait until something is true that stays so, or comes again."""
-        while not true():
-            self.page.wait_for_timeout(50)
+        _until(self.page, true)
 
     def status(self, text: str | re.Pattern[str]) -> None:
         """Wait until the bar, or the lines below Open hand, say something."""
@@ -184,15 +189,25 @@ class Window:
 
     def pictured_anew(self, before: Picture) -> Picture:
         """Wait until the 3D view shows something clearly different."""
-        while True:
+        now = before
+
+        def differs() -> bool:
+            nonlocal now
             now = self.picture()
-            if (np.abs(now - before).max(axis=2) > CLEAR).mean() > SHARE:
-                return now
-            self.page.wait_for_timeout(100)
+            return bool((np.abs(now - before).max(axis=2) > CLEAR).mean() > SHARE)
+
+        _until(self.page, differs)
+        return now
 
 
 def told(page: Page, text: str | re.Pattern[str]) -> None:
     """Wait until a notification of a page has said something; it may have closed."""
     pattern = text.pattern if isinstance(text, re.Pattern) else re.escape(text)
-    while not any(re.search(pattern, each) for each in page.evaluate("window.told")):
+    _until(page, lambda: any(re.search(pattern, each) for each in page.evaluate("window.told")))
+
+
+def _until(page: Page, true: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end, f"not within {PATIENCE:.0f} s"
         page.wait_for_timeout(50)
