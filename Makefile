@@ -3,9 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 TEST_PROCESSES ?= 4
 
-SELDOM := /(tests?|pip|setuptools|pkg_resources|mypyc?|docutils|OpenGL|plotly/(graph_objs|validators))/
-
-# Where it is set, each process of the tests would compile them anew.
+# Where it is set, each process would compile all modules anew.
 export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo quick test tests times heavy ros2-peers device-peers lerobot wheels bundle checks lint types layers docs bench format clean
@@ -20,9 +18,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
 .venv/.ready: pyproject.toml constraints.txt | .venv/.pip
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable ".[all]" --group dev
-	@# pip compiles on one processor, and what is hardly ever imported, too. Not all is for this Python.
-	$(BIN)/python -m compileall -qq -j 0 -x '$(SELDOM)' .venv/lib || true
-	$(BIN)/python -m compileall -q rtee
+	@# Who imports a module first compiles it; most modules of libraries are never imported.
 	@touch $@
 
 demo: .venv/.ready

@@ -48,6 +48,7 @@ settings.register_profile(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
     derandomize=not os.environ.get(HEAVY),
+    max_examples=300 if os.environ.get(HEAVY) else 40,
 )
 settings.load_profile("rtee")
 

@@ -330,7 +330,7 @@ _PIECES = (
 )
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_files_end_in_an_error_of_ours_or_none(
     hand: Hand, peers: Path, data: st.DataObject

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.actions.action_files import custom_changes, primitive_changes
@@ -308,7 +308,6 @@ def folder(
     return folder
 
 
-@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_damaged_files_end_in_an_error_of_ours_or_none(
     hand: Hand, folder: Path, data: st.DataObject
@@ -343,7 +342,6 @@ _MAPS = st.recursive(
 )
 
 
-@settings(max_examples=80, deadline=None)
 @given(data=_MAPS)
 def test_the_fast_reader_reads_what_a_full_one_does(data: dict[str, object]) -> None:
     from ruamel.yaml import YAML

@@ -120,11 +120,7 @@ def load_or_refuse(load: Callable[[], T]) -> T | None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(
-    max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_models(name: str, shared: Path, tmp_path: Path, data: st.DataObject) -> None:
     folder = shared / "hands" / name
@@ -150,11 +146,7 @@ def test_damaged_models(name: str, shared: Path, tmp_path: Path, data: st.DataOb
     assert hand.transmission.jacobian(hand.rest).shape == (len(hand.joints), n)
 
 
-@settings(
-    max_examples=150,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_configurations(configured: Path, data: st.DataObject) -> None:
     file = configured / "gripper" / "hand.yaml"

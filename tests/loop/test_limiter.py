@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.loop.motion import Limiter, MotionLimits
@@ -19,7 +19,6 @@ WANTED = st.lists(st.tuples(ANYTHING, ANYTHING), min_size=1, max_size=80)
 START = st.tuples(st.floats(-0.5, 1.5), st.floats(-1.5, 1.5))
 
 
-@settings(max_examples=200, deadline=None)
 @given(WANTED, START)
 def test_nothing_that_leaves_it_exceeds_a_limit(
     wanted: list[tuple[float, float]], start: tuple[float, float]
@@ -40,7 +39,6 @@ def test_nothing_that_leaves_it_exceeds_a_limit(
             here[i], speed[i] = position, velocity
 
 
-@settings(max_examples=50, deadline=None)
 @given(START, st.tuples(st.floats(0, 1), st.floats(-1, 1)))
 def test_any_target_is_reached_without_passing_it(
     start: tuple[float, float], target: tuple[float, float]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from rtee.errors import ConfigError
@@ -64,7 +64,6 @@ RATE = st.sampled_from([1000.0, 250.0, 100.0, 20.0])
 
 
 @pytest.mark.parametrize("kind", list(ProfileKind))
-@settings(max_examples=60, deadline=None)
 @given(goals=goals(), fractions=FRACTIONS, rate=RATE)
 def test_limits_are_kept_and_goals_reached(
     kind: ProfileKind,
@@ -104,7 +103,6 @@ def test_limits_are_kept_and_goals_reached(
     assert (np.abs(acceleration_seen) <= np.array(LIMITS.acceleration) + slack).all()
 
 
-@settings(max_examples=40, deadline=None)
 @given(goals=goals(), fractions=FRACTIONS)
 def test_jerk_limited_continues_acceleration(
     goals: list[tuple[int, dict[int, float], set[int], dict[int, float]]], fractions: list[float]
@@ -126,7 +124,6 @@ def test_jerk_limited_continues_acceleration(
             before = after
 
 
-@settings(max_examples=60, deadline=None)
 @given(goals=goals(), fractions=FRACTIONS, rate=RATE)
 def test_s_curve_keeps_the_jerk_limits_whatever_goals_come(
     goals: list[tuple[int, dict[int, float], set[int], dict[int, float]]],
@@ -155,7 +152,6 @@ def test_s_curve_keeps_the_jerk_limits_whatever_goals_come(
         tick()
 
 
-@settings(max_examples=100, deadline=None)
 @given(fractions=FRACTIONS, targets=st.lists(POSITION, min_size=SIZE, max_size=SIZE))
 def test_s_curve_never_passes_a_target(fractions: list[float], targets: list[float]) -> None:
     profile = make(ProfileKind.S_CURVE, 250.0)
@@ -171,7 +167,6 @@ def test_s_curve_never_passes_a_target(fractions: list[float], targets: list[flo
 STATE = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
 
 
-@settings(max_examples=300, deadline=None)
 @given(
     state=STATE,
     target=st.floats(-3, 3),
@@ -216,7 +211,6 @@ def test_s_curve_takes_hardly_longer_than_ruckig(
         assert motion.duration >= trajectory.duration - 1e-4
 
 
-@settings(max_examples=200, deadline=None)
 @given(state=STATE, target=st.floats(-3, 3), share=st.floats(1, 5))
 def test_a_drawn_out_motion_ends_there_in_time_or_is_the_fastest(
     state: tuple[float, float], target: float, share: float
@@ -353,7 +347,6 @@ def test_filter_is_nearly_the_plain_second_order() -> None:
         assert profile.position[0] == pytest.approx(plain, abs=0.015)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from([200.0, 500.0, 1000.0, 2000.0]),
     st.lists(
@@ -397,7 +390,6 @@ def test_filter_comes_to_its_velocity_limit_within_the_jerk_limit(
     assert min(changes) >= -1.01 * LIMITS.jerk[3]
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     st.sampled_from([100.0, 1000.0]),
     st.lists(st.tuples(st.floats(0.02, 1.0), st.floats(0.01, 0.3)), min_size=1, max_size=6),

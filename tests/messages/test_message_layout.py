@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.messages.layout import JOINT_STATE, STAMP, JointStateEncoder, Template, joint_state_fields
@@ -12,7 +12,6 @@ STORE = typestore()
 NAMES = st.lists(st.text("abcxyz_", min_size=1, max_size=12), max_size=12, unique=True)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     names=NAMES, frame=st.text("ab", max_size=5), wall=st.integers(0, 2**60), seed=st.integers(0)
 )

@@ -92,11 +92,10 @@ def test_none_is_left(rtee_hand):
 """
 
 
-@pytest.mark.timeout(180)
 def test_a_project_tests_its_application(pytester: pytest.Pytester, repository: Path) -> None:
     pytester.makepyfile(application=APPLICATION, test_application=TESTS)
     (pytester.path / "config").symlink_to(repository / "config")
-    done = pytester.runpytest_subprocess("-q", "-W", "error", "-p", "no:cacheprovider", timeout=150)
+    done = pytester.runpytest_subprocess("-q", "-W", "error", "-p", "no:cacheprovider", timeout=280)
     done.assert_outcomes(passed=5)
 
 
@@ -141,11 +140,10 @@ def test_the_hand_falls(rtee_hand, tmp_path):
 """
 
 
-@pytest.mark.timeout(180)
 def test_a_hand_that_fails_fails_the_test(pytester: pytest.Pytester, repository: Path) -> None:
     pytester.makepyfile(FALLS)
     (pytester.path / "config").symlink_to(repository / "config")
-    done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", timeout=150)
+    done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", timeout=280)
     done.assert_outcomes(passed=1, errors=1)
     done.stdout.fnmatch_lines(["*the hand 'robotiq_2f_85' failed*"])
 

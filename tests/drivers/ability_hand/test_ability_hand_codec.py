@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.parser import CodecError
@@ -128,7 +128,6 @@ def test_stray_zero_bytes_between_frames_are_no_damage() -> None:
     assert parser.errors == 0
 
 
-@settings(max_examples=300)
 @given(noise=st.binary(max_size=300), at=st.integers(0, 72), value=st.integers(0, 255))
 def test_noise_and_damage_cost_no_frame_that_follows(noise: bytes, at: int, value: int) -> None:
     parser = ReplyParser()

@@ -6,7 +6,7 @@ import itertools
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.parser import CodecError
@@ -139,7 +139,6 @@ def test_stuffing_has_an_inverse_and_hides_every_header(data: bytes) -> None:
     assert codec.unstuff(stuffed) == data + b"\xff\xff\xfd\x00" + data
 
 
-@settings(max_examples=300)
 @given(noise=st.binary(max_size=200), at=st.integers(0, 15), value=st.integers(0, 255))
 def test_noise_and_damage_cost_no_more_than_one_good_packet(
     noise: bytes, at: int, value: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.modbus_frames import rtu_frame
@@ -111,7 +111,6 @@ def test_replies_of_the_sheet(text: str, command: int, address: int, data: bytes
 
 
 @given(st.binary(max_size=60), st.integers(1, 20))
-@settings(max_examples=200, deadline=None)
 def test_a_reply_after_noise_is_found_however_it_is_cut(noise: bytes, size: int) -> None:
     parser = ReplyParser()
     # A header in the noise may announce bytes that never come: the second reply ends that.

@@ -6,7 +6,7 @@ import math
 from typing import cast
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.parser import CodecError
@@ -102,7 +102,6 @@ def test_watchdog_off_is_zero() -> None:
     assert codec.watchdog_byte(0.0) == 0
 
 
-@settings(max_examples=300)
 @given(noise=st.binary(max_size=300), at=st.integers(0, 15), value=st.integers(0, 255))
 def test_noise_and_damage_cost_at_most_one_longest_frame(noise: bytes, at: int, value: int) -> None:
     parser = Parser()
@@ -143,7 +142,6 @@ def test_parameter_list_is_read_in_both_framings(generation: str, motors: int) -
     assert found[0][codec.Index.DEVICE].label.startswith("1 - Device ID")
 
 
-@settings(max_examples=200)
 @given(st.lists(st.binary(max_size=700), max_size=6))
 def test_parameter_parser_is_bounded_whatever_comes(pieces: list[bytes]) -> None:
     parser = codec.ListParser(1)

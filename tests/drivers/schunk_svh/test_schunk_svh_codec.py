@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.parser import CodecError
@@ -188,7 +188,6 @@ def test_packets_are_found_however_the_stream_is_cut(cuts: list[int]) -> None:
     ]  # fmt: skip
 
 
-@settings(max_examples=300)
 @given(noise=st.binary(max_size=200), at=st.integers(0, 60), value=st.integers(0, 255))
 def test_noise_and_damage_cost_no_more_than_one_good_packet(
     noise: bytes, at: int, value: int
