@@ -40,6 +40,7 @@ from rtee.hand.model import Hand
 from rtee.hand.scaffold import make_hand
 from rtee.hand.yamlfile import read_yaml
 from rtee.log import Recorder, read
+from rtee.log.brief import actuators_of
 from rtee.log.export import Format, export, tables
 from rtee.log.figure import figure
 from rtee.log.plots import write_html
@@ -271,6 +272,7 @@ def check_files(folder: Path) -> None:
     """Check what is made of the recording in a folder."""
     [file] = folder.glob("*.mcap")
     found = read(file)
+    assert set(actuators_of(found.metadata)) == set(ALLOWED)
     states = tables(found, ["actuator_states"])["actuator_states"]
     assert {f"position.{name}" for name in ALLOWED} <= set(states)
     write_html(figure(found), folder / "plot.html")

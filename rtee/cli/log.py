@@ -347,6 +347,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     """
     import anyio
 
+    from rtee.log.brief import actuators_of
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.log.recover import recover as repair
@@ -360,7 +361,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
         if not recording.finished:
             path = repair(path, folder / path.name).path
         hand = recording.hand
-        if not _configured(hand, recording.metadata.get("actuators", "").split()):
+        if not _configured(hand, actuators_of(recording.metadata)):
             hand = str(write_hand(recording, folder))
         options = RunOptions(
             driver="replay",

@@ -7,6 +7,7 @@ from collections.abc import Collection, Container, Sequence
 from itertools import chain, count, takewhile
 from pathlib import Path
 from typing import Final
+from unicodedata import combining, normalize
 
 from rtee.errors import ConfigError
 
@@ -47,7 +48,8 @@ def check_name(
 
 def safe_name(text: str, default: str = "hand") -> str:
     """Return a valid name made from ``text``, or ``default`` if nothing remains."""
-    name = _FORBIDDEN.sub("_", text).strip("_.")[:MAX_LENGTH]
+    plain = "".join(each for each in normalize("NFKD", text) if not combining(each))
+    name = _FORBIDDEN.sub("_", plain).strip("_.")[:MAX_LENGTH]
     # Repeatedly, since three dots become two.
     while ".." in name:
         name = name.replace("..", ".")

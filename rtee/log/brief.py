@@ -156,6 +156,15 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     return data[at + 4 : end].decode(), end
 
 
+def actuators_of(metadata: Mapping[str, str]) -> list[str]:
+    """Return the names of the actuators in the metadata of a file; none if it has none."""
+    text = metadata.get("actuators", "")
+    try:
+        return [str(name) for name in json.loads(text)]
+    except (ValueError, TypeError, RecursionError):
+        return text.split()  # as older files have them
+
+
 def rate_of(metadata: Mapping[str, str]) -> float:
     """Return the rate of the loop [Hz] in a recording's metadata; 0 if unknown."""
     try:

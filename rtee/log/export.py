@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rtee.errors import LogError, needing_extra, suggestion
 from rtee.hand.files import reason
+from rtee.log.brief import actuators_of
 from rtee.log.reader import windows
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
 from rtee.messages import topics
@@ -374,7 +375,7 @@ def _stream_samples(recording: Recording) -> Table:
 
 def _plans(recording: Recording) -> Table:
     """Return a table with a row for each motion of a plan, and a column for each actuator."""
-    actuators = recording.actuator_states.names or recording.metadata.get("actuators", "").split()
+    actuators = recording.actuator_states.names or actuators_of(recording.metadata)
     rows = [(each, leg) for each in recording.plans for leg in each.value.legs]
     table = _times([entry for entry, _ in rows])
     table["goal_id"] = _column([entry.value.goal_id for entry, _ in rows])

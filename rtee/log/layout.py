@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -125,7 +126,7 @@ class Contents:
             "hand": self.hand.name,
             "format": FORMAT,
             "rate": repr(self.rate),
-            "actuators": " ".join(self.hand.actuator_names),
+            "actuators": json.dumps(self.hand.actuator_names, ensure_ascii=False),
             **self.metadata,
             **more,
         }

@@ -14,7 +14,7 @@ import numpy as np
 from rtee.errors import GoalRejected, LogError, MessageError
 from rtee.hand.files import reason
 from rtee.log import column_reader
-from rtee.log.brief import Brief, brief, check_hands
+from rtee.log.brief import Brief, actuators_of, brief, check_hands
 from rtee.log.file_index import ChunkPlace, FileIndex, index_file
 from rtee.log.plans import GRIP, plan_of
 from rtee.log.record_scanner import LATEST, DamagedRecordError, messages_of
@@ -292,7 +292,7 @@ class _Collector:
         speeds = {each["goal_id"]: each["speed"] for _, _, each in self._messages[topics.GOALS]}
         goals = self._entries(topics.GOALS, _goal, start)
         by_id = {entry.value.goal_id: entry.value for entry in goals}
-        written = self._file_indexes[0].values.get("actuators", "").split()
+        written = actuators_of(self._file_indexes[0].values)
         names = actuator_states.names or tuple(written)
 
         def plan(fields: Fields) -> Plan:
@@ -341,7 +341,7 @@ class _Collector:
         )
         self._skipped += sum(table.skipped for table in self._rows.values())
         if self._damaged and ended:
-            self._note_damage(f"{self._damaged} messages make no sense and are left out")
+            self._note_damage(f"messages that make no sense and are left out: {self._damaged}")
         if self._skipped and ended:
             self._notes.append(f"{self._skipped} messages with other joints are left out")
         # Making the entries above has added notes; the frozen object is not shared yet.

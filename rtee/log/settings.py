@@ -58,6 +58,11 @@ class RecorderStatus:
     flight_files: tuple[Path, ...] = ()
 
     @property
+    def keeps(self) -> bool:
+        """Whether what comes now is kept: on the disk, or in the flight recorder."""
+        return not self.problem and (self.recording or self.flight_seconds > 0.0)
+
+    @property
     def trouble(self) -> str:
         """Sentence on the data that is not recorded, and why; empty if all data is."""
         words = []

@@ -197,12 +197,12 @@ class Poses:
     def _opposition(self) -> tuple[FloatArray | None, FloatArray]:
         """Return the axis of closing of three or more fingertips, and which side each is on.
 
-        ``None`` when they close from all around, or are two. Sides are -1, 1, or 0 for a fingertip
-        that takes no part.
+        ``None`` when they close from all around, or are two, or one. Sides are -1, 1, or 0 for a
+        fingertip that takes no part.
         """
         count = len(self._fingers)
         if count < SEVERAL:
-            return None, np.array([-1.0, 1.0][:count])
+            return None, np.array([-1.0, 1.0] if self.several else [0.0])
         axis, sides = opposition(self._paths[-1] - self._paths[0], self._out)
         if axis is not None and (sides > 0).any() and (sides < 0).any():
             return axis, sides
@@ -237,7 +237,7 @@ class Poses:
         self._shift = shift
         # Beyond the ends of open jaws all is free, and nothing is between them. Hands with further
         # fingers also compare places between others, and do not need this.
-        if shift and len(self._scene.hand.fingers) < SEVERAL and self._beyond():
+        if shift and self.several and len(self._scene.hand.fingers) < SEVERAL and self._beyond():
             return 0.0
         return max(self._gap(0), self._gap(STEP_MIDDLE))
 

@@ -100,7 +100,7 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
         if next(poses.candidates(planner.turns, _OF_GROUP), None) is not None:
             return ""
         opened = float(poses.gaps.max())
-        if opened > widest:  # the width across the direction in which this group closes
+        if opened >= widest:  # the width across the direction in which this group closes
             widest, wide = opened, poses.narrowest(planner.turns)
     if wide <= widest - 2.0 * GAP:
         return ""  # it has room; a trial shows what else is in its way

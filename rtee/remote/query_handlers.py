@@ -171,6 +171,10 @@ class RecordingStatus(Protocol):
         """Whether a recording is being written."""
 
     @property
+    def keeps(self) -> bool:
+        """Whether what comes now is kept: on the disk, or in the flight recorder."""
+
+    @property
     def path(self) -> Path | None:
         """The file being written, if there is one."""
 
@@ -352,6 +356,11 @@ class QueryHandlers:
                     raise RequestRejected(
                         f"a mark must be one line of 1 to {_LONGEST_MARK} characters, not "
                         f"{len(text)}"
+                    )
+                if not recorder.status().keeps:
+                    raise RequestRejected(
+                        f"{self._hand.name} records nothing now, so the mark would be lost; begin a"
+                        " recording first, in the GUI or by record('start')"
                     )
                 recorder.mark(text)
             case _:

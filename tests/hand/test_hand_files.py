@@ -52,6 +52,10 @@ def test_any_text_becomes_a_good_name(text: str) -> None:
     assert check_name(name, "hand") == name
 
 
+def test_letters_with_marks_become_those_without() -> None:
+    assert safe_name("Däumling é dist") == "Daumling_e_dist"
+
+
 @pytest.mark.parametrize(
     ("names", "prefix"),
     [

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import os
+import re
 import subprocess
 import threading
 from contextlib import suppress
@@ -154,6 +155,15 @@ def test_an_action_that_stays_too_open_is_rejected(library: ActionLibrary) -> No
 def test_an_object_that_is_too_wide_does_not_fit(library: ActionLibrary) -> None:
     with pytest.raises(ConfigError, match=r"does not fit: width 140 mm, the hand opens to 100 mm"):
         plan_grasps(library.hand, library, read_object("box:0.14x0.15x0.16"))
+
+
+def test_a_finger_that_is_alone_has_no_room(tmp_path: Path) -> None:
+    """Numbers of its missing counterpart were not a number, and the width infinite."""
+    (tmp_path / "jaw.urdf").write_text(re.sub(r'(?s)<joint name="follower".*</link>', "", JAWS))
+    hand = load_model(tmp_path / "jaw.urdf")
+    library = ActionLibrary(hand, (generic(hand, "Close", {"jaw": 0.05}),))
+    with pytest.raises(ConfigError, match="width 40 mm, the hand opens to 0 mm"):
+        plan_grasps(hand, library, read_object("sphere:0.02"))
 
 
 def test_a_mesh_is_planned_for_as_the_shape_it_has(library: ActionLibrary, tmp_path: Path) -> None:

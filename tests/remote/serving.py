@@ -126,9 +126,9 @@ class Watcher(Observer):
 class Told:
     """Keeps what a recorder is told, and writes nothing."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path | None = None) -> None:
         self.calls: list[str] = []
-        self.path: Path | None = None
+        self.path = path
         self.lost = 0
         self.problem = ""
 

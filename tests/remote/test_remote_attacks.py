@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -260,7 +261,7 @@ async def test_nobody_answers_or_speaks_for_the_hand(
 async def test_actions_and_recording_are_the_holders(
     hand: Hand, library: ActionLibrary, mode: str, intruders: list[Intruder]
 ) -> None:
-    told = Told()
+    told = Told(Path("a.mcap"))
     async with (
         serving(hand, library, recorder=told) as served,
         rtee.connect("small") as holder,

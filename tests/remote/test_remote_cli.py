@@ -74,9 +74,10 @@ def test_do_says_what_fingers_do_on_contact(served: Served) -> None:
 
 
 def test_a_mark_goes_into_the_recording(served: Served) -> None:
-    assert run(mark, "the cup slipped", "--hand", "small") == ""
     assert served.recorder is not None
-    assert served.recorder.calls == ["the cup slipped"]
+    served.recorder.start()
+    assert run(mark, "the cup slipped", "--hand", "small") == ""
+    assert served.recorder.calls == ["start", "the cup slipped"]
 
 
 def test_touching_nothing_has_exit_status_1(served: Served) -> None:

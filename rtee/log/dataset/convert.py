@@ -232,7 +232,7 @@ def _kept(
     images = [(camera, camera.availability()) for camera in cameras]
     for number, shot in enumerate(shots, start=1):
         needed = {
-            "the positions of the actuators": np.array(
+            "the position of the actuators": np.array(
                 [*shot.state[ObservedQuantity.POSITION].values()]
             ).T,
             "what was sent": shot.sent,
