@@ -25,8 +25,9 @@ def parse_only(self, args=None, namespace=None):
 
 argparse.ArgumentParser.parse_args = parse_only
 sys.path.insert(0, "benchmarks")
+path = list(sys.path)
 for words in json.loads(sys.argv[1]):
-    sys.argv = words
+    sys.argv, sys.path[:] = words, path
     try:
         runpy.run_path(words[0], run_name="__main__")
     except Parsed:
