@@ -489,10 +489,9 @@ class GoalRejected(ActionError, RequestRejected):
     The same error, whether the hand refuses it or this computer already does.
 
     Attributes:
-        code: Kind of the mistake: ``unknown`` for a name or word that there is not, otherwise
-            ``value``.
+        code: Kind of the mistake: ``unknown`` for an unknown name or word, otherwise ``value``.
         option: The option or argument that is wrong, if one is.
-        valid: What would be possible there, where it can be listed.
+        valid: Valid values there, if they can be listed.
         nearest: The most similar valid name; empty: none.
     """
 

@@ -48,7 +48,7 @@ def read_set_points(words: Sequence[str]) -> dict[str, float]:
     """Read ``ACTUATOR=VALUE`` words [rad | m].
 
     Raises:
-        ActionError: if a word is not like that, or an actuator is given twice.
+        ActionError: if a word has another form, or an actuator is given twice.
     """
     set_points: dict[str, float] = {}
     for word in words:

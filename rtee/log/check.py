@@ -182,7 +182,7 @@ class _Checker:
         self._forces: dict[str, FloatArray] = {}
         self._waiting: deque[Entry[Plan] | Entry[CommandRecord]] = deque()
         self._runs: deque[float] = deque()
-        # Those that the other side has not had yet: of weeks, few are in memory.
+        # Results that the other side has not produced yet: few, even in weeks of recording.
         self._computed: deque[Result] = deque()
         self._recorded: deque[Result] = deque()
         self._newest = 0  # results of the last tick

@@ -206,7 +206,7 @@ class Retention:
         return [each for each in bounded(self._settings) if each.path not in current]
 
     def short(self) -> bool:
-        """Return whether less of the disk is free than the reserve."""
+        """Return whether the free disk space is below the reserve."""
         reserve = self._settings.reserve
         return reserve > 0.0 and free_space(self._settings.folder) < reserve
 

@@ -101,7 +101,7 @@ def outward(scene: GraspScene) -> FloatArray:
 
 
 def orientations(obj: GraspObject, up: FloatArray | None = None) -> list[FloatArray]:
-    """Return the turns ``(3, 3)`` of an object's box that look different, to three axes.
+    """Return the distinct orientations ``(3, 3)`` of an object's box, relative to three axes.
 
     An object that stands on a table looks different where its upward axis ``(3,)`` is another.
     """

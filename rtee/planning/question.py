@@ -150,7 +150,7 @@ def question_about(obj: str, **options: Any) -> Question:
         options: Other fields of `Question`.
 
     Raises:
-        ConfigError: if it cannot be asked.
+        ConfigError: if the question is invalid.
     """
     path = Path(obj)
     if path.suffix.lower() in FORMATS:

@@ -222,7 +222,7 @@ def action_goal(
         options: See below.
 
     Raises:
-        GoalRejected: if something is not what it should be; what is possible, the hand says.
+        GoalRejected: if a value is invalid; the hand checks what it can do.
     """
     _check_known(options, GoalOptions)
     use = _use(action, elements) if action else ActionReference("", _names(elements))
@@ -245,7 +245,7 @@ def grasp_goal(width: float | str, **options: Unpack[GraspOptions]) -> Goal:
         options: See below.
 
     Raises:
-        GoalRejected: if something is not what it should be; what is possible, the hand says.
+        GoalRejected: if a value is invalid; the hand checks what it can do.
     """
     _check_known(options, GraspOptions)
     values = _translated(options)
@@ -278,7 +278,7 @@ def touch_goal(**options: Unpack[TouchOptions]) -> Goal:
         options: See below.
 
     Raises:
-        GoalRejected: if something is not what it should be; what is possible, the hand says.
+        GoalRejected: if a value is invalid; the hand checks what it can do.
     """
     _check_known(options, TouchOptions)
     values = _translated(options)

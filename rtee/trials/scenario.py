@@ -160,7 +160,7 @@ class Preshape:
 
 @dataclass(frozen=True, slots=True)
 class ApproachStep:
-    """Bring the hand to the object, from an offset ``(3,)`` [m] in the world, and more slowly then.
+    """Bring the hand to the object from an offset ``(3,)`` [m] in the world, slowly at the end.
 
     The hand moves, not the object, which waits where the hand will be. With a zero offset it is
     there already.
