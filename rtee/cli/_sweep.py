@@ -121,10 +121,14 @@ def followed(
 def _kept(keep: Callable[[], None], words: Callable[[], str]) -> Iterator[None]:
     def once(*_: object) -> None:
         # Some programs signal the process and then its group; ignore the second signal.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for each in before:
+            signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, once)
+    # A service or a time limit ends a long sweep by SIGTERM.
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    for each in before:
+        signal.signal(each, once)
     try:
         yield
     except KeyboardInterrupt:
@@ -136,7 +140,8 @@ def _kept(keep: Callable[[], None], words: Callable[[], str]) -> Iterator[None]:
         raise WorkerLost(f"{error}; {words()}") from error
     finally:
         keep()
-        signal.signal(signal.SIGINT, before)
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def _with_progress(

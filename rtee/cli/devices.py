@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Coroutine, Mapping, Sequence
 from dataclasses import asdict, replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
@@ -540,7 +541,9 @@ class _Blocks:
         name, elements = self._action.name, self._action.elements
         limits: Mapping[str, float] = {}
         if self._limited:
-            limits = await self._remote.effort_limits(_EFFORT, self._action.waypoints[-1].involved)
+            involved = self._action.waypoints[-1].involved
+            known = [each for each in involved if isfinite(self._hand.actuator(each).effort)]
+            limits = await self._remote.effort_limits(_EFFORT, known)
         try:
             result = await self._remote.do(
                 name, *elements, intensity=intensity, speed=_SPEED, effort=limits

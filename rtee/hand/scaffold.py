@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -194,6 +195,12 @@ def _settle(
         notes.append(
             f"{closed.found} where the hand would rest, so hand.yaml has it rest where they are "
             f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
+        )
+    if free := [each.name for each in hand.actuators if not math.isfinite(each.effort)]:
+        more = f" and {len(free) - 1} more" if len(free) > 1 else ""
+        notes.append(
+            f"no effort limit for actuator '{free[0]}'{more}; without one under limits: in "
+            "hand.yaml, no goal can ask for a force or for a share of the effort"
         )
     rest = {} if closed is None else closed.opened
     return _Settled(hand, pairs, ignored, rest, [*hand.notes, *notes])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pty
 import shutil
@@ -9,14 +10,19 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from patient import HAND, patient_gripper
 from rtee_process import RTEE
 
 from rtee.actions.library import ActionLibrary
+from rtee.cli.devices import _Blocks
 from rtee.hand.load import load_hand
+from rtee.remote.goal_values import shares
+from rtee.types import Result
 
 REAL = (sys.executable, "-m", "rtee")
 
@@ -83,6 +89,31 @@ def test_blocks_are_measured_and_kept_one_by_one(place: Path) -> None:
 def test_what_cannot_be_calibrated_is_refused(place: Path) -> None:
     assert "actions go with --opening" in calibrate(place, "PinchTight", typed="", status=2)
     assert "unknown action" in calibrate(place, "--opening", "Nope", typed="", status=2)
+
+
+@pytest.mark.anyio
+async def test_motors_without_an_effort_limit_close_with_their_own(repository: Path) -> None:
+    """A hand whose URDF has no efforts could not be calibrated at all."""
+    folder, asked = repository / "config" / HAND, list[object]()
+
+    class Remote:
+        async def effort_limits(self, share: float, only: list[str]) -> dict[str, float]:
+            asked.append(only)
+            return shares({}, share, only)
+
+        async def do(self, *_: str, **options: object) -> Result:
+            asked.append(options["effort"])
+            return Result("", "", stalled=True)
+
+    library = ActionLibrary.load(load_hand(folder), folder / "actions")
+    pinch = library.find("PinchTight")
+    hand = load_hand(folder)
+    library.hand = replace(
+        hand, actuators=tuple(replace(each, effort=math.inf) for each in hand.actuators)
+    )
+    blocks = _Blocks(cast("Any", Remote()), library, folder, pinch, library.openings.of(pinch))
+    assert await blocks._go(1.0)
+    assert asked == [[], {}]
 
 
 def test_a_hand_without_actions_has_nothing_to_measure(repository: Path, tmp_path: Path) -> None:

@@ -73,6 +73,12 @@ def test_a_given_srdf_is_kept_and_completed(tmp_path: Path) -> None:
     assert made.hand.disabled_collisions == (("palm", "left_jaw", "mine"),)
 
 
+def test_efforts_that_the_urdf_lacks_are_noted(tmp_path: Path) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace('effort="5"', 'effort="0"'))
+    made = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config")
+    assert any(note.startswith("no effort limit for actuator 'left' and 1") for note in made.notes)
+
+
 def test_lines_are_added_before_the_end_however_it_is_written(tmp_path: Path) -> None:
     (tmp_path / "g.urdf").write_text(GRIPPER)
     (tmp_path / "g.srdf").write_text(SRDF.replace("</robot>", "</robot >\n<!-- of </robot> -->"))

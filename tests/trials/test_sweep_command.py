@@ -75,10 +75,12 @@ def group(leader: int) -> list[int]:
 
 
 @pytest.mark.heavy
-def test_ctrl_c_says_what_is_kept(hand: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_says_what_is_kept(hand: Path, number: signal.Signals) -> None:
     sweep = start(hand)
     wait_for_a_result(hand)
-    os.killpg(sweep.pid, signal.SIGINT)
+    # A terminal signals the whole group, a time limit the command alone.
+    (os.killpg if number is signal.SIGINT else os.kill)(sweep.pid, number)
     _, said = sweep.communicate()
     kept = read_results(hand / "trials.yaml")
     assert sweep.returncode == 130
