@@ -368,7 +368,7 @@ class FrameError(BusError):
 
 
 class DriverError(RteeError):
-    """A device cannot do what was requested.
+    """A device cannot carry out a request.
 
     Attributes:
         device: The device's name.

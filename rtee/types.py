@@ -561,7 +561,7 @@ class Result(Value):
         touched: Fingers with a reaction to contacts that touched something.
         unknown: Whether it is undecidable if something thin is held, or nothing: the fingertips are
             as near to one another as those of the empty hand.
-        aim: What the goal was for.
+        aim: The aim of the goal.
     """
 
     goal_id: str

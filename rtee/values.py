@@ -32,7 +32,7 @@ class Value:
     """Base of the frozen dataclasses that programs get and keep.
 
     Two are equal if they are of one class and all their fields are equal: arrays element by
-    element, and what was not measured (``NaN``) like what was not measured.
+    element, and unmeasured values (``NaN``) are equal.
     """
 
     __slots__ = ()
@@ -62,7 +62,7 @@ class Value:
         """Return the fields as JSON values.
 
         Arrays and tuples become lists, words of an enumeration texts, and numbers that JSON does
-        not have ``None``: ``NaN``, which is what was not measured, and infinite limits.
+        not have ``None``: ``NaN`` for unmeasured values, and infinite limits.
         """
         return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 

@@ -24,7 +24,7 @@ class Fingerprints:
     Attributes:
         files: Changes with any of the files.
         model: Changes with the model or the configuration.
-        actions: By name and elements of an action: changes with what it does.
+        actions: By name and elements of an action; a fingerprint changes with the action's effect.
     """
 
     files: str

@@ -220,7 +220,7 @@ def crowded(action: Action, opening: Opening) -> bool:
 def astride(hand: Hand, action: Action, opening: Opening, intensity: float) -> float:
     """Return how far neighbouring fingertips of one side are apart at an intensity [m].
 
-    What is narrower lies between them, and they close past it.
+    A narrower object lies between them, and they close past it.
     """
     tips = {finger.name: finger.tip for finger in hand.fingers}
     target = action.waypoints[-1].position

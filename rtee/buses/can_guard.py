@@ -79,7 +79,7 @@ class Unechoed:
 
 
 def open_bus(interface: str, channel: str, bitrate: int | None = None) -> Any:
-    """Open a bus of python-can; raises what that raises."""
+    """Open a bus of python-can; raises python-can's errors."""
     import can
 
     settings: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}

@@ -72,7 +72,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def _step(self, now: float) -> None:
-        """Let happen what is due by now [s]."""
+        """Carry out what is due by now [s]."""
 
     @abstractmethod
     def _next_due(self) -> float | None: ...

@@ -49,7 +49,7 @@ def tell_of_meshes(objects: Iterable[str]) -> None:
         from rtee.objects.shape import parse_object
         from rtee.planning.objects import read_object
     for text in meshes:
-        # Checked against what the simulation reads, which is less than the planner reads.
+        # Checked against the simulation's formats; the planner reads more.
         parse_object(text, MESHES)
         for note in read_object(text).notes:
             print(f"note: {text}: {note}", file=sys.stderr)
@@ -110,7 +110,7 @@ def followed(
     Args:
         sweep: The sweep.
         keep: Writes what there is.
-        words: What is kept where.
+        words: A phrase that says what is kept where.
     """
     # Closing ends the processes at once when this is interrupted.
     with _kept(keep, words), closing(sweep.run()) as coming:

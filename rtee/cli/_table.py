@@ -123,7 +123,7 @@ class TextTable:
     def widths(self, width: int) -> list[int]:
         """Return the widths of the columns on a terminal of this width [characters].
 
-        Columns that may be wrapped share what the others leave; wide ones are narrowed first.
+        Columns that may be wrapped share the remaining width; wide ones are narrowed first.
         """
         natural = [
             max(len(line) for cell in column for line in cell.split("\n"))

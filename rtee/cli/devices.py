@@ -370,7 +370,7 @@ def calibrate(
         calibrate_opening(hand, actions or ())
         return
     if actions:
-        raise ConfigError("actions go with --opening")
+        raise ConfigError("actions need --opening")
     from rtee.buses.pool import BusPool
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
@@ -445,7 +445,7 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
                 await _Blocks(remote, library, home, action, opening).measure()
 
     with_hand(library.hand.name, None, "calibrate", execute)
-    print("goals use what was measured from the next `rtee run` on")
+    print("goals use the measurements from the next `rtee run` on")
 
 
 def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, Opening]]:

@@ -274,7 +274,7 @@ def lerobot(
         episodes: marks: from a mark 'episode: TASK' to the next, or to 'episode: end'; 'episode:
             discard' throws one away. goals: each goal that succeeded.
         task: The task of all episodes, in words.
-        action: Take the intensity of this action for what was asked, instead of the actuators'
+        action: Take the intensity of this action as the command, instead of the actuators'
             targets; may be given again.
         observe: Observe this: position joint effort opening force touch taxel; may be given again.
             All that is known but taxels, unless given.

@@ -49,7 +49,7 @@ def mcp(
     """Offer hands to a language model by the Model Context Protocol, on stdin and stdout.
 
     The gate is "watch" unless given here or in hand.yaml, which the options only narrow: it only
-    reads. Its client starts this command; what it may do is yours to say.
+    reads. Its client starts this command; you decide what it may do.
 
     Example: rtee mcp robotiq_2f_85 --gate simulate --force 20
 

@@ -35,7 +35,7 @@ RootOption = Annotated[
 OutsideOption = Annotated[
     Outside,
     typer.Option(
-        help="What becomes of what is not below --root: absent, or rigid, as an obstacle."
+        help="How to treat links that are not below --root: absent, or rigid, as an obstacle."
     ),
 ]
 
@@ -65,7 +65,7 @@ def new(
         package_dir: Folder to look packages up in; may be repeated.
         source (--from; HAND): A hand to copy instead, with its actions.
         into: Folder of the hands.
-        ask: Ask about what the files leave open.
+        ask: Ask about choices that the files leave open.
     """
     if sum(given is not None for given in (urdf, mjcf, source)) != 1:
         raise ConfigError("give either --urdf FILE, --mjcf FILE or --from HAND")

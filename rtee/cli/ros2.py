@@ -85,7 +85,7 @@ def serve(
     # All hands first, so that a wrong one ends the command before any node is made.
     shown = [_shown(hand, given, endpoint) for hand in hands]
     environment = environment_without(domain)
-    for each in shown:  # one sentence for a mistake, without the warnings of what it prevents
+    for each in shown:  # one sentence for a mistake, without warnings about its consequences
         check_session(each.settings, environment, insecure=each.insecure)
     for warning in warnings(shown):
         print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)
@@ -252,7 +252,7 @@ def list_(
     distro: DistroOption = "jazzy",
     as_json: JsonOption = False,
 ) -> None:
-    """List what is in the ROS graph.
+    """List the entities of the ROS graph.
 
     Endpoints that cannot hear each other, since type or hash differ, are listed separately.
 

@@ -116,7 +116,7 @@ class Driver(ABC):
 
         Args:
             expected: The device, with its article, such as ``an SVH``.
-            absent: What is wrong if none answers, such as ``no SVH answers at /dev/ttyUSB0``.
+            absent: The message if no device answers, such as ``no SVH answers at /dev/ttyUSB0``.
             hint: What to check then.
             strangers: The errors that another device causes.
             check: What to check if another device answers.

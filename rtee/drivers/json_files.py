@@ -22,7 +22,7 @@ def read_calibration_file(
         path: The file.
         device: The device's name, for the message.
         kind: The type of the content.
-        of: What the calibration is of, for the message, such as `` of servos``.
+        of: The calibrated device in the message, such as `` of servos``.
         made_with: Required values of fields; a file with other values belongs to another device.
 
     Raises:

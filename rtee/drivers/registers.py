@@ -1,4 +1,4 @@
-"""Declare what the bits of registers mean, once for a driver, its emulator and the tests."""
+"""Declare the meaning of register bits once for a driver, its emulator and the tests."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         found: dict[int, Sequence[int]] = {}
         for inputs, outputs in self._windows():
             found[outputs] = self.output
-            # At a common address, function 3 reads what was written, the others what is measured.
+            # At a common address, function 3 reads written values, the others measured ones.
             if inputs != outputs or function != READ_HOLDING:
                 found[inputs] = self._input_block()
         return found

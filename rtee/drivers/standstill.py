@@ -54,7 +54,7 @@ class Standstill:
         self._strayed = [math.inf] * n
 
     def measured(self, state: ActuatorState) -> None:
-        """Note what was measured."""
+        """Record a measurement."""
         if not abs(state.stamp - self._judged) < _EVERY:
             self._judged = state.stamp
             self._judge(state.position.tolist(), state.stamp, state.fresh)

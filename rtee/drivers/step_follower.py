@@ -68,7 +68,7 @@ class StepFollower:
         return None if self._sent is None else self._sent[1]
 
     def forget(self) -> None:
-        """Forget what was sent, as after a stop."""
+        """Discard the sent values, as after a stop."""
         self._sent = None
 
     def halted(self, here: float) -> None:

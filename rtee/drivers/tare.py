@@ -17,7 +17,7 @@ while something touched is wrong as soon as that is gone; one noisy reading must
 class SensorTare:
     """The rest values of contact sensors, and the readings above them.
 
-    The first readings are taken for those of sensors that nothing touches, so what a hand holds
+    The first readings count as those of untouched sensors, so what a hand holds
     when it is connected is felt only once it has been let go. Rest values then follow slow drift.
 
     Args:

@@ -44,7 +44,7 @@ class Page:
 
     Attributes:
         session: The panels of the hand, or of the one that has gone.
-        watch: What is known of the hand.
+        watch: The known state of the hand.
         narrow: Whether the window has no room for plots beside the hand.
         key: The secret of the window's bar: observers cannot act for it.
     """
@@ -250,7 +250,7 @@ class App:
             for page in self.pages.values():
                 page.offer(names)
 
-    # --- what the bar says and does
+    # --- the bar
 
     def _page(self, key: str) -> Page | None:
         pages = tuple(self.pages.values())  # windows open and close in the meantime

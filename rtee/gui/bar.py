@@ -24,7 +24,7 @@ PATH: Final = "/bar"
 """Path of the WebSocket."""
 
 _PERIOD: Final = 0.2
-"""Time between two looks at what is true [s]: the page misses messages after some of them."""
+"""Time between two checks of the actual state [s]: the page misses messages after some of them."""
 
 _BEAT: Final = 3
 """Every third message is sent even if nothing has changed, so that the page knows it is alive."""

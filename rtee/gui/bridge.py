@@ -30,7 +30,7 @@ class Bridge:
     Attributes:
         stage: The window.
         truth: The known state of the hand that the window shows.
-        role: What the hand lets this window's client do.
+        role: Permissions of this window's client.
         refused: Why nothing is done for this window now, or an empty string.
     """
 
@@ -66,7 +66,7 @@ class Bridge:
         """Return a callback for a control that takes the values that a person enters.
 
         A value that the program itself sets is not an event. The value is taken at once, in
-        viser's own thread: what is shown next must not take its place.
+        viser's own thread, before the next displayed value replaces it.
         """
 
         async def follow(event: viser.GuiEvent[Any]) -> None:

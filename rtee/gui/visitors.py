@@ -101,7 +101,7 @@ _Three = tuple[float, float, float]
 
 # The messages that this GUI's page needs, with exactly their fields. viser's server accepts more:
 # uploads, and requests for a public tunnel to this computer (``ShareUrlRequest``), which would open
-# the hand to anybody. What it cannot decode ends the connection of its page.
+# the hand to anybody. A message that it cannot decode ends the connection of its page.
 
 
 class _Message(msgspec.Struct, forbid_unknown_fields=True):

@@ -210,7 +210,7 @@ class HandGeometry:
     Attributes:
         kinematics: The hand's kinematics.
         shapes: All collision shapes, link by link in the order of the URDF's tree.
-        notes: What was changed about meshes, one sentence each.
+        notes: Changes to meshes, one sentence each.
     """
 
     def __init__(

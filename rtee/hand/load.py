@@ -94,7 +94,7 @@ def load_model(
 def read_both(
     urdf: Path | str, srdf: Path | str | None, edits: Sequence[Edit]
 ) -> tuple[Urdf, Srdf | None]:
-    """Read a URDF and its SRDF; of a whole robot, what they say of the hand."""
+    """Read a URDF and its SRDF; of a whole robot, only the hand's part."""
     model = read_urdf(urdf, edits)
     semantics = None if srdf is None else read_srdf(srdf)
     if semantics is not None and any(isinstance(edit, Subtree) for edit in edits):
@@ -403,7 +403,7 @@ def _check_actuators(
 
 
 def _role(joint: UrdfJoint, passive: set[str]) -> JointRole:
-    # First: what a joint follows says more than that it has no motor, where a file says both.
+    # First: if a file has both, the joint to follow says more than a missing motor.
     if joint.mimic is not None:
         return JointRole.MIMIC
     return JointRole.PASSIVE if joint.name in passive else JointRole.ACTUATOR

@@ -50,7 +50,7 @@ class NewHand:
         hand: The hand, loaded from there.
         reasons: Why each finger is one.
         pairs: Pairs of links that need not be checked for collision.
-        notes: What was noticed, one sentence each.
+        notes: Remarks, one sentence each.
     """
 
     folder: Path
@@ -127,7 +127,7 @@ class _Settled:
         pairs: Pairs of links that need not be checked for collision.
         ignored: Actuators to ignore.
         rest: Rest positions for hand.yaml [rad | m].
-        notes: What was noticed and chosen, one sentence each.
+        notes: Remarks and choices, one sentence each.
     """
 
     hand: Hand

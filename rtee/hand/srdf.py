@@ -89,7 +89,7 @@ class Srdf:
         passive: Lines of the passive joints, by name.
         states: Named postures.
         disabled: Pairs of links that are never checked for collision.
-        unread: What the file says that is not read, one sentence each.
+        unread: Ignored content of the file, one sentence each.
     """
 
     name: str

@@ -165,7 +165,7 @@ class Urdf:
         root: The root link.
         joint_to: The joint above a link, by the link's name; the root has none.
         joints_below: The joints whose parent is a link, by the link's name.
-        unread: What the file says that is not read, one sentence each.
+        unread: Ignored content of the file, one sentence each.
     """
 
     name: str

@@ -84,7 +84,7 @@ class Mistake(NamedTuple):
     Attributes:
         fault: What kind of mistake it is.
         at: Its location: keys and positions from the root.
-        words: What the value should be, what is wrong, or for an unknown key a hint.
+        words: The expected value, the mistake, or for an unknown key a hint.
         value: The value that is wrong.
     """
 

@@ -20,7 +20,7 @@ class Known:
 
     Attributes:
         attributes: Its attributes that are read or harmless.
-        children: What is known of the elements inside it, by tag.
+        children: Known elements inside it, by tag.
         foreign: Whether it belongs to one program, and may have any other elements inside.
     """
 

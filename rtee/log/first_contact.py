@@ -27,7 +27,7 @@ def write(report: ContactReport, actuators: Iterable[str], folder: Path) -> tupl
     """Write the recording and the page; return their paths.
 
     Args:
-        report: What was found.
+        report: The findings.
         actuators: The names of the device's actuators.
         folder: The folder for both; it is made.
 

@@ -81,7 +81,7 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
 def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> Plan:
     """Return the plan of a goal in the fields of a decoded ``rtee_msgs/Plan``.
 
-    What it takes over from the goal is recorded with that alone.
+    Values taken over from the goal are recorded with the goal only.
 
     Raises `MessageError` if the plan names an actuator that the hand does not have.
     """

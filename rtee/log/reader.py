@@ -94,7 +94,7 @@ def windows(
     """Read a recording piece by piece, in memory that does not grow with its length.
 
     Yields pieces of 10 s in order of time, at least one. Their ``t``, ``start`` and ``end`` are
-    those of the whole; notes and damage are what was found so far. Only chunks with messages from
+    those of the whole; notes and damage are those found so far. Only chunks with messages from
     ``start`` to ``end`` since the recording's start [s] are read. The other arguments and errors
     are those of `read`.
     """

@@ -59,7 +59,7 @@ class RecorderStatus:
 
     @property
     def keeps(self) -> bool:
-        """Whether what comes now is kept: on the disk, or in the flight recorder."""
+        """Whether messages are kept at present: on the disk, or in the flight recorder."""
         return not self.problem and (self.recording or self.flight_seconds > 0.0)
 
     @property

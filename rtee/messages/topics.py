@@ -59,7 +59,7 @@ FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
 """Topics that follow from others and are recorded only for other software."""
 
 DESCRIBING = frozenset({ROBOT_DESCRIPTION, OBJECT, TOUCH_SENSORS}) | FOR_VIEWERS
-"""Topics that say what a hand and its surroundings are, or where, for others."""
+"""Topics that describe a hand and its surroundings, or their poses, for other programs."""
 
 DIGESTED = frozenset({GOALS, PLANS, RESULTS, EVENTS, LOOP_STATISTICS})
 """Topics of which every recording holds a copy at its end, for a summary."""

@@ -30,7 +30,7 @@ DRILL: Final = "drill"
 """A pistol-like body with a trigger, as it is written."""
 
 LARGEST: Final = 2.0
-"""Largest extent of an object [m]; what is larger is in other units, or nothing for a hand."""
+"""Largest extent of an object [m]; a larger one has another unit, or is not for a hand."""
 
 SMALLEST: Final = 1e-4
 """Smallest extent of an object [m]: thinner things have no sides to grasp."""

@@ -60,7 +60,7 @@ class GraspPlan(Value):
         elements: Its elements, for a primitive.
         kind: ``primitive``, ``composed``, ``timed`` or ``generic``.
         parts: Its parts, if it was composed for the object.
-        score: From 0 to 1; what the ranking is by. With a table, the share of such grasps that held
+        score: From 0 to 1; ranks the plans. With a table, the share of such grasps that held
             in simulation.
         intensity: How far the action goes, 0 to 1, so that it presses.
         touch: Intensity at which the links oppose each other on the object.

@@ -152,9 +152,9 @@ class Ground:
         return Top(placed, overhang)
 
     def gap(self, at: HandPose, top: Top) -> float:
-        """Return how far a hand is from the table [m], less what it needs for its tilt.
+        """Return the distance of a hand to the table [m], less the room that its tilt needs.
 
-        What is farther than `CLEAR` from a table with an edge need not be exact.
+        Beyond `CLEAR` from a table with an edge, the distance need not be exact.
         """
         normals = at.turns.swapaxes(1, 2) @ top.up
         heights = np.einsum("ki,ki->k", self._points, normals[self._of])

@@ -10,7 +10,7 @@ A wrench is a force and a torque about the object's centre of mass, the torque d
   origin inside the convex hull of the wrenches that contacts of unit normal force exert. With the
   support function ``h(d) = max_i w_i d``, it is the least ``h`` on the unit sphere. That is sought
   from many directions at once by descent on a smooth maximum; the best of them are led on to the
-  facet of the hull near them by an active-set method. What comes out is the distance of a facet,
+  facet of the hull near them by an active-set method. The result is the distance of a facet,
   and that of the nearest one in all but rare cases (`tests/planning` compare with Qhull).
 - Whether the origin is inside, and whether a load is carried, are problems of non-negative least
   squares, solved by the method of Lawson and Hanson (1974, chapter 23).

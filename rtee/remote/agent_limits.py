@@ -16,7 +16,7 @@ FORCE: Final = 10.0
 """Largest force unless a person gives another one [N]: a firm pinch of two human fingers."""
 
 EFFORT: Final = 0.4
-"""Largest share of the effort limits: that with which hands keep what they hold."""
+"""Largest share of the effort limits: the share with which hands hold objects."""
 
 SPEED: Final = 0.5
 """Largest share of the velocity limits: a person beside the hand can still follow it."""

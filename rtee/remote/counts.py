@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rtee.loop.report import Tally
 
 _BOUNDS: Final = (1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 1e-1)
-"""Bounds of durations [s]: three a decade, from what a good clock is late to a hundred ticks."""
+"""Bounds of durations [s]: three a decade, from a good clock's lateness to a hundred ticks."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,7 @@ class HandStatus(Value):
         profile: Profile of the references, with the reason if it is not the one in hand.yaml.
         stream: Status of the stream of set-points.
         agents_out: Why agents may not move the hand, in words; empty where none has been.
-        counts: What has happened since the hand started.
+        counts: Counts of events since the hand started.
     """
 
     hand: str

@@ -172,7 +172,7 @@ class RecordingStatus(Protocol):
 
     @property
     def keeps(self) -> bool:
-        """Whether what comes now is kept: on the disk, or in the flight recorder."""
+        """Whether messages are kept at present: on the disk, or in the flight recorder."""
 
     @property
     def path(self) -> Path | None:

@@ -39,7 +39,7 @@ _MODE = 0o660
 """Mode of the socket: its user and group may send stops if they may enter its folder, too."""
 
 _LONGEST = 256
-"""Longest datagram that is read [bytes]; what is longer is cut, and is a stop all the same."""
+"""Longest datagram that is read [bytes]; a longer one is cut, and still is a stop."""
 
 _BATCH = 32
 """Stops that are read one after the other; then comes a pause of `_PAUSE`."""

@@ -195,7 +195,7 @@ class Truth:
                 self._turn("part lost")
             self._fingers = self._fingers if grip is HeldObject.HOLDING else ()
 
-    # --- what it says
+    # --- sentences
 
     @property
     def age(self) -> float:

@@ -336,7 +336,7 @@ _LEARNING: Final = 0.03
 
 _SPEED: Final = 4.0
 """Largest change of a position [range/s]: a person opens or closes a hand in a quarter of a second.
-What the actuators can do of it is the loop's concern."""
+The loop limits it to what the actuators can do."""
 
 
 class TrackingError(ConfigError):

@@ -183,7 +183,7 @@ def _number(column: str, cell: str, delimiter: str) -> float:
 def check_units(samples: Sequence[Played], limits: Mapping[str, tuple[float, float]]) -> None:
     """Raise `ConfigError` for targets that are meant in another unit, such as degrees.
 
-    By the rule of the hand, which would refuse them when it is already in motion.
+    Applies the hand's own rule early: the hand would refuse them only when in motion.
 
     Args:
         samples: The samples.

@@ -74,8 +74,8 @@ def rtee_simulated_hand() -> Iterator[StartSimulatedHand]:
     """Start hands on simulated time, in this process; they run until the test ends.
 
     ``rtee_simulated_hand("robotiq_2f_85", object="50mm")`` returns a
-    `rtee.testing.simulated.SimulatedHand`, ready to move. Nothing listens: hand it to what is under
-    test instead of having that connect.
+    `rtee.testing.simulated.SimulatedHand`, ready to move. Nothing listens: pass it to the code
+    under test instead of connecting.
     """
     from rtee.testing.simulated import simulated
 

@@ -31,7 +31,7 @@ _NOTICES = 30.0
 
 
 def simulated_time() -> tuple[str, dict[str, Any]]:
-    """Return what a fixture ``anyio_backend`` returns to have its tests run on simulated time."""
+    """Return the value of a fixture ``anyio_backend`` whose tests run on simulated time."""
     return "asyncio", {"loop_factory": SimulatedTimeLoop}
 
 

@@ -31,7 +31,7 @@ def run_trials(
 
     Args:
         hand: The hand; or its name, or the path of its folder.
-        trials: What is tried.
+        trials: The trials to run.
         jobs: Number of processes; one for each processor unless given.
         on_result: Called with each result as it comes.
 

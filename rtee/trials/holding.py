@@ -15,7 +15,7 @@ SLIP: Final = 0.005
 """Largest slip in the hand of an object that is held [m], as in the experiments."""
 
 TURN: Final = math.radians(10.0)
-"""Nor is what has turned by more than this [rad]."""
+"""An object that has turned by more than this is not held either [rad]."""
 
 
 def turned(shape: str, before: FloatArray, now: FloatArray) -> float:

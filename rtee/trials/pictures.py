@@ -44,12 +44,12 @@ class SimulationRenderer:
         """Set the camera up.
 
         Args:
-            simulation: What is seen.
+            simulation: The simulation in view.
             hand: The hand in it.
             reach: Ways ``(k, 3)`` [m] from its present place that the hand will go and that must
                 fit into the picture.
             size: Width and height [pixels].
-            back: Vector ``(3,)`` in the world from what is seen towards the camera; where the
+            back: Vector ``(3,)`` in the world from the scene towards the camera; where the
                 hand's closing is seen well, from above, unless given.
 
         Raises:

@@ -35,7 +35,7 @@ _WATCHED: Final = 1.5
 
 _STRUCK: Final = 2.0
 """Force of links on one another above which the hand collides with itself [N]: what only brushes
-past exerts less. Fingertips that meet are what a pinch is."""
+past exerts less. Meeting fingertips are the purpose of a pinch."""
 
 _HELD_BY: Final = 2
 """Links that must touch an object: one alone can only push it."""

@@ -82,7 +82,7 @@ class TrialResult:
     """Result of a trial.
 
     Attributes:
-        trial: What was tried.
+        trial: The trial.
         held: The object was lifted, held and shaken and is where it was in the hand, within 5 mm
             and 10 degrees, and the hand has not reported a loss.
         reason: Why not, in words; empty if it was held.

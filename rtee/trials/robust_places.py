@@ -41,7 +41,7 @@ def robust_places(
     Args:
         simulation: The hand with its object and carrier.
         library: The hand's actions; its pinches say which fingers meet.
-        action: What is to grasp the object.
+        action: The action to grasp the object with.
         thing: The object.
         most: How many places are wanted.
     """

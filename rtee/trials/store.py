@@ -54,7 +54,7 @@ def to_document(result: TrialResult) -> dict[str, Any]:
 
 
 def _varied(result: TrialResult) -> dict[str, Any]:
-    """Return what a trial's variations showed; nothing where there were none."""
+    """Return the result of a trial's variations; nothing without variations."""
     trial, tries = result.trial, result.tries
     if tries == 0:
         return {}

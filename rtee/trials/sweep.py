@@ -154,7 +154,7 @@ class Sweep:
         Args:
             workers: Who does them.
             known: Answers of before; new ones are added.
-            again: Do also what has an answer.
+            again: Repeat tasks that have an answer.
         """
         self.ended = 0
         self._workers, self._known, self._again = workers, known, again
@@ -206,7 +206,7 @@ class Sweep:
             self._workers.close()
 
     def _answer(self, future: Future[str], entry: tuple[int, int, str, Task]) -> Answer | None:
-        """Return what a worker answered; ``None`` if the task has to be tried again."""
+        """Return a worker's answer; ``None`` if the task has to be tried again."""
         _, number, hand, task = entry
         self._tries[number] += 1
         error = None if future.cancelled() else future.exception()

@@ -44,8 +44,8 @@ _SETTLE: Final = 1.0
 """Time in which a grip, or what disturbed it, settles [s]."""
 
 _LOST: Final = 0.015
-"""What has moved farther than this in the hand is lost [m]: less than a finger's breadth: what
-slides from the pads may come to rest in the fingers' roots."""
+"""An object that has moved farther than this in the hand is lost [m]. It is less than a finger's
+breadth, since an object that slides from the pads may come to rest at the fingers' roots."""
 
 _BESIDE: Final = 0.003
 """How far off the middle the object is along each axis at most [m], as a camera or a person puts

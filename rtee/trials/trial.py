@@ -96,7 +96,7 @@ def run_trial(
         hand: The hand.
         library: Its actions.
         settings: Its loop's settings.
-        trial: What is tried.
+        trial: The trial to run.
         observers: Told of every tick, as in the loop.
         watch: Told of the moments of the trial.
         skip: Places to leave out, because they are known to fail.

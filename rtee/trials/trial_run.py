@@ -69,7 +69,7 @@ class TrialRun:
 
         Args:
             headless: The hand, on an arm, with the object at its place.
-            trial: What is tried.
+            trial: The trial to run.
             place: The object's place in the hand.
             number: How many places were tried, with this one.
             watch: Told of the moments of the trial.

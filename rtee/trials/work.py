@@ -245,7 +245,7 @@ def _portrait(name: str, task: Portrait) -> Picture:
 
 @lru_cache(maxsize=8)
 def _freeze_loaded(name: str) -> None:
-    """Have the garbage collector leave alone, from now on, what is loaded once a hand is.
+    """Exclude all present objects from garbage collection, once a hand is loaded.
 
     It stays anyway, and looking through all modules again and again takes 6 % of a trial's time.
     """

@@ -161,7 +161,7 @@ class Command:
 
     Attributes:
         address: Of the hand.
-        header: What it asks for.
+        header: The kind of request.
         words: The six set-points [counts]; empty for headers without set-points.
     """
 

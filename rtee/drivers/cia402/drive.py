@@ -258,7 +258,7 @@ class DriveLink:
         return not self.pending and self._sent_target == self.target
 
     def forget(self) -> None:
-        """Forget what was sent, after the drive was disabled or restarted."""
+        """Discard the sent values, after the drive was disabled or restarted."""
         self.pending = False
         self._sent_target = None
         self.limits = None

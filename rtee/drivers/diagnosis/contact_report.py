@@ -77,7 +77,7 @@ class ContactReport:
     Attributes:
         device: The device's name.
         driver: The driver's name.
-        identity: What the device says of itself.
+        identity: The device's own description.
         findings: What the steps found, in order.
         answers: Questions and answers, in order.
         samples: Measurements, in order.

@@ -96,7 +96,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
     ) -> Mapping[int, codec.Frame]:
         """Return the answers of servos with ``size`` bytes of registers, by id; raises `BusError`.
 
-        One request for all, which not every family answers, only where servos are read `together`.
+        Sends one request to all if servos are read `together`; not every family answers it.
         """
         if not self.together or len(ids) <= 1:
             return {number: await self.read(number, address, size) for number in ids}

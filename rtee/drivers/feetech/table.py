@@ -153,7 +153,7 @@ class Family:
     def measured(self, data: bytes) -> list[int]:
         """Return the `MEASURED` values in the `state` bytes from the position on.
 
-        Load in 0.1 % of the supply, current in 6.5 mA, voltage in 0.1 V; 0 for what is missing.
+        Load in 0.1 % of the supply, current in 6.5 mA, voltage in 0.1 V; 0 for missing values.
         """
         return [self.unpack(register, data, PRESENT_POSITION.address) for register in MEASURED]
 

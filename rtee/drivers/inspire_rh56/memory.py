@@ -47,7 +47,7 @@ class Rh56Properties(Section, frozen=True):
 
     Attributes:
         unit: Its number.
-        protocol: What it speaks: its own frames, or Modbus.
+        protocol: Its own frames, or Modbus.
         framing: Of Modbus: ``rtu`` or ``tcp``.
         baudrate: Rate that its line is set to [baud].
         model: With tactile sensors (``dftp``) its force limits go up to 3000 g.

@@ -65,7 +65,7 @@ class Built:
     Attributes:
         spec: The model; objects may still be added before it is compiled.
         servos: The motors, by actuator.
-        notes: What was made up, one sentence each.
+        notes: Assumed values, one sentence each.
         following: How joints follow their actuators where that is not a gear, one sentence each.
     """
 

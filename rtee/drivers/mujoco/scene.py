@@ -339,7 +339,7 @@ def make_simulation(
 
     Args:
         hand: The hand.
-        options: What is simulated.
+        options: The options of the simulation.
         actuators: The actuators that are read and commanded, in order.
         period: Time between exchanges [s].
         place: Pose ``(4, 4)`` of the object in the hand's base frame; by default its middle is

@@ -40,7 +40,7 @@ class SceneChannels:
         model: The compiled model.
         data: Its state.
         hand: The hand in it.
-        around: What is around the hand.
+        around: The hand's surroundings.
         options: How it is simulated.
     """
 

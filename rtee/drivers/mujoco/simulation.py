@@ -35,8 +35,8 @@ class Simulation:
         surroundings: The carrier, the object and what it lies on.
         actuators: Names of the actuators in the order of all arrays here.
         effort_limit: Their effort limits ``(n,)`` [N·m | N].
-        notes: What was assumed about the hand, one sentence each.
-        object_description: What the object looks like, if there is one.
+        notes: Assumptions about the hand, one sentence each.
+        object_description: Shape and colour of the object, if there is one.
         taxels: The touch sensors.
 
     Args:

@@ -149,7 +149,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
         places = (OUTPUT, INPUT) if base is None else (base, base)
-        # With one common base, function 3 reads what was written and function 4 what is measured.
+        # With one common base, function 3 reads written values and function 4 measured ones.
         return *places, self.options.function or (3 if base is None else 4)
 
     def _gap(self) -> float | None:

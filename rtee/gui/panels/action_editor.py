@@ -152,7 +152,7 @@ class TuningPanel:
         self._set_before: dict[str, float] = {}
         # Whether the field holds a value of its gain; the first click must not set it to 0.
         self._typed = False
-        # What the hand said last: what is entered stays until it says something else.
+        # The hand's last value: an entered one stays until the hand reports another.
         self._said: float | None = None
         self._holding = gui.add_slider(
             "Holding effort [%]",
@@ -372,7 +372,7 @@ class JogPanel:
                 await self._remote.release_lease()
 
     def follow(self, state: State) -> None:
-        """Mark what is measured, where the sliders are unless they were moved since.
+        """Mark the measured positions, where the sliders are unless they were moved since.
 
         A stop, or anything else that moves the hand, takes them back there.
         """

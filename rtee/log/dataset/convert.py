@@ -51,7 +51,7 @@ class Episode:
 def episodes_of(recording: Recording, by: EpisodeBoundary) -> list[Episode]:
     """Return the episodes of a recording, in order.
 
-    By goals, those are episodes that came to what was wanted.
+    By goals, only the successful ones are episodes.
 
     Raises:
         LogError: There are none.
@@ -107,7 +107,7 @@ class Choice:
         by: The event that separates episodes.
         task: The task of all episodes; empty: each has its own.
         actions: Actions whose intensities are the action; none: the actuators' targets are.
-        observe: What is observed, all of which must be known; none: all that is known.
+        observe: Observed quantities, all of which must be known; none: all known ones.
         cameras: Cameras by ``[NAME=]TOPIC``; none: all.
     """
 
@@ -144,7 +144,7 @@ class _Shot:
 def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
     """Write a dataset, in a folder that does not exist yet.
 
-    Each frame has what was known at its time, never what came later. An episode in which nothing is
+    Each frame has the values known at its time, never later ones. An episode in which nothing is
     known for a while, such as a camera that stopped, is left out.
 
     Args:
@@ -153,8 +153,8 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         choice: How its episodes are selected.
 
     Raises:
-        LogError: A file cannot be read or written, or has no episodes, or what was chosen is not
-            known.
+        LogError: A file cannot be read or written or has no episodes, or a selected quantity is
+            unknown.
         MissingExtra: pyarrow or PyAV is not installed.
     """
     with needing_extra("a LeRobot dataset", "lerobot"):

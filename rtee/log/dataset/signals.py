@@ -62,7 +62,7 @@ class Signal:
         return found
 
     def row_at(self, when: Times) -> FloatArray:
-        """Return the newest rows at times ``(m,)``, in which ``NaN`` ends what was before."""
+        """Return the newest rows at times ``(m,)``; a row of ``NaN`` ends the previous value."""
         before = np.full((1, len(self.names)), math.nan)
         rows: FloatArray = np.vstack([before, self.values])
         return rows[np.searchsorted(self.wall, when, side="right")]
