@@ -293,7 +293,8 @@ def lerobot(
         _print_safely(f"note: {note}")
     for name, names in made.names.items():
         _print_safely(f"{name}: {', '.join(names)}")
-    print(f"{output}: {made.episodes} episodes, {made.frames} frames, {made.frames / fps:.1f} s")
+    count = f"{made.episodes} episode{'s' * (made.episodes != 1)}"
+    print(f"{output}: {count}, {made.frames} frames, {made.frames / fps:.1f} s")
 
 
 @app.command()

@@ -130,7 +130,8 @@ def _chosen(hand: str | None, names: Collection[str], where: str) -> str:
     if hand is not None:
         if hand in names:
             return hand
-        raise NoHand(f"the hand '{hand}' is not running {where}; {suggestion(hand, names)}")
+        hint = suggestion(hand, names) if names else f"start it with 'rtee run {hand}'"
+        raise NoHand(f"the hand '{hand}' is not running {where}; {hint}")
     if not names:
         raise NoHand(f"no hand is running {where}; start one with 'rtee run HAND'")
     if len(names) > 1:

@@ -267,7 +267,10 @@ def command(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
     ("words", "sentence"),
     [
         ("mcp", "no hand is running here; name those that will: rtee mcp HAND"),
-        ("mcp clew", "the hand 'clew' is not running on this computer; there are none"),
+        (
+            "mcp clew",
+            "the hand 'clew' is not running on this computer; start it with 'rtee run clew'",
+        ),
         ("mcp claw --force 21", "--force 21.0 is more than hand.yaml allows an agent: 20.0"),
         ("mcp claw --gate act", "--gate act is more than hand.yaml allows an agent: approve"),
         ("agent admit claw", "'rtee agent admit' needs a person at a terminal, not a script"),

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from log.samples import BEGIN, RATE, RESULT, WALL, Log, recorded, settings, tick
 from rtee.cli.log import app
-from rtee.commands import CommandRecord, StreamSample
+from rtee.commands import CommandRecord, EndStream, StreamSample
 from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log.dataset.cameras import cameras_in
@@ -197,6 +197,25 @@ def test_goals_are_episodes_and_intensities_actions(demonstrations: Path, tmp_pa
     assert frames_of(tmp_path / "actions")["action"] == pytest.approx(asked)
     tasks = parquet.read_table(tmp_path / "goals/meta/tasks.parquet")
     assert tasks.to_pylist() == [{"task_index": 0, "task": "close"}]
+
+
+def test_an_episode_of_intensities_is_as_long_as_its_stream(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    for number in log.ticks(0, 100):
+        now = log.time.now
+        if number in (10, 90):
+            log.writer.item(Event("mark", "user", "episode: close", now), now)
+        if number in range(40, 61, 4):
+            sample = StreamSample("s", now, now, {"Trig one": 0.01 * number}, {}, {}, {})
+            log.writer.item(CommandRecord(number, now, sample), now)
+        if number == 70:
+            log.writer.item(CommandRecord(99, now, EndStream("s")), now)
+    log.writer.close()
+    choice = Choice(25, actions=("Trig one",), observe=(ObservedQuantity.POSITION,))
+    made = write_dataset(recorded(tmp_path), tmp_path / "made", choice)
+    action = frames_of(tmp_path / "made")["action"].ravel()
+    assert made.frames == len(action) == 7
+    assert (action[0], action[-1]) == pytest.approx((0.4, 0.6))
 
 
 @pytest.mark.parametrize(

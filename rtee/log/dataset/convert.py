@@ -215,11 +215,17 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
     for episode in episodes_of(recording, choice.by):
         count = int((episode.end - episode.start) * choice.fps // SECOND) + 1
         when = episode.start + np.arange(count, dtype=np.int64) * SECOND // choice.fps
+        action = wanted.row_at(when)
+        if choice.actions:
+            # A person marks an episode before the stream begins, and after it has ended.
+            known = np.flatnonzero(np.isfinite(action).all(axis=1))
+            first, last = (known[0], known[-1] + 1) if len(known) else (0, len(when))
+            when, action = when[first:last], action[first:last]
         state: dict[ObservedQuantity, dict[str, FloatArray]] = {}
         for quantity, signal in signals:
             columns = dict(zip(signal.names, signal.at(when).T, strict=True))
             state.setdefault(quantity, {}).update(columns)
-        went, action = reference.at(when), wanted.row_at(when)
+        went = reference.at(when)
         if not choice.actions:
             action = np.where(np.isfinite(action), action, went)
         yield _Shot(episode, when, state, action, went, path)
