@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -42,6 +42,10 @@ faces are parallel to few others."""
 _ROUNDED: Final = 2e-9
 """Upper bound of the motion of corners by rounding to a nanometre [m]."""
 
+_EQUAL: Final = 1e-9
+"""Difference of heights below which vertices are equally far out [m]: all of them are taken, as the
+last digit would choose between those of a symmetric mesh."""
+
 _ROUNDS: Final = 12
 """Most rounds of adding vertices, each of which about halves the error."""
 
@@ -74,7 +78,7 @@ def coarse_shape(shape: Shape) -> CoarseShape:
         return _prism(part.radius, part.halfLength)
     if not shape.is_mesh or part.num_points <= _SIMPLE:
         return CoarseShape(part, 0.0)
-    return _simplified(part)
+    return simplified(part)
 
 
 def _prism(radius: float, half: float) -> CoarseShape:
@@ -91,24 +95,23 @@ def _prism(radius: float, half: float) -> CoarseShape:
     return CoarseShape(hull_of(corners), radius * flat + _ROUNDED)
 
 
-def _simplified(part: coal.ConvexBase) -> CoarseShape:
-    """Return a hull of fewer vertices within a hull.
+def simplified(part: coal.ConvexBase) -> CoarseShape:
+    """Return a hull of fewer vertices within a hull, whatever the order of its vertices.
 
     Begins with the outermost vertices in evenly spread directions. If vertices lie beyond a face by
-    more than the slack, adds the farthest one, until there is none.
+    more than the slack, adds the farthest ones, until there are none.
     """
     points = np.array(part.points())
-    # Each once, since several directions may have the same outermost vertex.
-    chosen = np.unique(_farthest(points, _DIRECTIONS)[1])
+    chosen = _outermost(points, _DIRECTIONS)
     for _ in range(_ROUNDS):
         hull = hull_of(points[chosen])
         normals, corners = np.array(hull.normals()), np.array(hull.points())
-        beyond, which = _farthest(points, normals, _farthest(corners, normals)[0])
+        beyond = _farthest(points, normals) - _farthest(corners, normals)
         worst = float(beyond.max())
         if worst <= SLACK:
             return CoarseShape(hull, max(0.0, worst))
-        # One vertex for each face that is not good enough, so that few rounds suffice.
-        chosen = np.unique(np.concatenate([chosen, which[beyond > SLACK]]))
+        # Those of each face that is not good enough, so that few rounds suffice.
+        chosen |= _outermost(points, normals[beyond > SLACK])
     return CoarseShape(part, 0.0)
 
 
@@ -125,14 +128,14 @@ def outer(
         if not isinstance(body, coal.ConvexBase):
             continue
         normals = np.array(body.normals())
-        levels = _farthest(np.array(body.points()), normals)[0]
+        levels = _farthest(np.array(body.points()), normals)
         # A dropped shape may contain others, too, as it lies inside a kept one.
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
             corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
             local = rotated(corners - holder.translation, holder.rotation.T)
             # All corners inside all faces, so that the whole shape is inside: both are convex.
-            if (_farthest(local, normals)[0] <= levels).all():
+            if (_farthest(local, normals) <= levels).all():
                 kept.remove(i)
     return tuple(kept)
 
@@ -154,24 +157,25 @@ def least_width(shape: Shape, coarse_shape: coal.ShapeBase) -> float:
     return float((heights.max(axis=0) - heights.min(axis=0)).min()) / 3.0
 
 
-def _farthest(
-    points: FloatArray, directions: FloatArray, levels: FloatArray | None = None
-) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return how far points ``(p, 3)`` reach along directions ``(d, 3)``, and which do.
+def _farthest(points: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return how far points ``(p, 3)`` reach along directions ``(d, 3)``: ``(d,)`` [m]."""
+    return np.concatenate([heights.max(axis=1) for heights in _heights(points, directions)])
 
-    The distances ``(d,)`` are counted from levels ``(d,)``, by default from the origin [m].
-    """
+
+def _outermost(points: FloatArray, directions: FloatArray) -> NDArray[np.bool_]:
+    """Return which points ``(p,)`` reach farthest along any of the directions ``(d, 3)``."""
+    found = np.zeros(len(points), dtype=bool)
+    for heights in _heights(points, directions):
+        found |= (heights >= heights.max(axis=1)[:, None] - _EQUAL).any(axis=0)
+    return found
+
+
+def _heights(points: FloatArray, directions: FloatArray) -> Iterator[FloatArray]:
+    """Yield how far points ``(p, 3)`` reach along some of the directions after the other [m]."""
     count = max(1, _AT_ONCE // len(points))
-    found = []
     for i in range(0, len(directions), count):
         # Each direction's in a row, along which the greatest is found fastest.
-        heights = _along(directions[i : i + count], points)
-        if levels is not None:
-            heights -= levels[i : i + count, None]
-        which = heights.argmax(axis=1)
-        found.append((heights[np.arange(len(which)), which], which))
-    distances, numbers = zip(*found, strict=True)
-    return np.concatenate(distances), np.concatenate(numbers)
+        yield _along(directions[i : i + count], points)
 
 
 def _along(points: FloatArray, directions: FloatArray) -> FloatArray:

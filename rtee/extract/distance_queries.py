@@ -17,7 +17,10 @@ TOUCH: Final = 1e-8
 _POLYTOPES: Final = 1e-9
 """Precision of penetration depths of boxes, hulls and spheres [m]. With Coal's default, 1e-6, the
 last digit decides between two normals whose depths differ by less, and searches end at such
-places. For cylinders, which have no end of faces, the default stays: some would not converge."""
+places. For cylinders, which have no end of faces, the default stays: some would not converge.
+
+Also that of distances of meshes' hulls: with the default, they depend on the order of vertices and
+on earlier measurements, by up to a micrometre."""
 
 _FAILED: Final = -1e6
 """Distance below which Coal has failed to find a depth [m]: no hand penetrates itself so deeply."""
@@ -47,7 +50,7 @@ class DistanceQueries:
         couples: Indices of the couples' shapes in the scene.
         slack: Largest excess of the bodies' distance over that of the convex parts [m].
         remembers: Whether Coal keeps the direction of its last search for a vertex of a hull, which
-            changes the next result by some 10 nm; only new queries have none.
+            changes the next distance from a cylinder by some 10 nm; only new queries have none.
         results: Coal's last distance result of every couple.
     """
 
@@ -79,20 +82,23 @@ class DistanceQueries:
         self._robot, self._joints = robot
         self._model = pin.GeometryModel()
         number = {}
-        self._guided = self.remembers = False
+        self._guided = False
         for i in (*first, *second):
             shape, body = shapes[i], bodies[i]
             self._guided |= isinstance(body, coal.BVHModelBase)
-            self.remembers |= isinstance(body, coal.ConvexBase) and body.num_points > _CLIMBED
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, body)
             number[i] = self._model.addGeometryObject(placed)
-        for i, j in self.couples:
-            self._model.addCollisionPair(pin.CollisionPair(number[i], number[j]))
-        # Flat faces alone have exact depths.
-        self._flat = [
-            coarse and not any(isinstance(bodies[n], _ENDLESS) for n in couple)
-            for couple in self.couples
-        ]
+        self._precise, self.remembers = [], False
+        for couple in self.couples:
+            self._model.addCollisionPair(pin.CollisionPair(*(number[n] for n in couple)))
+            # Flat faces alone have exact depths.
+            flat = not any(isinstance(bodies[n], _ENDLESS) for n in couple)
+            hull = flat and any(shapes[n].is_mesh for n in couple)
+            self._precise.append((flat and (coarse or hull), hull))
+            self.remembers |= not hull and any(
+                isinstance(bodies[n], coal.ConvexBase) and bodies[n].num_points > _CLIMBED
+                for n in couple
+            )
         self.forget()
 
     def forget(self) -> None:
@@ -108,9 +114,11 @@ class DistanceQueries:
             self._data.collisionRequests[k] = collision
         # Their elements are Pinocchio's own requests, so that changes below take effect.
         self._distances = list(self._data.distanceRequests)
-        for request, flat in zip(self._distances, self._flat, strict=True):
-            if flat:
+        for request, (depth, distance) in zip(self._distances, self._precise, strict=True):
+            if depth:
                 request.epa_tolerance = _POLYTOPES
+            if distance:
+                request.gjk_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)
         self._measured = self._placed = -1
