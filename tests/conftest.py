@@ -150,7 +150,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Give a test that runs once more the time that it had: both timers ended with its failure."""
     if getattr(item, "execution_count", 1) > 1:
-        pytest_timeout.timeout_setup(item)
+        pytest_timeout.pytest_timeout_set_timer(item, pytest_timeout._get_item_settings(item))
 
 
 @pytest.hookimpl(optionalhook=True)

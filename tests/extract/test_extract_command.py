@@ -121,7 +121,7 @@ def test_save_needs_a_hand_of_the_configuration(
 ) -> None:
     status, _, err = rtee(capsys, monkeypatch, "extract", *model, "--save")
     assert status == 2
-    assert "--save needs a hand" in err
+    assert "--save needs a configured hand" in err
 
 
 def test_a_missing_mesh_leaves_nothing_behind(

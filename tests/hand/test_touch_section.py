@@ -46,7 +46,7 @@ def test_a_sensor_that_only_its_driver_places_keeps_that(tmp_path: Path) -> None
     sensor = on_hand(TouchSensor("pad", link="right_tip"), hand)
     assert (sensor.finger, sensor.placed, sensor.unit) == ("right", False, "N")
     assert math.isnan(sensor.full)
-    with pytest.raises(ValueError, match="unknown"):
+    with pytest.raises(ValueError, match="which the hand does not have"):
         on_hand(TouchSensor("pad", link="left_toe"), hand)
 
 

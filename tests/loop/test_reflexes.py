@@ -321,7 +321,7 @@ def test_a_slow_goal_may_take_as_long_as_it_is_slow(small: Hand) -> None:
     ("asked", "reason"),
     [
         ({"on_contact": {"ring": OnContact.STOP}}, "on_contact of an unknown finger"),
-        ({"max_force": 3.0}, "a largest force needs the force"),
+        ({"max_force": 3.0}, "a largest force needs an initial force"),
         ({"opening": 0.01, "force": 4.0, "max_force": 3.0}, "must be at least the force, 4 N"),
         ({"opening": 0.01, "force": 4.0, "max_force": NAN}, "not nan"),
         ({"touch": True, "opening": 0.01}, "a touch takes no opening"),

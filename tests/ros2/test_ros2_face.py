@@ -265,7 +265,7 @@ async def test_namespaces_and_names() -> None:
     assert configuration(private, {}).get_json("listen/endpoints") == "[]"
     parted = Shown("two", Ros2Settings(namespace="right"))
     assert len(warnings([one, parted])) == 1
-    with pytest.raises(ConfigError, match="both be the node /a_b"):
+    with pytest.raises(ConfigError, match="be the same node /a_b"):
         warnings([Shown("a-b", Ros2Settings()), Shown("a.b", Ros2Settings())])
     with pytest.raises(ConfigError, match="the command line: the namespace"):
         overridden(Ros2Settings(), {"namespace": "a b"})
