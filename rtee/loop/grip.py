@@ -47,9 +47,10 @@ fingers touch elsewhere than at their tips: where exactly decides how much of an
 bears, and which part its friction takes. In simulation, HERI II, Allegro and the SoftHand are off
 by 0.53 to 0.58; a claw presses with a third more at its heel, and a fifth less askew."""
 
-ONE_SIDE: Final = 1.3
+ONE_SIDE: Final = 1.25
 """One side presses no further above this multiple of the force: a palm, or another finger, holds
-against it, and the other side may never come."""
+against it, and the other side may never come. A blow may have 1.3 times the force, and the force is
+kept within some percent."""
 
 _LIMIT_SHARE: Final = 0.25
 """Error of an estimate from effort limits, likewise: motors do not keep them more exactly."""

@@ -15,7 +15,7 @@ _NONE = 0.0, 0.0, 0.0
 
 
 class FingerForces:
-    """Reads the force on each finger.
+    """Reads the normal force on each finger, as pads that measure pressure do.
 
     Counted are contacts of links that belong to one finger with anything outside the hand, and
     contacts between two fingertips. A finger that presses on the palm holds nothing.
@@ -46,7 +46,7 @@ class FingerForces:
                 self._belongs[index, row] = links == tip or (row >= self._tips and alone)
 
     def read(self, data: mujoco.MjData) -> FloatArray:
-        """Return the sum of the forces on the links of each finger ``(fingers,)`` [N]."""
+        """Return the sum of the normal forces on each finger's links ``(fingers,)`` [N]."""
         felt = self._felt(data) if data.ncon else []
         if not felt:
             return np.zeros(len(self._belongs))
@@ -61,7 +61,7 @@ class FingerForces:
         return np.asarray(self._belongs @ sizes)
 
     def _felt(self, data: mujoco.MjData) -> list[tuple[int, float, float, float]]:
-        """Return the row of each side of a contact that is felt, and the force on it [N].
+        """Return the row of each side of a contact that is felt, and the normal force on it [N].
 
         Forces are along the world's axes; those on the first sides come first.
         """
@@ -78,10 +78,10 @@ class FingerForces:
             # Within the hand, only two fingertips feel each other.
             if of_hand[one] and of_hand[other] and not (0 <= first < tips and 0 <= second < tips):
                 continue
-            a, b, c, d, e, f, g, h, i = frames[number]
-            # The first three rows of an elliptic contact are its force in its own frame.
-            x, y, z = forces[start : start + 3]
-            x, y, z = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+            a, b, c = frames[number][:3]
+            # The first row of an elliptic contact is its normal force.
+            normal = forces[start]
+            x, y, z = a * normal, b * normal, c * normal
             if first >= 0:
                 firsts.append((first, -x, -y, -z))
             if second >= 0:

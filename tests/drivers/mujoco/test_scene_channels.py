@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+import mujoco
 import trimesh
 
 from rtee.drivers.mujoco.options import SimOptions
@@ -163,6 +164,13 @@ def test_contact_forces_are_on_the_object_from_both_sides_and_carry_it() -> None
     strong = rows[strength > 1.0]
     assert ((pose[:3] - strong[:, :3]) * strong[:, 3:6]).sum() > 0.0
     assert rows[:, 3:6].sum(axis=0) == pytest.approx([0.0, 0.0, 0.3 * 9.81], abs=0.3)
+    # The fingertips feel how they are pressed, and not the weight along their surface.
+    # The fingertips feel the part across the surface alone.
+    normal, force = 0.0, np.zeros(6)
+    for number in range(simulation.data.ncon):
+        mujoco.mj_contactForce(simulation.model, simulation.data, number, force)
+        normal += force[0]
+    assert simulation.contact_forces == pytest.approx([0.5 * normal] * 2, rel=0.01)
 
 
 def test_contacts_are_renewed_thirty_times_a_second_at_most() -> None:
