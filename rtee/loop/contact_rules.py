@@ -20,6 +20,10 @@ _LOST_MOVE: Final = 0.02
 """A grasp looks lost once the actuator has closed further by this share of its range [1], more than
 a soft object gives way."""
 
+_OTHER_SIDE: Final = 0.1
+"""Least share of the force of one side that the other has to show: efforts of those that hold an
+object between them differ by a factor of 4 at most in simulation, and of others by 60."""
+
 _PAIR: Final = 2
 """Fingers that hold an object between them."""
 
@@ -101,6 +105,14 @@ def presses(force: float, least: float, still: Iterable[bool]) -> bool:
 def pressing_share(effort: float, weight: float) -> float:
     """Return the share of an effort that presses, besides weight and friction, all [N·m | N]."""
     return min(max(1.0 - weight / effort, 0.0), 1.0) if effort and weight == weight else 0.0
+
+
+def both_press(sides: Sequence[float]) -> bool:
+    """Return whether each side presses, by the forces that efforts show [N].
+
+    Where one alone does, its fingers press on one another beside the object.
+    """
+    return not sides or min(sides) >= _OTHER_SIDE * max(sides)
 
 
 def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) -> bool:

@@ -231,6 +231,28 @@ class ForceEstimate:
     ) -> float:
         """Return the force by efforts [N]; ``NaN``: they are not measured.
 
+        Both sides press equally; their mean is the force. The arguments are those of `sides`.
+        """
+        sides = self.sides(effort, position, only)
+        if not sides:
+            return math.nan
+        return sum(sides) if self._grip.around else sum(sides) / len(sides)
+
+    def both_press(self, measured: Measured) -> bool:
+        """Return whether each side presses, as far as efforts tell; sensors need not be asked."""
+        grip = self._grip
+        if grip.around or not math.isnan(grip.tip_force(measured.touch)):
+            return True
+        return rules.both_press(self.sides(measured.effort, measured.position))
+
+    def sides(
+        self,
+        effort: Sequence[float],
+        position: Sequence[float],
+        only: Container[int] | None = None,
+    ) -> list[float]:
+        """Return the force of each side that squeezes, by efforts [N].
+
         Args:
             effort: Efforts of all actuators [N·m | N].
             position: Their positions [rad | m].
@@ -251,14 +273,11 @@ class ForceEstimate:
                 held = held if only is None or i in only else 0.0
                 along[finger] = along.get(finger, 0.0) + lever * held
                 square[finger] = square.get(finger, 0.0) + lever * lever
-        sides = [
+        return [
             sum(max(along[f], 0.0) / square[f] for f in side if f in along)
             for side in (grip.fingers, grip.others)
             if any(f in along for f in side)
         ]
-        if not sides:
-            return math.nan
-        return sum(sides) if grip.around else sum(sides) / len(sides)
 
 
 class Pressing:
@@ -456,7 +475,7 @@ class Pressing:
     def _arrive(self, stamp: float, share: float, measured: Measured) -> None:
         """Judge whether something is held, and keep it."""
         self.built = True
-        self.failed = share < _HOLDS
+        self.failed = share < _HOLDS or not self._estimate.both_press(measured)
         for i in self.held:
             here = measured.position[i]
             self._contact.pin(i, stamp, here, grasping=i in self._predicted and not self.failed)

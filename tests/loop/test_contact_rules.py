@@ -131,6 +131,12 @@ def test_an_opening_of_the_empty_hand_holds_nothing_that_is_known() -> None:
     assert rules.may_be_nothing(NAN, 0.0005, word=False, alone=True)
 
 
+def test_fingers_of_one_side_press_on_one_another() -> None:
+    assert rules.both_press([3.9, 6.7])
+    assert not rules.both_press([0.07, 4.0])
+    assert rules.both_press([5.0])  # against what nothing moves
+
+
 def test_fingers_that_come_as_far_as_in_the_empty_hand_may_have_met_one_another() -> None:
     assert rules.alone([True])
     assert rules.alone([True, True])
