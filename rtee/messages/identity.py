@@ -25,7 +25,7 @@ LONGEST_CLAIM = 200
 class Claim:
     """The sender of a request and its number in an attachment; unproven until `signed_by` is true.
 
-    A number may have a dot and a label of the client; a published answer has that of its request.
+    A client may add a dot and a label to the number; a published answer repeats its request's.
     """
 
     number: str

@@ -214,7 +214,7 @@ def _scanned(best: _Tried, varied: _Varied, free: Places) -> _Tried:
                 wanted = np.array(best.place.pose)
                 wanted[:3, 3] += sign * step * _SCAN_STEP * axis
                 here = varied.at(replace(best.place, pose=wanted), free, best)
-                # The hand is in the way, so that it would be one of the places before.
+                # The hand is in the way: the place was moved back to an earlier one.
                 if np.abs(here.place.pose - wanted).max() > _SCAN_STEP / 2.0:
                     break
                 row[sign * step] = here

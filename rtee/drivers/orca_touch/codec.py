@@ -298,7 +298,7 @@ def resultants_bytes(fingers: Sequence[str], resultants: bytes) -> bytes:
 
 
 def data_size(content: Content, counts: Sequence[int]) -> int:
-    """Return the bytes of data of a frame with a content, for the taxels of each finger."""
+    """Return the length of a frame's data [bytes], given the number of taxels of each finger."""
     resultants = _RESULTANT * len(counts) if content & Content.RESULTANTS else 0
     return resultants + (_TAXEL * sum(counts) if content & Content.TAXELS else 0)
 

@@ -136,7 +136,7 @@ class XBot2Emulator(Emulator, Grasps):
             if control & Control.POSITION and command.position:
                 axis.target = command.position[i]
                 axis.max_effort = self.properties.effort
-                if control & Control.EFFORT and command.effort:  # beside a position, it limits
+                if control & Control.EFFORT and command.effort:  # a limit beside a position
                     axis.max_effort = min(abs(command.effort[i]), self.properties.effort)
             elif control & Control.EFFORT and command.effort:
                 effort = command.effort[i]
