@@ -42,7 +42,9 @@ from __future__ import annotations
 
 import difflib
 import json
+import signal
 import sys
+import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -208,11 +210,36 @@ def needing_extra(what: str, extra: str) -> Iterator[None]:
         MissingExtra: if a package imported inside the context is not installed.
     """
     try:
-        yield
+        with _interruptible():
+            yield
     except ImportError as error:
         if (error.name or "").partition(".")[0] == "rtee":  # a bug of rtee, not a missing extra
             raise
         raise MissingExtra(what, extra) from error
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise `KeyboardInterrupt` at the end, too: trimesh takes it for a package that is missing."""
+    default, pressed = signal.default_int_handler, False
+
+    def press(*_: object) -> None:
+        nonlocal pressed
+        pressed = True
+        raise KeyboardInterrupt
+
+    main = threading.current_thread() is threading.main_thread()
+    # Whoever has a handler of their own, as asyncio has, is told by that.
+    if not main or signal.getsignal(signal.SIGINT) is not default:
+        yield
+        return
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, default)
+        if pressed:
+            raise KeyboardInterrupt
 
 
 class ModelError(UserError, ValueError):

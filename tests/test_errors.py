@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
 from importlib import metadata
 from types import SimpleNamespace
 
 import pytest
 
-from rtee.errors import MissingExtra
+from rtee.errors import MissingExtra, needing_extra
 
 
 @pytest.mark.parametrize(
@@ -32,3 +34,18 @@ def test_an_extra_comes_from_where_rtee_came(
     found = SimpleNamespace(read_text=lambda _: text)
     monkeypatch.setattr(metadata, "distribution", lambda _: found)
     assert f"the GUI needs the extra 'gui': {said}" in str(MissingExtra("the GUI", "gui"))
+
+
+def test_ctrl_c_ends_imports_that_take_it_for_a_missing_package() -> None:
+    """`rtee gui`, interrupted while trimesh was imported, went on and heard no Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with (
+            pytest.raises(KeyboardInterrupt),
+            needing_extra("the GUI", "gui"),
+            contextlib.suppress(BaseException),
+        ):
+            signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -211,7 +211,9 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
         names = [row.name for row in offered()]
         raise ConfigError(f"no node offers the {sort} {name}; {suggestion(name, names)}")
     if len(types) > 1:
-        raise ConfigError(f"the {sort} {name} has the types {' and '.join(types)}; give one")
+        raise ConfigError(
+            f"the {sort} {name} has the types {' and '.join(types)}; give one after its name"
+        )
     return types[0]
 
 
@@ -422,7 +424,8 @@ def send_goal(
 ) -> None:
     """Send a goal and print its result, as YAML; Ctrl-C and the end of the time cancel it.
 
-    Example: rtee ros2 send-goal /robotiq_2f_85/gripper_cmd '{command: {position: 0.03}}'
+    Example: rtee ros2 send-goal /robotiq_2f_85/gripper_cmd control_msgs/action/GripperCommand
+    '{command: {position: 0.03}}'
 
     Arguments and options:
         action: Name of the action.

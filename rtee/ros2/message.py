@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtee.errors import MessageError
+from rtee.errors import MessageError, suggestion
 from rtee.messages.schema import EMPTY_FIELD, MessageType
 
 _HEADER = 4
@@ -36,7 +36,10 @@ class Message:
             name = field.name
             setattr(self, name, fields.pop(name) if name in fields else field.blank(0.0))
         if fields:
-            raise MessageError(f"{self.STRUCTURE.name} has no field '{next(iter(fields))}'")
+            wrong, known = next(iter(fields)), (field.name for field in self.STRUCTURE.fields)
+            raise MessageError(
+                f"{self.STRUCTURE.name} has no field '{wrong}'; {suggestion(wrong, known)}"
+            )
 
     # Called only for names that are not fields.
     def __getattr__(self, name: str) -> Any:
