@@ -7,8 +7,9 @@ import gc
 import os
 import shutil
 import signal
+import sys
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -186,6 +187,23 @@ def the_time() -> Iterator[None]:
     # Put right first, so that this test alone fails.
     monotonic.now, monotonic.now_ns, monotonic.sleep = before
     assert after == before, "the test has left the tests' own process another clock"
+
+
+@pytest.fixture
+def largest_file(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int | None], None]]:
+    """Sets the size [bytes] beyond which files cannot grow, as on a full disk; none: as before."""
+    resource = pytest.importorskip("resource")
+    present = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # Python would leave it cut
+
+    def limit(size: int | None) -> None:
+        soft = present[0] if size is None else size
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, present[1]))
+
+    yield limit
+    limit(None)
+    signal.signal(signal.SIGXFSZ, before)
 
 
 def _priority() -> tuple[int, int]:

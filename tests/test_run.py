@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -159,14 +160,13 @@ async def test_recordings_go_where_they_are_told_or_nowhere(folder: Path) -> Non
     assert not list((folder / "logs").glob("*_000.mcap"))
 
 
-async def test_what_a_full_disk_loses_is_counted_and_told(folder: Path) -> None:
-    import resource
-
+async def test_what_a_full_disk_loses_is_counted_and_told(
+    folder: Path, largest_file: Callable[[int | None], None]
+) -> None:
     import rtee
 
     said: list[str] = []
     over = anyio.Event()
-    present = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     async def main() -> None:
         await run_hands(["jaw"], options(folder), say=said.append, until=over)
@@ -176,14 +176,14 @@ async def test_what_a_full_disk_loses_is_counted_and_told(folder: Path) -> None:
         try:
             async with rtee.connect("jaw", wait=300.0) as hand:
                 events = hand.events()
-                resource.setrlimit(resource.RLIMIT_FSIZE, (1000, present[1]))
+                largest_file(1000)
                 with anyio.fail_after(300):
                     async for event in events:
                         if event.kind == "log_failed":
                             break
                 status = await hand.status()
         finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, present)
+            largest_file(None)
             over.set()
     assert "not written: file too large" in status.recording_trouble
     assert any("recording: " in line and "ticks lost" in line for line in said)

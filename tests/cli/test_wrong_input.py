@@ -7,8 +7,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -370,50 +369,33 @@ def test_a_report_that_cannot_be_made(page: str, home: Path, refused: Run) -> No
     assert f"{page}: cannot be written: " in refused("extract", "gripper", "--report", page)
 
 
-@contextmanager
-def small_files(limit: int) -> Iterator[None]:
-    """Let files grow to a size only, as on a disk that is full."""
-    resource = pytest.importorskip("resource")
-    signal = pytest.importorskip("signal")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    written, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # it would be cut
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
-    try:
-        yield
-    finally:
-        sys.dont_write_bytecode = written
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
-
-
 @pytest.mark.heavy
-def test_a_full_disk(home: Path, refused: Run) -> None:
+def test_a_full_disk(home: Path, refused: Run, largest_file: Callable[[int | None], None]) -> None:
     out = home / "actions"
     out.mkdir()
-    with small_files(300):  # one kind would fit, another would not
-        said = refused("extract", "gripper", "--save")
-        assert "cannot be written: file too large" in said
-        assert "cannot be" in refused("new", "other", "--urdf", home / "gripper.urdf")
-        refused("extract", "gripper", "--out", "deep/out")
-        urdf = home / "gripper.urdf"
-        assert "cannot be" in refused("new", "other", "--urdf", urdf, "--into", "deep/hands")
-    with small_files(20_000):  # the primitives would fit, the page would not
-        both = ("--out", "out", "--save", "--report", "page.html")
-        assert "page.html: cannot be written: file too large" in refused(
-            "extract", "gripper", *both
-        )
+    largest_file(300)  # one kind would fit, another would not
+    assert "cannot be written: file too large" in refused("extract", "gripper", "--save")
+    assert "cannot be" in refused("new", "other", "--urdf", home / "gripper.urdf")
+    refused("extract", "gripper", "--out", "deep/out")
+    urdf = home / "gripper.urdf"
+    assert "cannot be" in refused("new", "other", "--urdf", urdf, "--into", "deep/hands")
+    largest_file(20_000)  # the primitives would fit, the page would not
+    both = ("--out", "out", "--save", "--report", "page.html")
+    assert "page.html: cannot be written: file too large" in refused("extract", "gripper", *both)
 
 
-def test_a_disk_that_is_full_while_actions_are_imported(home: Path, refused: Run) -> None:
+def test_a_disk_that_is_full_while_actions_are_imported(
+    home: Path, refused: Run, largest_file: Callable[[int | None], None]
+) -> None:
     theirs = Path("theirs")
     theirs.mkdir()
     body = "  Type: 1\n  JointsInvolvedCount: {left: 1}\n  JointPos: {left: [0.2]}\n"
     (theirs / "a.yaml").write_text(f"a:\n{body}")
     (theirs / "b.yaml").write_text(f"{'b' * 90}:\n{body}")
     for where in ([], ["--out", "deep/out"]):
-        with small_files(100):
-            said = refused("import", "theirs", "--hand", "gripper", *where)
+        largest_file(100)
+        said = refused("import", "theirs", "--hand", "gripper", *where)
+        largest_file(None)
         assert "cannot be written: file too large" in said
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -103,23 +104,15 @@ def test_devices_and_pipes_are_no_files(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [pipe]
 
 
-def test_nothing_is_left_when_the_disk_is_full(tmp_path: Path) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("no /dev/full here")
-    import resource
-    import signal
-
+def test_nothing_is_left_when_the_disk_is_full(
+    tmp_path: Path, largest_file: Callable[[int | None], None]
+) -> None:
     file = tmp_path / "file"
     write_atomically(file, "old")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        with pytest.raises(ConfigError, match="cannot be written: file too large") as caught:
-            write_atomically(file, "x" * 5000)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
+    largest_file(1000)
+    with pytest.raises(ConfigError, match="cannot be written: file too large") as caught:
+        write_atomically(file, "x" * 5000)
+    largest_file(None)
     assert caught.value.path == file
     assert file.read_text() == "old"
     assert list(tmp_path.iterdir()) == [file]

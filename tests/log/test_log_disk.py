@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import resource
-import signal
 import subprocess
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,20 +16,6 @@ from rtee.hand.model import Hand
 from rtee.log import read, rotation
 from rtee.log.rotation import being_written, parse_name, parts_of, recordings
 from rtee.types import Event
-
-
-@pytest.fixture
-def largest_file() -> Iterator[object]:
-    """Sets the size beyond which the system refuses to let files grow, as a full disk does."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-    def limit(size: int | None) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft if size is None else size, hard))
-
-    yield limit
-    limit(None)
-    signal.signal(signal.SIGXFSZ, before)
 
 
 def check_gap(log: Log, path: Path, lost_text: str) -> None:
