@@ -6,6 +6,7 @@ import errno
 import importlib
 import io
 import os
+import re
 import sys
 from typing import Any, Final, NoReturn
 
@@ -213,11 +214,17 @@ def _exit_unflushed(status: int) -> NoReturn:
     sys.exit(status)
 
 
+_NUMBER: Final = re.compile(r"is not a valid (int|float)\w*( range)?")
+_NUMBERS: Final = {"int": "whole number", "float": "number"}
+"""Plain words for typer's types of options."""
+
+
 def _explain(error: Any) -> None:
     """Print a sentence about a mistake on the command line."""
     if type(error).__name__ == "NoArgsIsHelpError":  # typer has printed the help already
         return
     message = " ".join(error.format_message().split()).rstrip(".")
+    message = _NUMBER.sub(lambda kind: f"is not a {_NUMBERS[kind[1]]}", message)
     context = getattr(error, "ctx", None)
     remedy = f"; see '{context.command_path} --help'" if context is not None else ""
     print(f"rtee: {message[:1].lower()}{message[1:]}{remedy}", file=sys.stderr)

@@ -259,7 +259,13 @@ class MessageType:
         except MessageError:  # which already names the field of a nested message
             raise
         except (*_WRONG, LookupError, OverflowError) as error:
-            raise MessageError(f"{self.name}.{name}: {error}") from error
+            raise MessageError(f"{self.name}.{name}: {self._why(name, error)}") from error
+
+    def _why(self, name: str, error: Exception) -> str:
+        if not isinstance(error, struct.error):
+            return str(error)
+        kind = next(field.notation for field in self.fields if field.name == name)
+        return f"a {kind} expected ({error})"
 
     def read(self, reader: Reader) -> Any:
         """Read a message; see `decode`."""

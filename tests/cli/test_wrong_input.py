@@ -236,6 +236,7 @@ def test_words_of_a_command(command: str, refused: Run) -> None:
         ("log replay none --speed nan", "'--speed': should be a finite number"),
         ("run gripper --driver=", "--driver is empty"),
         ("gui --host 999.999.999.999", "--host 999.999.999.999 is not an IP address"),
+        ("gui --port abc", "'abc' is not a whole number; see"),
         ("gui --host=", "--host is empty"),
         ("gui --host nowhere.invalid", "there is no address of this name"),
         ("gui --host 192.0.2.1 --behind-proxy https://hand", "cannot listen there"),

@@ -177,7 +177,12 @@ def test_a_goal_that_takes_too_long_is_cancelled(talker: Callable[..., str]) -> 
         (["echo", "/x", "std_msgs/msg/Strin"], Exception, "there is no type"),
         (["echo", "/x", "std_msgs/msg/String", "--timeout", "0.2"], RemoteError, "no message came"),
         (["call", "/left/talker/sett"], ConfigError, "did you mean '/left/talker/set'"),
-        (["call", "/left/talker/set", "{dada: true}"], ConfigError, "has no field 'dada'"),
+        (["call", "/left/talker/set", "{dada: true}"], ConfigError, "'dada'; did you mean 'data'"),
+        (
+            ["send-goal", "/left/talker/gripper_cmd", "{command: {position: far}}"],
+            ConfigError,
+            "GripperCommand.position: a float64 expected",
+        ),
         (["call", "/left/talker/set", "{data: [}"], ConfigError, "request"),
         (["call", "/x", "std_srvs/srv/Empty", "--timeout", "0.2"], RemoteError, "no node offers"),
         (["send-goal", "/left/talker/grip"], ConfigError, "'/left/talker/gripper_cmd'"),
