@@ -138,7 +138,9 @@ def test_what_was_learned_of_free_motion_is_kept_for_each_device(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     (real,) = prepare(str(write_hand(tmp_path)), RunOptions()).devices
     emulated = replace(real, spec=replace(real.spec, emulated=True))
-    learned = {"drive": LearnedMotion((0.1, 0.0, 0.0), (1.0,) * 9, 20, 0.01, 0.02, 0.1, 0.001)}
+    learned = {
+        "drive": LearnedMotion((0.1, 0.0, 0.0), (1.0,) * 9, 20, 0.01, 0.02, 0.1, 0.001, 0.05)
+    }
     assert free_motion.recall("jaw", [real]) == {}
     free_motion.keep("jaw", [real], learned)
     free_motion.keep(

@@ -316,8 +316,7 @@ class Controller:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
         plan, kept_efforts = self._in_place(plan)
-        # Where there is one actuator, or a force in a data sheet, effort limits bound the blow.
-        if len(plan.effort) > 1 and plan.grip is not None and plan.grip.sheet is None:
+        if plan.by_depth:
             plan = replace(plan, lag=self._contact.lag(plan.effort))
         # Before contacts are forgotten: the result says which fingers grasp.
         self._executor.end(stamp, self._measured, preempted=True)

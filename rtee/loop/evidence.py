@@ -192,7 +192,6 @@ class ContactMonitor:
         self._watched: dict[int, _WatchedActuator] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
-        self._lag = [0.0] * len(actuators)
         # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
         self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
 
@@ -748,11 +747,12 @@ class ContactMonitor:
             velocity: Velocity of the reference [rad/s | m/s].
         """
         if abs(velocity) >= _MOVES * self._actuators[i].velocity:
-            self._lag[i] += _USUAL_SHARE * (max(lead / velocity, 0.0) - self._lag[i])
+            free = self._free[i]
+            free.lag += _USUAL_SHARE * (max(lead / velocity, 0.0) - free.lag)
 
     def lag(self, indices: Iterable[int]) -> float:
         """Return the longest time by which some actuators follow [s]; 0: none has moved yet."""
-        return max((self._lag[i] for i in indices), default=0.0)
+        return max((self._free[i].lag for i in indices), default=0.0)
 
     @property
     def learned_motion(self) -> dict[str, LearnedMotion]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final, TypedDict
 
@@ -424,6 +424,8 @@ class Executor:
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
         run.phase, run.over, run.bears, run.near = Phase.MOVING, math.nan, math.nan, math.nan
         leg = run.present
+        if run.leg and run.plan.by_depth:  # the way here has shown by how much the fingers lag
+            run.plan = replace(run.plan, lag=self._contact.lag(run.plan.effort))
         speed = leg_speed(run.plan, run.leg, self._hand)
         for i, actuator in enumerate(self._hand.actuators):
             self.max_velocity[i] = speed * actuator.velocity

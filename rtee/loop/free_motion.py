@@ -76,6 +76,7 @@ class FreeMotion:
         rough: Size of the largest recent deviation [N·m | N].
         most: Size of the largest recent effort of free motion [N·m | N].
         quantum: Smallest change of the measured effort [N·m | N]: the device's least count.
+        lag: Time by which the actuator follows its reference [s]; 0: not known.
     """
 
     __slots__ = (
@@ -85,6 +86,7 @@ class FreeMotion:
         "_matrix",
         "_parameters",
         "_scale",
+        "lag",
         "most",
         "quantum",
         "rough",
@@ -97,7 +99,7 @@ class FreeMotion:
         self._parameters = [0.0, 0.0, 0.0]
         self._matrix = [[_PRIOR, 0.0, 0.0], [0.0, _PRIOR, 0.0], [0.0, 0.0, _PRIOR]]
         self._count = 0
-        self.spread = self.rough = self.most = self.quantum = 0.0
+        self.spread = self.rough = self.most = self.quantum = self.lag = 0.0
         self._last = math.nan
 
     @property
@@ -195,7 +197,7 @@ class FreeMotion:
         first, second, third = map(tuple, self._matrix)
         return LearnedMotion(
             tuple(self._parameters), first + second + third,
-            self._count, self.spread, self.rough, self.most, self.quantum,
+            self._count, self.spread, self.rough, self.most, self.quantum, self.lag,
         )  # fmt: skip
 
     def restore(self, learned: LearnedMotion) -> None:
@@ -205,7 +207,7 @@ class FreeMotion:
         self._matrix = [list(learned.matrix[k : k + 3]) for k in (0, 3, 6)]
         self._count = learned.count
         self.spread, self.rough = learned.spread, learned.rough
-        self.most, self.quantum = learned.most, learned.quantum
+        self.most, self.quantum, self.lag = learned.most, learned.quantum, learned.lag
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +222,7 @@ class LearnedMotion:
         rough: Size of the largest recent deviation [N·m | N].
         most: Size of the largest recent effort [N·m | N].
         quantum: Smallest change of the measured effort [N·m | N].
+        lag: Time by which the actuator follows its reference [s]; 0: not known.
     """
 
     parameters: tuple[float, ...]
@@ -229,11 +232,12 @@ class LearnedMotion:
     rough: float
     most: float
     quantum: float
+    lag: float = 0.0
 
     @property
     def sound(self) -> bool:
         """Whether the model, which may come from a file, is complete and finite."""
-        sizes = (self.spread, self.rough, self.most, self.quantum)
+        sizes = (self.spread, self.rough, self.most, self.quantum, self.lag)
         whole = len(self.parameters) == 3 and len(self.matrix) == 9 and min(sizes) >= 0.0
         return whole and all(map(math.isfinite, (*self.parameters, *self.matrix, *sizes)))
 

@@ -77,6 +77,14 @@ class Plan:
         return Aim.OBJECT if holds else Aim.POSTURE
 
     @property
+    def by_depth(self) -> bool:
+        """Whether the depth of references may make the force, so that lag adds to a blow.
+
+        Where there is one actuator, or a force in a data sheet, effort limits bound it.
+        """
+        return len(self.effort) > 1 and self.grip is not None and self.grip.sheet is None
+
+    @property
     def width(self) -> float | None:
         """The opening, or the width of the object, that is asked for [m]."""
         return self.to.width if isinstance(self.to, Opening | Around) else None

@@ -106,6 +106,14 @@ def test_an_empty_hand_closes_on_itself(name: str, action: str, elements: tuple[
     assert result.grasped_fingers == ()
 
 
+def test_the_lag_of_fingers_is_learned_to_be_kept() -> None:
+    headless = start("schunk_svh")
+    headless.do(Goal(Named("Grasp")))
+    lags = [learned.lag for learned in headless.controller.learned_motion.values()]
+    assert lags
+    assert all(0.0 < lag < 0.5 for lag in lags)
+
+
 def test_an_unknown_action_is_refused() -> None:
     with pytest.raises(UnknownAction):
         start("robotiq_2f_85").do(Goal(Named("Wave")))
