@@ -268,9 +268,11 @@ class ExpressionError(ModelError):
 def suggestion(name: str, valid: Iterable[str], *, most: int = 12) -> str:
     """Return a hint that names the closest valid name, or lists the valid ones."""
     names = sorted(valid)
-    close = difflib.get_close_matches(name, names, n=1)
+    # Whoever errs in a letter may err in its case, too.
+    folded = {each.casefold(): each for each in names}
+    close = difflib.get_close_matches(name.casefold(), folded, n=1)
     if close:
-        return f"did you mean '{close[0]}'?"
+        return f"did you mean '{folded[close[0]]}'?"
     if not names:
         return "there are none"
     shown = ", ".join(names[:most]) + (", …" if len(names) > most else "")

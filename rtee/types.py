@@ -231,6 +231,13 @@ class DeviceStatus(Value):
     gains: tuple[str, ...] = ()
     gain_values: tuple[float, ...] = ()
 
+    @property
+    def trouble(self) -> str:
+        """Why the device is not active, in words."""
+        fault = f"fault {self.fault_code} ({self.fault_name})" if self.fault_name else ""
+        why = "; ".join(text for text in (fault or self.message, self.hint) if text)
+        return f"device '{self.name}' is {self.lifecycle}" + (f": {why}" if why else "")
+
 
 # --- goals -----------------------------------------------------------------------------------
 

@@ -170,15 +170,21 @@ class Devices:
             GoalRejected: if one of them may not be moved.
         """
         movable = self.movable() if movable is None else movable
-        idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
+        idle = set(indices).difference(movable)
         if not idle:
             return
         for device in self._all:
             if (why := device.guarded.capabilities.refuses.get("position")) is not None:
                 raise GoalRejected(f"'{device.name}' does not accept set-points: {why}")
-        doing = [f"; {d.name} is {d.guarded.doing}" for d in self._all if d.guarded.doing]
-        hint = "".join(doing) or "; see `rtee status`, then recover"
-        raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")
+        lost = [device for device in self._all if not idle.isdisjoint(device.indices)]
+        doing = any(device.guarded.doing for device in lost)
+        texts = "; ".join(
+            f"device '{device.name}' has not measured its position"
+            if device.active
+            else device.status().trouble
+            for device in lost
+        )
+        raise GoalRejected(texts if doing else f"{texts}; see `rtee status`, then recover")
 
     def forces(self) -> DeviceForces:
         """Return which efforts and forces the devices can limit."""

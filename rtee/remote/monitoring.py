@@ -284,7 +284,7 @@ class Monitoring:
                     raise self._link.lost()
                 status = await self.status()
                 ticks = status.statistics.ticks
-                troubles = [_trouble(d) for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]
+                troubles = [d.trouble for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]
                 if not troubles and ticks > active_at:
                     return
                 # The loop detects an active device at its next tick.
@@ -322,13 +322,6 @@ class Monitoring:
     async def robot_description(self) -> str:
         """Return the URDF."""
         return str((await self._link.ask("robot_description"))["data"])
-
-
-def _trouble(device: DeviceStatus) -> str:
-    """Describe why a device is not active."""
-    fault = f"fault {device.fault_code} ({device.fault_name})" if device.fault_name else ""
-    why = "; ".join(text for text in (fault or device.message, device.hint) if text)
-    return f"device '{device.name}' is {device.lifecycle}" + (f": {why}" if why else "")
 
 
 def _put(queue: asyncio.Queue[T], item: T) -> None:

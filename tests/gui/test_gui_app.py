@@ -207,7 +207,8 @@ async def test_nothing_follows_the_sliders_of_a_hand_that_has_gone(
             if moved:
                 jog._sliders[0].value = 0.3
         await shows(app, "not connected")
-        assert all(task.done() for task in app.pages[0].bridge._working)
+        while not all(task.done() for task in app.pages[0].bridge._working):  # noqa: ASYNC110
+            await anyio.sleep(0.02)
         group.cancel_scope.cancel()
     assert "a click failed" not in caplog.text
 

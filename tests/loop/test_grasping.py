@@ -423,7 +423,7 @@ async def test_heat_warns_then_derates_then_disables(hand: Hand) -> None:
         assert min(efforts) < 1.0
         assert rig.driver.plants[0].effort == 0.0
         await rig.run(1.0)
-        with pytest.raises(GoalRejected, match="not active"):
+        with pytest.raises(GoalRejected, match="is inactive"):
             rig.loop.submit(Goal(Named("open")))
 
 

@@ -237,7 +237,7 @@ async def test_stop_interrupts_homing(hand: Hand) -> None:
         assert loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
         assert loop.statuses()[0].message == "homing the thumb"
         assert "device 'dummy' is homing the thumb" in [event.text for event in watcher.events]
-        with pytest.raises(GoalRejected, match="is not active; dummy is homing the thumb"):
+        with pytest.raises(GoalRejected, match="device 'dummy' is inactive: homing the thumb"):
             loop.submit(Goal(Named("open")))
         assert await loop.stop() == [("dummy", True)]
         assert "homing" not in loop.statuses()[0].message

@@ -751,7 +751,7 @@ class TestIntake:
             await rig.loop.disable()
             await rig.run(0.05)
             rig.loop.streams.begin("s", 50.0)
-            with pytest.raises(GoalRejected, match="not active"):
+            with pytest.raises(GoalRejected, match="is inactive"):
                 rig.loop.streams.sample(StreamTargets("s", 1.0, {"index_base": 0.5}))
 
 
