@@ -31,7 +31,8 @@ def resolve_mesh(
 
     A plain path is relative to the URDF. ``file://`` is absolute. ``package://NAME/REST`` is
     looked up in the folder of the URDF and the folders above it, in ``package_dirs`` (folders of
-    packages, or packages), in ``ROS_PACKAGE_PATH`` and in ``share`` of ``AMENT_PREFIX_PATH``.
+    packages, or packages), in ``ROS_PACKAGE_PATH`` and in ``share`` of ``AMENT_PREFIX_PATH``. A
+    folder of another name is found if its ``package.xml`` has the name of the package.
 
     Args:
         uri: The mesh's address as in the URDF.
@@ -95,22 +96,29 @@ def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str])
     package, _, rest = address.partition("/")
     for place in _packages(package, folder, package_dirs):
         yield place / rest
-    # A package's folder may have been copied or renamed.
+    # Even without a package.xml.
     for root in (folder, *(Path(p).absolute() for p in package_dirs)):
         yield root / rest
 
 
 def _packages(package: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
     """Yield the possible folders of a package by its name, the most specific one first."""
+    given = [Path(p).absolute() for p in package_dirs]
     # A model is usually in the package that it names, or next to it.
-    roots = [folder, *folder.parents, *(Path(p).absolute() for p in package_dirs)]
-    roots += [Path(p) for p in _variable("ROS_PACKAGE_PATH")]
-    for root in roots:
+    roots = [folder, *folder.parents, *given]
+    for root in (*roots, *map(Path, _variable("ROS_PACKAGE_PATH"))):
         yield root / package
         if root.name == package:
             yield root
     for prefix in _variable("AMENT_PREFIX_PATH"):
         yield Path(prefix) / "share" / package
+    # A package's folder may have been copied or renamed.
+    for root in (
+        *roots,
+        *(each for place in given if place.is_dir() for each in sorted(place.iterdir())),
+    ):
+        if _declared(root) == package:
+            yield root
 
 
 def find_package(
@@ -118,8 +126,7 @@ def find_package(
 ) -> Path | None:
     """Return the folder of a package; ``None`` if it is not found.
 
-    It is looked up as for ``package://`` (see `resolve_mesh`). A folder of another name is found if
-    its ``package.xml`` has the name of the package.
+    It is looked up as for ``package://`` (see `resolve_mesh`).
 
     Args:
         package: Its name.
@@ -129,11 +136,7 @@ def find_package(
     # Such names would lead out of the folders of packages.
     if package in ("", ".", "..") or "/" in package:
         return None
-    place = next((p for p in _packages(package, folder, package_dirs) if p.is_dir()), None)
-    if place is not None:
-        return place
-    roots = (folder, *folder.parents, *(Path(p).absolute() for p in package_dirs))
-    return next((root for root in roots if _declared(root) == package), None)
+    return next((p for p in _packages(package, folder, package_dirs) if p.is_dir()), None)
 
 
 def _declared(folder: Path) -> str | None:

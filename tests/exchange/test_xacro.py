@@ -68,7 +68,9 @@ def test_macros_arguments_and_packages(xacro: Path, tmp_path: Path) -> None:
         assert hand.upper == pytest.approx([0.7853981633974483] * 2)
 
 
-@pytest.mark.parametrize("how", ["inside", "itself", "renamed", "ament", "ros", "beside"])
+@pytest.mark.parametrize(
+    "how", ["inside", "itself", "renamed", "renamed, inside", "ament", "ros", "beside"]
+)
 def test_packages_are_found_where_they_may_be(
     xacro: Path, tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -79,9 +81,10 @@ def test_packages_are_found_where_they_may_be(
             given = [tmp_path / "ws"]
         case "itself":
             given = [parts]
-        case "renamed":
+        case "renamed" | "renamed, inside":
             (parts / "package.xml").write_text("<package><name> claw_parts </name></package>")
-            given = [parts.rename(tmp_path / "ws" / "checkout")]
+            renamed = parts.rename(tmp_path / "ws" / "checkout")
+            given = [renamed if how == "renamed" else renamed.parent]
         case "ament":
             (tmp_path / "prefix").mkdir()
             (tmp_path / "ws").rename(tmp_path / "prefix" / "share")

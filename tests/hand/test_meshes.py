@@ -53,6 +53,9 @@ def test_package_dirs_hold_packages_or_are_one(urdf: Path, tmp_path: Path) -> No
     mesh = put(tmp_path / "share" / "other" / "a.stl")
     for folder in (tmp_path / "share", tmp_path / "share" / "other"):
         assert resolve_mesh("package://other/a.stl", urdf, [folder]).samefile(mesh)
+    (mesh.parent / "package.xml").write_text("<package><name>other</name></package>")
+    renamed = mesh.parent.rename(tmp_path / "share" / "checkout") / "a.stl"
+    assert resolve_mesh("package://other/a.stl", urdf, [tmp_path / "share"]).samefile(renamed)
     with pytest.raises(ModelError, match=r"does not exist; give its package's folder by --package"):
         resolve_mesh("package://other/a.stl", urdf, line=3)
 
