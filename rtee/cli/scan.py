@@ -23,6 +23,7 @@ def scan(
     interface: str = "socketcan",
     bitrate: int = 1_000_000,
     unit: list[int] | None = None,
+    wait: float = 0.04,
     as_json: JsonOption = False,
 ) -> None:
     """Find devices: their ports, rates and numbers. Nothing moves.
@@ -36,11 +37,16 @@ def scan(
         interface: python-can interface.
         bitrate (1..): Bits per second of the CAN bus.
         unit (0..255; N): Modbus number to query; by default, the usual ones.
+        wait (0.001..60; SECONDS): Longest time for an answer; more on a busy computer or over a
+            network.
     """
     import asyncio
 
     from rtee.buses.pool import BusPool
     from rtee.drivers.diagnosis import scan as scanning
+    from rtee.drivers.diagnosis.slaves import ANSWER
+
+    ANSWER.set(wait)
 
     async def execute() -> list[Address]:
         async with BusPool() as pool:

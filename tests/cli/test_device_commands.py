@@ -88,7 +88,8 @@ def test_scan_finds_what_emulate_plays(tmp_path: Path) -> None:
     try:
         assert player.stdout is not None
         assert player.stdout.readline() == f"robotiq_2f at {link}\n"
-        found = json.loads(rtee("scan", "--port", str(link), "--unit", "12", "--json"))
+        words = ("--port", str(link), "--unit", "12", "--wait", "0.3")
+        found = json.loads(rtee("scan", *words, "--json"))
         [address] = found["addresses"]
         assert address["found"][0]["driver"] == "robotiq_2f"
         assert address["found"][0]["options"]["unit"] == 12

@@ -21,8 +21,8 @@ T = TypeVar("T")
 B = TypeVar("B", bound=Bus)
 OWNER = "scan"
 """The owner of the buses during a scan."""
-_SERVO = 0.02
-"""Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
+_SERVO = 0.5
+"""Share of `ANSWER` in which a servo answers; an adapter keeps bytes back for up to 16 ms."""
 _LINKER_ANSWER = 0.15  # longest time for an answer in the LinkerHands' SDK [s]
 
 
@@ -208,7 +208,7 @@ def rh56(units: Sequence[int]) -> Probe:
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         found = []
         for unit in units:
-            number = await heard(FrameLink(bus, unit, ANSWER, 0).read(Register.HAND_ID, 1))
+            number = await heard(FrameLink(bus, unit, ANSWER.get(), 0).read(Register.HAND_ID, 1))
             if number == bytes([unit]):
                 options = {"port": address, "unit": unit, "protocol": "frames"}
                 found.append(Found("inspire_rh56", f"Inspire RH56, unit {unit}", options))
@@ -258,7 +258,7 @@ def orca_touch() -> Probe:
     async def listen(bus: SerialBus, address: str, baudrate: int) -> list[Found]:
         try:
             reply = await bus.transact(
-                asked.to_bytes(), codec.AnswerParser(), ANSWER, 1, accept=answers
+                asked.to_bytes(), codec.AnswerParser(), ANSWER.get(), 1, accept=answers
             )
             tips = codec.connected(reply.data) if isinstance(reply, codec.Reply) else ()
         except (BusTimeout, FrameError, CodecError):
@@ -326,7 +326,7 @@ def feetech(baudrate: int) -> Probe:
     async def anybody(bus: SerialBus) -> bool:
         ping = Frame(BROADCAST, Instruction.PING).to_bytes()
         try:
-            await bus.transact(ping, ReplyParser(), ANSWER, 0)
+            await bus.transact(ping, ReplyParser(), ANSWER.get(), 0)
         except FrameError:
             return True  # the answers of several collide
         except BusTimeout:
@@ -338,7 +338,7 @@ def feetech(baudrate: int) -> Probe:
             return []
         # Any family will do: only the model's raw bytes are used, and their order identifies the
         # family.
-        link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO, 0), []
+        link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO * ANSWER.get(), 0), []
         for number in range(LARGEST_ID + 1):
             about = await heard(link.data(number, 0, 7))
             if about is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,8 @@ _ROBOTIQ = 9
 """Modbus number of Robotiq's grippers from the factory."""
 _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
-ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves need about 10 ms
+ANSWER = ContextVar("ANSWER", default=0.04)
+"""Longest time for an answer [s]: slaves need about 10 ms, a busy computer or a network more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found 
     from rtee.drivers.inspire_rh56.codec import GAP, REPORT, WORDS, Register, Report
     from rtee.drivers.inspire_rh56.link import ModbusLink
 
-    link = ModbusLink(bus, unit, ANSWER, 0)
+    link = ModbusLink(bus, unit, ANSWER.get(), 0)
     try:
         angles = await link.read(Register.ANGLE, WORDS)
         report = Report.from_bytes(angles + GAP + await link.read(Register.FORCE, REPORT))
@@ -124,7 +126,9 @@ async def _registers(
     bus: ModbusBus, unit: int, address: int, count: int, function: int = READ_HOLDING
 ) -> tuple[int, ...] | ModbusRefusal | None:
     try:
-        return await bus.read(unit, address, count, deadline=ANSWER, retries=0, function=function)
+        return await bus.read(
+            unit, address, count, deadline=ANSWER.get(), retries=0, function=function
+        )
     # A refusal is an answer, which says that there is a slave.
     except ModbusRefusal as refusal:
         return refusal
