@@ -16,7 +16,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 import rtee
 from lerobot_robot_rtee.uncalibrated import Uncalibrated
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, RequestRejected
 from rtee.loop.measured import TIP_FORCE, tip_forces
 from rtee.messages.features import USUAL, ObservedQuantity, feature, observed, quantities
 from rtee.remote.blocking import BlockingHand, BlockingStream
@@ -194,7 +194,9 @@ class RteeHand(Uncalibrated, Robot):
         try:
             hand.stop()
         finally:
-            self.disconnect()
+            # It overtakes actions, which are refused then.
+            with contextlib.suppress(RequestRejected):
+                self.disconnect()
 
     def disconnect(self) -> None:
         """Let the hand hold where it is, and give back the right to move it."""
