@@ -343,8 +343,8 @@ async def serve(
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     give_memory_back()
     visitors = Visitors(access, follow)
+    access.announce = _announce  # a browser may come before the first address is printed
     with _opened(visitors, access, port) as server:
-        access.announce = _announce
         await App(server, hand, endpoint, visitors).run()
 
 

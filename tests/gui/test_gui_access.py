@@ -350,3 +350,17 @@ async def test_behind_a_proxy_it_takes_no_other_port() -> None:
             await serve(None, access=access, port=other.getsockname()[1])
     with pytest.raises(ConfigError, match="needs a --port"):
         await serve(None, access=access, port=0)
+
+
+@pytest.mark.anyio
+async def test_an_address_that_is_used_as_soon_as_it_is_printed_has_a_next_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def opened(_visitors: object, access: Access, _port: int) -> object:
+        access.announce(PageRole.OPERATOR, "http://next")
+        raise ConfigError("this is all")
+
+    monkeypatch.setattr("rtee.gui.app._opened", opened)
+    with pytest.raises(ConfigError, match="this is all"):
+        await serve(None, access=Access())
+    assert capsys.readouterr().out == "rtee: for another browser: GUI at http://next\n"

@@ -19,8 +19,8 @@ from rtee.trials.store import write_results
 from tests.testing.browser import browser
 
 from .many import make_many
-from .running import GRIPPER, MANY, SQUEEZER, Program, copy_of, free_port
-from .window import PATIENCE, Window
+from .running import GRIPPER, MANY, PATIENCE, SQUEEZER, Program, copy_of, free_port
+from .window import Window
 
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import re
@@ -13,6 +14,9 @@ import threading
 from pathlib import Path
 
 from rtee_process import RTEE
+
+PATIENCE = 60.0
+"""Longest wait, in a page or for a line [s]: for a hang, not for a slow computer."""
 
 GRIPPER, SQUEEZER, MANY = "robotiq_2f_85", "squeezer", "many"
 """The hands of the tests in a browser: kinematic, simulated with a ball, and with 24 actuators."""
@@ -51,11 +55,12 @@ class Program:
     def line(self, pattern: str) -> re.Match[str]:
         """Wait for a line of its output."""
         said: list[str] = []
-        while line := self._lines.get():
-            said.append(line)
-            if found := re.search(pattern, line):
-                return found
-        raise AssertionError(f"it ended without '{pattern}': {''.join(said)}")
+        with contextlib.suppress(queue.Empty):
+            while line := self._lines.get(timeout=PATIENCE):
+                said.append(line)
+                if found := re.search(pattern, line):
+                    return found
+        raise AssertionError(f"it ended or waits without '{pattern}': {''.join(said)}")
 
     def rest(self) -> str:
         """Return what it has said since the last line that was waited for."""

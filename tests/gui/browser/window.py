@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from .running import PATIENCE
+
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
 Picture = NDArray[np.int16]
-
-PATIENCE = 60.0
-"""Longest wait in a page [s]: for a hang, not for a slow computer."""
 
 CLEAR, SHARE = 10, 0.004
 """Pictures differ where this share of the pixels differs by more than this, of 255."""
