@@ -265,14 +265,19 @@ class ExpressionError(ModelError):
         self.column = column
 
 
+def closest(name: str, valid: Iterable[str]) -> str:
+    """Return the valid name that is most like a name, in any case; ``""``: none is."""
+    folded = {each.casefold(): each for each in valid}
+    return next(
+        (folded[each] for each in difflib.get_close_matches(name.casefold(), folded, 1)), ""
+    )
+
+
 def suggestion(name: str, valid: Iterable[str], *, most: int = 12) -> str:
     """Return a hint that names the closest valid name, or lists the valid ones."""
     names = sorted(valid)
-    # Whoever errs in a letter may err in its case, too.
-    folded = {each.casefold(): each for each in names}
-    close = difflib.get_close_matches(name.casefold(), folded, n=1)
-    if close:
-        return f"did you mean '{folded[close[0]]}'?"
+    if close := closest(name, names):
+        return f"did you mean '{close}'?"
     if not names:
         return "there are none"
     shown = ", ".join(names[:most]) + (", …" if len(names) > most else "")
@@ -538,7 +543,7 @@ class GoalRejected(ActionError, RequestRejected):
         self.option = option
         self.valid = tuple(valid)
         self.code = "unknown" if self.valid else "value"
-        self.nearest = next(iter(difflib.get_close_matches(given, self.valid, n=1)), "")
+        self.nearest = closest(given, self.valid)
 
 
 class TooManyRequests(RequestRejected):
