@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
@@ -126,6 +127,10 @@ class HandLoop:
 
     async def __aenter__(self) -> Self:
         """Start the devices' tasks."""
+        # Before the first tick: reading the file takes as long as many of them. What is wrong with
+        # it, the first goal that needs it says.
+        with contextlib.suppress(ConfigError):
+            _ = self.library.openings
         self._group = anyio.create_task_group()
         await self._group.__aenter__()
         for device in self.devices.values():

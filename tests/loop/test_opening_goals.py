@@ -53,6 +53,22 @@ def grasp(width: float, force: float | None = None, **more: Any) -> Goal:
     return goal_of(**{"action": "Grasp", "grasp": True, "opening": width, "force": force, **more})
 
 
+@pytest.mark.anyio
+async def test_no_goal_waits_for_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    hand, config = load_configured(CONFIG / "robotiq_2f_85")
+    library = ActionLibrary.load(hand, CONFIG / hand.name / "actions")
+    one = device(hand, rate=1000.0)
+    driver = KinematicDriver(one.spec, BusPool())
+    async with HandLoop(hand, library, loop_settings(config), [(one, driver)]) as loop:
+        await loop.ready()
+
+        def read(*_: object) -> None:
+            raise AssertionError("a file is read while the loop runs")
+
+        monkeypatch.setattr("rtee.actions.openings.read_openings", read)
+        loop.submit(grasp(0.03))
+
+
 @pytest.mark.parametrize(
     ("asked", "reason"),
     [
