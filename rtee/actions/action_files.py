@@ -32,6 +32,7 @@ from rtee.actions.documents import (
 )
 from rtee.actions.index import ActionIndex
 from rtee.actions.naming import normalise
+from rtee.actions.openings import FILE_NAME as OPENINGS
 from rtee.actions.types import Action, ActionKind, CustomAction, Primitive, kind_of
 from rtee.errors import ActionError
 from rtee.hand.catalog import FILE_NAME
@@ -134,11 +135,16 @@ PRIMITIVES: Final = "primitives"
 
 
 class ActionFiles:
-    """The stored actions of one hand."""
+    """The stored actions of one hand.
+
+    Attributes:
+        openings: Path of the file of their openings, beside the folder.
+    """
 
     def __init__(self, hand: Hand, folder: Path) -> None:
         self.hand = hand
         self.folder = folder
+        self.openings = str(folder.parent / OPENINGS)
         self._stored: set[str] = set()  # normalised names of the custom actions in files
         self._seen: dict[Path, int] = {}
         self._gone = False

@@ -96,19 +96,18 @@ class ActionLibrary:
         Raises:
             ConfigError: if the file is invalid.
         """
-        # Imported only here, since a client's library needs no YAML.
-        from rtee.actions.openings import FILE_NAME, Openings, read_openings
-
-        if self._stored is None:
-            return Openings(self.hand, made=False) if self._openings is None else self._openings[1]
-        home = self._stored.folder.parent
+        files = self._stored
         try:
-            stamp: int | None = os.stat(home / FILE_NAME).st_mtime_ns
+            stamp = None if files is None else os.stat(files.openings).st_mtime_ns
         except OSError:
             # A missing file also has a stamp, so that a file that appears later is read.
             stamp = None
         if self._openings is None or self._openings[0] != stamp:
-            self._openings = stamp, read_openings(home, self.hand)
+            # Imported only here, since a client's library needs no YAML.
+            from rtee.actions.openings import Openings, read_openings
+
+            read = files and read_openings(files.folder.parent, self.hand)
+            self._openings = stamp, read or Openings(self.hand, made=False)
         return self._openings[1]
 
     @property

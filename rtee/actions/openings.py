@@ -345,6 +345,10 @@ class Openings:
     outdated: bool = False
 
     @cached_property
+    def _found(self) -> dict[int, tuple[Opening | str, Action]]:
+        return {}
+
+    @cached_property
     def _by_key(self) -> dict[tuple[str, frozenset[str]], Opening]:
         return {_key(table.action, table.elements): table for table in self.tables}
 
@@ -354,26 +358,44 @@ class Openings:
         Raises:
             ActionError: if it has none that is up to date; the message says what to do.
         """
+        found = self.find(action)
+        if isinstance(found, str):
+            raise ActionError(found)
+        return found
+
+    def find(self, action: Action) -> Opening | str:
+        """Return the opening of an action, or why it has none; looked up once for each action."""
+        found, of = self._found.get(id(action), ("", None))
+        if of is not action:
+            found = self._find(action)
+            # With the action, so that no other one gets its number.
+            self._found[id(action)] = found, action
+        return found
+
+    def _find(self, action: Action) -> Opening | str:
         name = label(action.name, action.elements)
         if isinstance(action, Timed):
-            raise ActionError(f"{name} is a timed action, which has no opening")
+            return f"{name} is a timed action, which has no opening"
         remedy = f"`rtee openings {self.hand.name} --save` makes the tables"
         if not self.made:
-            raise ActionError(f"the openings of '{self.hand.name}' are not known; {remedy}")
+            return f"the openings of '{self.hand.name}' are not known; {remedy}"
         table = self._by_key.get(_key(action.name, action.elements))
         if self.outdated:
-            raise ActionError(
+            return (
                 f"the openings of '{self.hand.name}' were made for another version of its model; "
                 f"{remedy}"
             )
         if table is None:
-            raise ActionError(
+            return (
                 f"{name} has no opening: no two fingertips oppose each other on its way, or the "
                 f"action is newer than the tables; {remedy}"
             )
         if table.posture != fingerprint_of(self.hand, action):
-            raise ActionError(f"the opening of {name} was made for another posture; {remedy}")
-        return table.corrected(self.measured(action))
+            return f"the opening of {name} was made for another posture; {remedy}"
+        try:
+            return table.corrected(self.measured(action))
+        except ActionError as error:
+            return error.message
 
     def measured(self, action: Action) -> tuple[tuple[float, float], ...]:
         """Return the measured pairs of intensity and opening [m] of an action in hand.yaml."""

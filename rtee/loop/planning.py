@@ -65,12 +65,11 @@ def choose(
         if isinstance(to, ToOpening | Around):
             return _best(goal.what.elements, to, goal.force, hand, library, devices)
         action = _touching(goal.what.elements, hand, library)
-    try:
-        opening = library.openings.of(action)
-    except ActionError:
+    opening = library.openings.find(action)
+    if isinstance(opening, str):
         if isinstance(to, Intensity | FirstContact):
             return action, None
-        raise
+        raise ActionError(opening)
     if isinstance(to, ToOpening | Around) and not _spans(opening, to):
         raise GoalRejected(
             f"{opening.label} opens {opening.narrowest * 1e3:.1f} to {opening.widest * 1e3:.1f} mm,"
@@ -148,17 +147,15 @@ def _exerts(
 
 def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Action, Opening]]:
     """Return the actions with an opening; with fingers given, only those of just these fingers."""
-    found, reason = [], ""
+    found, reason, openings = [], "", library.openings
     for action in library:
-        try:
-            opening = library.openings.of(action)
-        except ActionError as error:
+        opening = openings.find(action)
+        if isinstance(opening, str):
             # All actions give the same reason, such as a missing file.
-            reason = reason or str(error)
-            continue
-        if not fingers or set(fingers) == set(opening.fingers):
+            reason = reason or opening
+        elif not fingers or set(fingers) == set(opening.fingers):
             found.append((action, opening))
-    if not found and not library.openings.tables:
+    if not found and not openings.tables:
         raise GoalRejected(reason or "the hand has no actions")
     return found
 
@@ -186,16 +183,18 @@ def _touching(fingers: Sequence[str], hand: Hand, library: ActionLibrary) -> Act
     """
     wanted = set(fingers)
     candidates: list[tuple[tuple[float, ...], Action]] = []
+    openings = library.openings
     for order, action in enumerate(library):
-        try:
-            moved = set(library.openings.of(action).fingers)
-            closes = True
-        except ActionError:
-            if not isinstance(action, Primitive) or not wanted:
-                continue
-            moved, closes = set(action.fingers), False
+        opening = openings.find(action)
+        unknown = isinstance(opening, str)
+        if not isinstance(opening, str):
+            moved = set(opening.fingers)
+        elif isinstance(action, Primitive) and wanted:
+            moved = set(action.fingers)
+        else:
+            continue
         if not wanted or moved == wanted:
-            key = (not closes, doubtful(action), -len(moved), order)
+            key = (unknown, doubtful(action), -len(moved), order)
             candidates.append((key, action))
     if not candidates:
         whose = ", ".join(fingers) or f"'{hand.name}'"

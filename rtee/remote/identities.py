@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from rtee.errors import RequestRejected, TooManyRequests, foreign
 from rtee.hand.names import check_name
-from rtee.messages.identity import LONGEST_CLAIM, SECRET, claim_of
+from rtee.messages.identity import LONGEST_CLAIM, SECRET, claim_of, key_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.connections import user_of
 from rtee.remote.incoming_request import Check, IncomingRequest, accepted
@@ -57,7 +57,8 @@ class IdentifiedClient:
         name: The client's unique name.
         access_path: Its access path to the hand, see `HELLO`.
         share: Its access path, and the user on this computer (-1: not known), who share limits.
-        secret: The key with which the client signs its requests.
+        secret: The secret with which the client signs its requests.
+        key: The same, ready to check signatures.
         token: Name of its liveliness token.
         rates: Limits the client's requests.
         reserved: Its allowance when others on its access path use up all.
@@ -66,6 +67,7 @@ class IdentifiedClient:
     __slots__ = (
         "_newest",
         "access_path",
+        "key",
         "name",
         "rates",
         "reserved",
@@ -79,6 +81,7 @@ class IdentifiedClient:
         self.name, self.role, self.access_path, self.token = name, role, access_path, token
         self.share = access_path, user
         self.secret = secrets.token_bytes(SECRET)
+        self.key = key_of(self.secret)
         self.rates, self.reserved = Rates(), Rates(times=RESERVED)
         self._newest: dict[str, int] = {}
 
@@ -228,7 +231,7 @@ class Identities:
         if client is None:
             return f"there is no client '{foreign(claim.client[:50])}' here; say hello first"
         # Before the number is recorded: otherwise anybody could use up a client's numbers.
-        if not claim.signed_by(client.secret, request.name, question):
+        if not claim.signed_by(client.key, request.name, question):
             return (
                 f"'{client.name}' has not signed this: a signature is the first 32 hexadecimal"
                 f" digits of HMAC-SHA256 of '{request.name} <number> ' and the payload, with the"

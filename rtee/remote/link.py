@@ -27,7 +27,7 @@ from rtee.errors import (
 )
 from rtee.hand.names import safe_name
 from rtee.messages import network_key
-from rtee.messages.identity import Signer
+from rtee.messages.identity import Signer, key_of
 from rtee.messages.requests import (
     ALIVE,
     ANSWERS,
@@ -116,7 +116,7 @@ class Link:
         with vouching(self._token_name):
             answer = await self.request("hello", self._token_name)
         secret, _, role = answer["text"].partition(" ")
-        self._signer.secret = bytes.fromhex(secret)
+        self._signer.key = key_of(bytes.fromhex(secret))
         # An unknown role, of a newer hand, counts as the highest: the hand itself refuses requests.
         self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)
         # Zenoh silently drops messages published before the hand has subscribed.

@@ -18,7 +18,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import LeaseHeld, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages import EVENT, GOAL, RESULT, message_type
-from rtee.messages.identity import Signer
+from rtee.messages.identity import Signer, key_of
 from rtee.messages.requests import HERE, REQUESTS, inbox_key
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct
@@ -121,7 +121,7 @@ async def test_nobody_moves_the_hand_under_the_name_of_its_holder(
         holder = (await victim.status()).holder
         assert holder == victim.client
         forged = Signer(holder)
-        forged.secret = bytes(32)
+        forged.key = key_of(bytes(32))
         goal = GOAL.encode(Goal(Named("fist"), client=holder))
         unsigned = "needs the attachment '<number> <client> <signature>'"
         for name in ("release", "cancel", "hold", "recover", "acquire"):

@@ -18,7 +18,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
-from rtee.messages.identity import Signer, claim_of
+from rtee.messages.identity import Signer, claim_of, key_of
 from rtee.messages.requests import HERE, REQUESTS, Role, inbox_key
 from rtee.remote import command_handlers, query_handlers, rates, server
 from rtee.remote.call_queue import DelayQueue
@@ -482,7 +482,7 @@ class Asking:
         identities.hello(asked, access_path)
         self._signer = Signer(self.name)
         secret = request.answer.decode(answers[0])["text"].split()[0]
-        self._signer.secret = bytes.fromhex(secret)
+        self._signer.key = key_of(bytes.fromhex(secret))
 
     def asks(self, kind: str = "status") -> bool:
         """Return whether it may ask once more."""
@@ -529,7 +529,7 @@ def test_who_was_interrupted_comes_back_with_its_token() -> None:
         IncomingRequest(request, question, lambda data, _: answers.append(data), ""), "here"
     )
     signer = Signer("one")
-    signer.secret = bytes.fromhex(request.answer.decode(answers[0])["text"].split()[0])
+    signer.key = key_of(bytes.fromhex(request.answer.decode(answers[0])["text"].split()[0]))
 
     def ask() -> str:
         proof = signer.attachment(signer.number(), "status", b"").encode()

@@ -17,7 +17,7 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.hand.model import Hand
 from rtee.messages import GOAL
-from rtee.messages.identity import Signer
+from rtee.messages.identity import Signer, key_of
 from rtee.messages.schema import message_type
 from rtee.types import Goal, Intensity, Named
 
@@ -116,5 +116,5 @@ async def test_each_field_of_a_goal(hand: Hand, library: ActionLibrary) -> None:
 
 def test_the_example_of_a_signature() -> None:
     signer = Signer("x")
-    signer.secret = bytes(32)
+    signer.key = key_of(bytes(32))
     assert f"`{signer.attachment('1', 'status', b'').split()[2]}`" in PAGE
