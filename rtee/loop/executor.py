@@ -496,17 +496,18 @@ class Executor:
         """
         to, actuators = run.plan.to, self._hand.actuators
         # A goal with a stricter tolerance is stricter here, too; an opening has one of its own.
-        usual = Intensity().tolerance
-        asked = to.tolerance if isinstance(to, Intensity | FirstContact) else usual
-        share = _RANGE_SHARE * min(asked / usual, 1.0)
-        near = not (
+        if near := not (
             isinstance(to, Opening) or self._profile.moving or self._reflexes.touched
-        ) and all(
-            abs(target - measured.position[i])
-            <= share * (actuators[i].upper - actuators[i].lower)
-            < math.inf
-            for i, target in run.present.targets.items()
-        )
+        ):
+            usual = Intensity().tolerance
+            asked = to.tolerance if isinstance(to, Intensity | FirstContact) else usual
+            share = _RANGE_SHARE * min(asked / usual, 1.0)
+            near = all(
+                abs(target - measured.position[i])
+                <= share * (actuators[i].upper - actuators[i].lower)
+                < math.inf
+                for i, target in run.present.targets.items()
+            )
         if not near:
             run.near = math.nan
         elif run.near != run.near:

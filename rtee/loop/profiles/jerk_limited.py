@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from collections.abc import Set as AbstractSet
+from itertools import compress
 from typing import Any
 
 from ruckig import (
@@ -47,6 +48,7 @@ class JerkLimited(Profile):
         self._duration = 0.0
         self._time = 0.0
         self._plain: Step | None = None
+        self._synchronised: list[bool] = []  # `_braking` for which ruckig's input was set last
         self._begun: list[list[Any]] = []
 
     def _seeded(self, indices: Collection[int]) -> None:
@@ -88,19 +90,23 @@ class JerkLimited(Profile):
         given.current_acceleration = self._acceleration
         given.target_position = self.target
         given.max_velocity = self._top
-        given.per_dof_control_interface = [
-            ControlInterface.Velocity if braking else ControlInterface.Position
-            for braking in self._braking
-        ]
-        together = [
-            Synchronization.No if braking else Synchronization.Time for braking in self._braking
-        ]
+        if self._synchronised != self._braking:
+            self._synchronised = list(self._braking)
+            given.per_dof_control_interface = [
+                ControlInterface.Velocity if braking else ControlInterface.Position
+                for braking in self._braking
+            ]
+            given.per_dof_synchronization = [
+                Synchronization.No if braking else Synchronization.Time for braking in self._braking
+            ]
         self._time = 0.0
         self.moving = True
         self._plain = None
         # Synchronised first; where that fails, each actuator on its own still keeps all limits.
-        for synchronisation in (together, [Synchronization.No] * self.size):
-            given.per_dof_synchronization = synchronisation
+        for together in (True, False):
+            if not together:
+                self._synchronised = []
+                given.per_dof_synchronization = [Synchronization.No] * self.size
             try:
                 result = self._ruckig.calculate(given, self._trajectory)
             # For motions longer than two hours, ruckig returns a result that its Python binding
@@ -113,9 +119,9 @@ class JerkLimited(Profile):
             self._without_jerk_limits()
             return
         self._duration = self._trajectory.duration
-        end = self._trajectory.at_time(self._duration)[0]
-        for i, braking in enumerate(self._braking):
-            if braking:
+        if any(self._braking):
+            end = self._trajectory.at_time(self._duration)[0]
+            for i in compress(range(self.size), self._braking):
                 self.target[i] = end[i]
 
     def _inside(self) -> bool:
