@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, SupportsFloat
+from typing import TYPE_CHECKING, Final, SupportsFloat, TypeGuard
 
 from rtee.errors import GoalRejected, suggestion
 
@@ -48,6 +48,11 @@ _LONGEST: Final = 1.0
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
 
+def is_number(value: object) -> TypeGuard[SupportsFloat]:
+    """Return whether `float` takes a value that is not text, quicker than the protocol would."""
+    return hasattr(value, "__float__")
+
+
 def quantity(value: str | float, units: Mapping[str, float], name: str) -> float:
     """Return a quantity in its SI unit.
 
@@ -74,7 +79,7 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
             )
         # A number without a unit counts as SI.
         size = number * units.get(unit, 1.0)
-    elif isinstance(value, SupportsFloat):
+    elif is_number(value):
         size = float(value)
     else:
         raise GoalRejected(f"the {name} must be {kind}, not {value!r:.100}")

@@ -496,9 +496,7 @@ class Executor:
         """
         to, actuators = run.plan.to, self._hand.actuators
         # A goal with a stricter tolerance is stricter here, too; an opening has one of its own.
-        if near := not (
-            isinstance(to, Opening) or self._profile.moving or self._reflexes.touched
-        ):
+        if near := not (isinstance(to, Opening) or self._profile.moving or self._reflexes.touched):
             usual = Intensity().tolerance
             asked = to.tolerance if isinstance(to, Intensity | FirstContact) else usual
             share = _RANGE_SHARE * min(asked / usual, 1.0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Final, Literal, SupportsFloat, TypedDict, TypeVar, Unpack
+from typing import Any, Final, Literal, TypedDict, TypeVar, Unpack
 
 from rtee.actions.types import ActionKind, ActionReference
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.messages.goals import goal_of
 from rtee.types import Goal, OnContact, Stage
-from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, quantity
+from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, is_number, quantity
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -151,7 +151,7 @@ _ALWAYS: Final = ("intensity", "speed")
 def finite(value: object, what: str) -> float:
     """Return a finite number; raises `GoalRejected` for anything else."""
     try:
-        number = float(value) if isinstance(value, SupportsFloat) else math.nan
+        number = float(value) if is_number(value) else math.nan
     except (TypeError, ValueError):  # such as an array of several numbers
         number = math.nan
     if not math.isfinite(number):
@@ -341,10 +341,9 @@ def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
     The hand checks whether the number is possible, since it knows its limits.
     """
     values = dict(options)
-    for name, how in _QUANTITIES.items():
-        value: Any = values.get(name, None if name not in _ALWAYS else 1.0)
-        if value is not None or name in _ALWAYS:
-            plain = isinstance(value, SupportsFloat) and how[0] is not LENGTH
+    for name, value in options.items():
+        if (how := _QUANTITIES.get(name)) and (value is not None or name in _ALWAYS):
+            plain = is_number(value) and how[0] is not LENGTH
             values[name] = float(value) if plain else quantity(value, *how)
     if "stage" in values:
         values["stage"] = _word(values["stage"], Stage, "stage")
