@@ -232,11 +232,18 @@ class DeviceStatus(Value):
     gain_values: tuple[float, ...] = ()
 
     @property
-    def trouble(self) -> str:
-        """Why the device is not active, in words."""
+    def remarks(self) -> str:
+        """The fault, otherwise the last error, and the hint; empty if there is neither."""
         fault = f"fault {self.fault_code} ({self.fault_name})" if self.fault_name else ""
-        why = "; ".join(text for text in (fault or self.message, self.hint) if text)
-        return f"device '{self.name}' is {self.lifecycle}" + (f": {why}" if why else "")
+        return "; ".join(text for text in (fault or self.message, self.hint) if text)
+
+    @property
+    def trouble(self) -> str:
+        """Why the device does not follow references, in a sentence; empty if it is active."""
+        if self.lifecycle is Lifecycle.ACTIVE:
+            return ""
+        state = "in fault" if self.lifecycle is Lifecycle.FAULT else self.lifecycle
+        return f"device '{self.name}' is {state}" + (f": {self.remarks}" if self.remarks else "")
 
 
 # --- goals -----------------------------------------------------------------------------------

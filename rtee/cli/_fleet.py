@@ -98,7 +98,7 @@ def _row(look: Look, places: bool) -> Row:
         return Row((*place, *[""] * 7, look.trouble), faint=True)
     clock, counts = status.statistics, status.counts
     warm = "" if math.isnan(look.temperature) else f"{look.temperature:.0f}"
-    faults = [f"{d.name}: {d.fault_name or d.message or d.lifecycle}" for d in look.idle]
+    faults = [device.trouble for device in look.idle]
     return Row(
         (
             *place,

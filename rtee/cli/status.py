@@ -81,26 +81,19 @@ def _show(hand_status: HandStatus) -> None:
 
 
 def _show_devices(devices: Sequence[DeviceStatus]) -> None:
-    rows = []
-    for device in devices:
-        fault = (
-            f"fault {device.fault_code} ({device.fault_name})"
-            if device.fault_name
-            else device.message
+    rows = [
+        (
+            device.name,
+            device.driver,
+            str(device.lifecycle),
+            f"{device.rate:.0f} Hz",
+            f"{device.age * 1e3:.1f} ms",
+            str(device.errors),
+            str(device.overruns),
+            device.remarks,
         )
-        remarks = "; ".join(text for text in (fault, device.hint) if text)
-        rows.append(
-            (
-                device.name,
-                device.driver,
-                str(device.lifecycle),
-                f"{device.rate:.0f} Hz",
-                f"{device.age * 1e3:.1f} ms",
-                str(device.errors),
-                str(device.overruns),
-                remarks,
-            )
-        )
+        for device in devices
+    ]
     columns = (
         Column("device", whole=True),
         Column("driver"),

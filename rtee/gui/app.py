@@ -476,7 +476,7 @@ def _html(look: Look) -> str:
         status.action and f"does {status.action}",
         status.holder and f"held by {status.holder}",
         counts.result and f"last goal: {counts.result.replace('_', ' ')}",
-        *(f"{d.name}: {d.fault_name or d.message or d.lifecycle}" for d in look.idle),
+        *(device.trouble for device in look.idle),
         "" if math.isnan(look.temperature) else f"{look.temperature:.0f} °C",
         clock.missed and f"{clock.missed} ticks missed",
         status.recording_trouble,

@@ -72,14 +72,6 @@ def clock(seconds: float | None = None) -> str:
     return time.strftime("%H:%M:%S", time.localtime(seconds))
 
 
-def problem(device: DeviceStatus) -> str:
-    """Return why a device does not follow references, in words; ``""`` if it does."""
-    if device.lifecycle is Lifecycle.ACTIVE:
-        return ""
-    fault = f"fault {device.fault_code}: {device.fault_name}" if device.fault_name else ""
-    return fault or device.message or f"it is {device.lifecycle}"
-
-
 class Truth:
     """The known state of one hand.
 
@@ -220,18 +212,17 @@ class Truth:
         return self.moving or (status is not None and bool(status.holder or status.stream.stream))
 
     @property
-    def ill(self) -> Sequence[tuple[str, str]]:
-        """The devices that do not follow references, with the reasons."""
+    def ill(self) -> Sequence[DeviceStatus]:
+        """The devices that do not follow references."""
         devices = () if self.status is None else self.status.devices
-        return [(device.name, problem(device)) for device in devices if problem(device)]
+        return [device for device in devices if device.lifecycle is not Lifecycle.ACTIVE]
 
     @property
     def homing(self) -> bool:
         """Whether the devices that do not follow are starting up, mostly homing."""
-        ill = [] if self.status is None else [each for each in self.status.devices if problem(each)]
-        return bool(ill) and all(
+        return bool(self.ill) and all(
             each.message and f" is {each.message.split()[0]}" in self._busy.get(each.name, "")
-            for each in ill
+            for each in self.ill
         )
 
     def held(self) -> Words:
@@ -241,7 +232,7 @@ class Truth:
         if self.homing:
             return Words("moves by itself: keep clear", Tone.WARN)
         if self.ill:
-            return Words(f"no data from {', '.join(name for name, _ in self.ill)}", Tone.BAD)
+            return Words(f"no data from {', '.join(each.name for each in self.ill)}", Tone.BAD)
         match self.grip:
             case HeldObject.HOLDING:
                 return Words(f"holding{self._measures()}", Tone.GOOD)
@@ -272,7 +263,7 @@ class Truth:
                 words.append(f"no data for {self.age:.1f} s: STOP cannot reach the hand, {_OLD}")
             return Words(" · ".join(words), Tone.BAD)
         if self.ill:
-            ill = " · ".join(f"{name}: {why}" for name, why in self.ill)
+            ill = " · ".join(device.trouble for device in self.ill)
             return Words(ill, Tone.WARN if self.homing else Tone.BAD)
         return Words(f"{self.hand}: connected", Tone.GOOD)
 

@@ -132,8 +132,7 @@ def test_a_device_line_says_fault_and_hint_and_escapes_them() -> None:
     )
     line = device_line(status)
     assert "arm&lt;1&gt;" in line
-    assert "fault 7: overcurrent" in line
-    assert "recover it" in line
+    assert "fault 7 (overcurrent); recover it" in line
 
 
 def test_a_table_escapes_names() -> None:

@@ -256,7 +256,7 @@ async def test_gains_and_recovery(hand: Hand, library: ActionLibrary) -> None:
         served.driver.fail("too hot")
         await until(lambda: not any(served.loop.controller.active))
         assert (await remote.status()).devices[0].lifecycle is Lifecycle.FAULT
-        with pytest.raises(RequestRejected, match=r"device 'sim' is fault: .*too hot"):
+        with pytest.raises(RequestRejected, match=r"device 'sim' is in fault: .*too hot"):
             await remote.do("fist")
         await remote.recover()
         assert (await remote.status()).devices[0].lifecycle is Lifecycle.ACTIVE

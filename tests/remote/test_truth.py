@@ -89,7 +89,7 @@ def test_a_lost_device_takes_back_what_was_said(truth: Truth, kind: str) -> None
     truth.on_event(Event(kind, "line", "is lost", 0.0, "error"))
     truth.on_status(status(devices=(replace(ACTIVE, lifecycle=Lifecycle.UNCONFIGURED),)))
     assert truth.held() == ("no data from line", Tone.BAD)
-    assert truth.link() == ("line: it is unconfigured", Tone.BAD)
+    assert truth.link() == ("device 'line' is unconfigured", Tone.BAD)
     truth.on_status(status())  # connected again: what is in the hand now is not known
     assert truth.held().text == "not known whether something is held"
 
@@ -99,7 +99,7 @@ def test_homing_is_no_trouble(truth: Truth) -> None:
     homing = replace(ACTIVE, lifecycle=Lifecycle.INACTIVE, message="homing b, 2 of 2")
     truth.on_status(status(devices=(homing,)))
     assert truth.homing
-    assert truth.link() == ("line: homing b, 2 of 2", Tone.WARN)
+    assert truth.link() == ("device 'line' is inactive: homing b, 2 of 2", Tone.WARN)
     assert truth.held() == ("moves by itself: keep clear", Tone.WARN)
     truth.on_status(status(devices=(replace(homing, message="no answer"),)))
     assert not truth.homing

@@ -11,7 +11,7 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.wording import WRAPS, put
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
-from rtee.remote.truth import Truth, problem
+from rtee.remote.truth import Truth
 from rtee.types import DeviceStatus, Lifecycle
 
 # Colours that people with any colour vision can distinguish; the shape of the sign repeats them.
@@ -27,13 +27,11 @@ _GREY: Final = (90, 96, 104)
 
 
 def device_line(device: DeviceStatus) -> str:
-    """Return a device's status as HTML: sign, name, state, fault and hint."""
+    """Return a device's status as HTML: sign, name, state and remarks."""
     sign, colour = _SIGNS[device.lifecycle]
     words = [f"<b>{escape(device.name)}</b> {escape(str(device.lifecycle))}"]
-    if why := problem(device):
-        words.append(escape(why))
-    if device.hint:
-        words.append(f"<i>{escape(device.hint)}</i>")
+    if device.remarks and device.lifecycle is not Lifecycle.ACTIVE:
+        words.append(escape(device.remarks))
     return f'<span style="color:{colour}">{sign}</span> ' + " · ".join(words)
 
 
@@ -118,7 +116,7 @@ class HeaderPanel:
         put(self._state, _text("<br>".join(lines)))
         ill = bool(truth.ill) and not truth.stale and not truth.homing
         if ill:
-            names = ", ".join(escape(name) for name, _ in truth.ill)
+            names = ", ".join(escape(device.name) for device in truth.ill)
             put(
                 self._moves,
                 _text(
