@@ -100,7 +100,7 @@ def extract(
         words = [hand, *words]
         hand = None
     if sum(given is not None for given in (hand, urdf, mjcf)) != 1:
-        raise ConfigError("give either a hand, --urdf or --mjcf")
+        raise ConfigError("give a hand, --urdf or --mjcf, and only one of them")
     if hand is not None and (srdf or root or package_dir or words):
         raise ConfigError("--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
     subtree = subtree_of(root, outside)

@@ -68,7 +68,7 @@ def new(
         ask: Ask about choices that the files leave open.
     """
     if sum(given is not None for given in (urdf, mjcf, source)) != 1:
-        raise ConfigError("give either --urdf FILE, --mjcf FILE or --from HAND")
+        raise ConfigError("give one of --urdf FILE, --mjcf FILE and --from HAND")
     if source is not None:
         if srdf or root or package_dir or arguments:
             raise ConfigError(

@@ -87,7 +87,7 @@ def add_client(
     path = out or Path(f"{name}@{hand}.pem")
     # Checked first: the hand would admit a certificate that could not be stored.
     if path.exists():
-        raise ConfigError("is there already", path=path)
+        raise ConfigError("exists already; give another file, or remove it first", path=path)
     authority, folder = _authority(), _folder(hand)
     person, text = authority.add_client(folder, name, _role(role), days)
     try:

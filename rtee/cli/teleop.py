@@ -71,7 +71,7 @@ def teleop(
         rate: Samples per second.
     """
     if gamepad + keyboard + (landmarks is not None) != 1:
-        raise ConfigError("give either --gamepad or --keyboard or --landmarks")
+        raise ConfigError("give one of --gamepad, --keyboard and --landmarks")
     if landmarks is not None:
         if actions:
             raise ConfigError("--landmarks moves the whole hand: leave out the actions")

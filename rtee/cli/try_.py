@@ -262,7 +262,7 @@ def _all_in_file(
     if len(known.keys() | {trial.key for trial in trials}) > MOST:
         raise ConfigError(
             f"{len(trials)} results are too many for {path}, which holds {MOST}; give --out a "
-            "folder, for files of Parquet"
+            "folder, for Parquet files"
         )
     old = read_results(path).keys() - known.keys()
     if old:

@@ -673,8 +673,8 @@ def _positions(model: mujoco.MjModel, group: _Group) -> tuple[FloatArray, FloatA
     if rank < np.linalg.matrix_rank(rigid, tol=TINY) + motors:
         names = ", ".join(f"'{motor.name}'" for motor in group.motors)
         raise ModelError(
-            f"actuators {names} move joints {names_of(model, group.joints)}, which couplings leave "
-            "fewer degrees of freedom than that"
+            f"actuators {names} move joints {names_of(model, group.joints)}, whose couplings leave "
+            "fewer degrees of freedom than there are actuators"
         )
     # The joints are a + B · u with the motors' positions u; columns of `right`: constants, then u.
     right = np.zeros((len(given), 1 + motors))

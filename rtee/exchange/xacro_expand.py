@@ -102,7 +102,7 @@ def expand(
     # Any other status means that a limit ended the process.
     if process.returncode != 0 or not target.is_file():
         raise ModelError(
-            f"xacro breaks off: the file computes for more than {_TIME:g} s, or makes more than "
+            f"xacro was stopped: the file computes for more than {_TIME:g} s, or makes more than "
             f"{MAX_SIZE // 1_000_000} MB",
             path=path,
         )

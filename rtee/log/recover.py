@@ -85,7 +85,7 @@ def recover(
             if whole and output is None:
                 return _report(content, path, 0, untouched=True)
             if target.exists() and not in_place:
-                raise LogError("exists, and is not overwritten; --out names another", path=target)
+                raise LogError("exists already; give another file with --out", path=target)
             if whole:
                 shutil.copyfile(path, target)
                 return _report(content, target, 0, untouched=True)

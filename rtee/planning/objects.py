@@ -273,8 +273,8 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
         raise ModelError(f"the mesh cannot be read: {lines[0].strip()}", path=path) from None
     if mesh.num_tris > _MOST_TRIANGLES:
         raise ModelError(
-            f"the mesh has {mesh.num_tris} triangles, {_MOST_TRIANGLES} are the most but in a "
-            "binary STL file; only its convex hull matters, so a simplified copy will do",
+            f"the mesh has {mesh.num_tris} triangles; at most {_MOST_TRIANGLES} are read, except "
+            "from a binary STL file; only its convex hull matters, so a simplified copy will do",
             path=path,
         )
     if path.suffix.lower() != ".stl":  # a single part

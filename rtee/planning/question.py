@@ -131,7 +131,7 @@ class ReachQuestion:
             raise ConfigError("give a finger for each contact, or for none")
         poses = (self.pose, self.object_pose)
         if any(len(each) not in (0, 16) for each in poses) or len(self.approach) not in (0, 3):
-            raise ConfigError("a pose must have 4 by 4 numbers, an approach 3")
+            raise ConfigError("a pose must have 16 numbers (4 by 4), and an approach 3")
         if not self.points and not self.pose:
             raise ConfigError("give contacts, or a gripper's pose and a width")
         if len(self.object) > _LONGEST_SHAPE:

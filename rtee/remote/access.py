@@ -112,7 +112,7 @@ def _all(name: str, keys: str) -> dict[str, Any]:
 
 
 def _allowed(hand: str, subjects: Mapping[str, Mapping[str, Role]]) -> dict[str, Any]:
-    """Return ``access_control`` by which each subject may use some access paths, in a role each."""
+    """Return ``access_control`` that gives each subject a role on some access paths."""
     paths = {path: role for allowed in subjects.values() for path, role in allowed.items()}
     common = [*_announcements(hand), *_presence(hand)]
     own = {

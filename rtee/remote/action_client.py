@@ -1,4 +1,4 @@
-"""List and change the actions of a running hand, plan grasps, and execute those of planners."""
+"""List and change the actions of a running hand, plan grasps, and execute planners' grasps."""
 
 from __future__ import annotations
 

@@ -33,7 +33,8 @@ def is_agent(client: str) -> bool:
 class Agents:
     """Decides whether agents may move a hand; any thread may use it.
 
-    What shuts them out is kept in a file beside the hand's own, so that it outlives the hand.
+    The reason for locking them out is kept in a file beside the hand's own, so that it outlives
+    the hand.
 
     Args:
         place: The hand's file in the runtime folder; its folder can be trusted.

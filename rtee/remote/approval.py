@@ -1,4 +1,4 @@
-"""A person's yes to a motion, in a terminal or the GUI: a Unix socket that agents do not reach.
+"""A person's approval of a motion, in a terminal or the GUI, through a socket closed to agents.
 
 The terminal or the GUI listens, and each server of an agent connects to it with one question at a
 time. The socket is in the user's runtime folder; nothing that an agent can ask of its server opens

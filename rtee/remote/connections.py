@@ -1,8 +1,8 @@
-"""The files of this process that Zenoh opens: their number, whose they are, and how they close.
+"""The sockets that Zenoh opens in this process: their number, their users and their closing.
 
 Zenoh accepts every permitted client, does not limit the sessions of one user, and does not report
-whose a message is. Its sockets are files of this process, so they are found among these, and those
-that are too many are shut down. Whose a client is, it shows by a socket of its own when it says
+the sender of a message. Its sockets are open files of this process: they are found among these, and
+shut down when a user has too many. A client proves its user by a socket of its own when it says
 hello.
 """
 
@@ -82,9 +82,9 @@ def raise_file_limit() -> int:
 
 
 class Connections:
-    """Limits how many connections through a Unix socket each user has, and looks after all others.
+    """Limits each user's connections through a Unix socket; disables lingering on the others.
 
-    Looks shortly after there are new ones, in a thread of its own.
+    A thread of its own looks shortly after new ones have appeared.
     """
 
     def __init__(self, session: zenoh.Session, path: str) -> None:
@@ -132,7 +132,7 @@ class Connections:
 
 @contextlib.contextmanager
 def vouching(token: str) -> Iterator[None]:
-    """Let a hand on this computer see whose process has declared a token, by `user_of`."""
+    """Let a hand on this computer find the user whose process declared a token, by `user_of`."""
     with contextlib.ExitStack() as stack:
         if sys.platform == "linux":
             listener = stack.enter_context(socket.socket(socket.AF_UNIX))

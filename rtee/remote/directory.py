@@ -122,7 +122,7 @@ def own_folder() -> Path:
 
 
 def _services() -> int | None:
-    """Return a descriptor of the services' folder; ``None`` if there is none, or all can change it.
+    """Return a descriptor of the services' folder; ``None`` if missing or writable by everyone.
 
     Its owner can be trusted, since only root can make it in ``/run``.
     """

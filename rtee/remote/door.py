@@ -1,10 +1,11 @@
 """The door of a hand: a separate process that accepts all connections with certificates.
 
-Whoever reaches a port can open connections there as fast as they like. Here they cost the hand's
-process nothing: no handshake, no descriptor, and no time of its interpreter. Zenoh's own listener
-would not do, since it waits for 0.1 s after every handshake that fails, ten a second at most. The
-door shakes hands itself, and passes the bytes of each certificate to a gateway of Zenoh that obeys
-the rules of its role (`rtee.remote.access`), and that leads to the hand's Unix socket.
+Anyone who reaches a port can open connections as fast as they like. With the door, these cost the
+hand's process nothing: no handshake, no descriptor, and no time of its interpreter. Zenoh's own
+listener would not do, since it waits for 0.1 s after every failed handshake and so accepts ten
+clients a second at most. The door performs the TLS handshake itself, and passes the bytes of each
+certificate's connections to a Zenoh gateway that enforces the rules of its role
+(`rtee.remote.access`) and leads to the hand's Unix socket.
 """
 
 from __future__ import annotations
@@ -189,7 +190,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 class _Gate:
-    """The access path of one certificate: a gateway of Zenoh with the rules of its role.
+    """The access path of one certificate: a Zenoh gateway with the rules of its role.
 
     Args:
         folder: Folder for its socket.
@@ -245,7 +246,7 @@ class _Gate:
 
 
 class _Doorkeeper:
-    """Accepts connections, lets them show a certificate, and passes on what comes with one.
+    """Accepts connections, requires a certificate, and forwards the data of those that have one.
 
     Connections without a certificate are many and short-lived in a flood, so the newest are kept.
     """

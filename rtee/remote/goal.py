@@ -231,7 +231,7 @@ class RunningGoals:
         return True if status["running"] else None
 
     async def check_taken(self, goal_id: str) -> None:
-        """Raise `RemoteError` unless the hand knows the goal, whose answer was lost."""
+        """Raise `RemoteError` unless the hand knows the goal; its answer was lost."""
         try:
             if await self._status(goal_id) is not None:
                 return
@@ -240,7 +240,8 @@ class RunningGoals:
             raise
         self._cancel(goal_id)  # it may still be in transit
         raise TooManyRequests(
-            f"the hand '{self._link.hand}' has not taken the goal; too many requests may have come"
+            f"the hand '{self._link.hand}' has not accepted the goal; it may have received too "
+            "many requests"
         )
 
     async def give_up(self, goal_id: str) -> None:

@@ -1,4 +1,4 @@
-"""Goals from the options of calls as people write them: checked, and translated to SI units."""
+"""Make goals from the options of a call: check them, and convert them to SI units."""
 
 from __future__ import annotations
 
@@ -310,13 +310,13 @@ def _use(action: object, elements: Sequence[str]) -> ActionReference:
 
 
 def _closing(values: dict[str, Any]) -> ActionReference:
-    """Take the fingers and the action that they close with out of options."""
+    """Remove the fingers and the action from options, and return them."""
     fingers, action = _names(values.pop("fingers", None)), values.pop("action", "")
     return _use(action, fingers) if action else ActionReference("", fingers)
 
 
 def _names(fingers: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the names of fingers; raises `GoalRejected` for a single text, a list of letters."""
+    """Return the names of fingers; raises `GoalRejected` for a single text."""
     if isinstance(fingers, str) or not all(isinstance(name, str) for name in fingers or ()):
         raise GoalRejected(
             f"the fingers must be a list of names, such as ['index'], not {fingers!r:.100}"
@@ -336,7 +336,7 @@ def _tolerances(pair: object) -> tuple[float, float]:
 
 
 def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options with quantities in SI units and words as those of enumerations.
+    """Return options with quantities in SI units and words as members of enumerations.
 
     The hand checks whether the number is possible, since it knows its limits.
     """

@@ -150,7 +150,9 @@ class Identities:
             if name in self._there or token in self._by_token:
                 raise RequestRejected(f"a client '{name}' exists already")
             if sum(each.share == client.share for each in self._there.values()) >= CLIENTS_OF_SHARE:
-                raise RequestRejected(f"there are {CLIENTS_OF_SHARE} clients of this kind already")
+                raise RequestRejected(
+                    f"this user or certificate has {CLIENTS_OF_SHARE} clients already"
+                )
             if token in self._tokens:
                 del self._tokens[token]
                 self._admit(client, request)
@@ -267,7 +269,7 @@ class Identities:
         return client.name
 
     def _together(self, share: tuple[str, int]) -> Rates:
-        """Return the limiter that the clients of one user on an access path share.
+        """Return the limiter shared by one user's clients on an access path.
 
         A flood on one path, or by one user, does not keep others out.
         """

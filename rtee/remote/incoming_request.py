@@ -213,7 +213,7 @@ def last_part(message: zenoh.Query | zenoh.Sample) -> str:
 
 
 def attachment_of(message: zenoh.Query | zenoh.Sample) -> bytes | None:
-    """Return the attachment of a message; ``None`` if it has none, or a longer one than claims."""
+    """Return the attachment of a message; ``None`` if it is missing or too long for a claim."""
     attachment = message.attachment
     if attachment is None or len(attachment) > LONGEST_CLAIM:
         return None

@@ -141,7 +141,7 @@ class Link:
         return NoHand(f"the hand '{self.hand}' is gone")
 
     def leave(self) -> None:
-        """End all that waits for the hand, since this client leaves it; before `close`."""
+        """Fail all pending requests because this client leaves; call it before `close`."""
         self._left = True
         self._on_gone()
 
@@ -359,7 +359,7 @@ async def introduced(
         hand: The hand.
         access_path: The access path, see `rtee.remote.find.FoundSession`.
         client: A name for this client, shown to people.
-        prefix: Begin of its token's name, hexadecimal: `rtee.messages.requests.WATCHES`.
+        prefix: Beginning of its token's name, hexadecimal: `rtee.messages.requests.WATCHES`.
     """
     # The process id and a random part distinguish clients of the same name. The client's own name
     # is cut, so that all fits into the 100 characters of a name.

@@ -1,8 +1,8 @@
-"""Metrics of running hands for Prometheus, by its own client library.
+"""Metrics of running hands for Prometheus, served with Prometheus' own client library.
 
-A process of its own asks the hands whenever it is scraped, and never in between: nothing of it runs
-in a hand's process but the answers. Names follow Prometheus' rules: base units, in plural, at the
-end, and ``_total`` for what only grows.
+A separate process queries the hands at each scrape only; a hand's process does nothing but answer.
+Names follow Prometheus' rules: they end with the base unit in plural, and with ``_total`` for
+counters.
 """
 
 from __future__ import annotations
@@ -171,10 +171,10 @@ async def serve(fleet: Fleet, listen: str) -> None:
 
     Args:
         fleet: The hands.
-        listen: ``HOST:PORT`` to listen on. Whoever reaches it can read, and nothing else.
+        listen: ``HOST:PORT`` to listen on. Anyone who reaches it can read the metrics.
 
     Raises:
-        ConfigError: if it cannot be used.
+        ConfigError: if the address cannot be used.
     """
     host, port = address_of(listen, "metrics")
     registry = CollectorRegistry()

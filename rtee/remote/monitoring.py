@@ -55,7 +55,7 @@ class HandStatus(Value):
         devices: Status of each device.
         profile: Profile of the references, with the reason if it is not the one in hand.yaml.
         stream: Status of the stream of set-points.
-        agents_out: Why agents may not move the hand, in words; empty where none has been.
+        agents_out: Why agents may not move the hand, in words; empty if there are none.
         counts: Counts of events since the hand started.
     """
 

@@ -109,8 +109,8 @@ def limits_of(
 ) -> GripLimits:
     """Return the limits over some ranges, at least one.
 
-    The opening of an action changes fastest where its table is steepest, while the first of its
-    actuators that gets there goes at its velocity limit.
+    The opening of an action changes fastest where its table is steepest, while the slowest of its
+    actuators moves at its velocity limit.
     """
     postures = {(each.name, each.elements): each.waypoints[-1] for each in actions}
     known = {actuator.name: actuator for actuator in info.actuators}

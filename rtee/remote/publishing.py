@@ -238,7 +238,7 @@ class Streams:
         return max(1, round(self._rate / rate))
 
     def ask(self, rate: float) -> str:
-        """Return the topic with states at the possible rate nearest to a given one [Hz].
+        """Return the topic with states at the available rate nearest to a given one [Hz].
 
         The stream begins when a client subscribes to it. While very many rates are streamed, its
         rate may be up to twice the given one. Raises `GoalRejected` if the rate is out of range.

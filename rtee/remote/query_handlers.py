@@ -61,7 +61,7 @@ class GraspPlanning:
             actions: The hand's folder of actions.
 
         Raises:
-            RteeError: The request is refused.
+            RteeError: if the request is refused.
         """
         reach = request.request.name == "reach"
         question = _reach_question(request.fields) if reach else _question(request.fields)
@@ -72,7 +72,7 @@ class GraspPlanning:
         if self._queue is None:
             self._queue = CallQueue(f"plan {self._hand}", _WAITING)
         if not self._queue.put(partial(self._answer, request, actions.parent, question)):
-            raise RequestRejected(f"{_WAITING} plans are already waiting")
+            raise RequestRejected(f"{_WAITING} plans are already waiting; try again later")
 
     def _answer(
         self, request: IncomingRequest, folder: Path, question: Question | ReachQuestion
@@ -359,7 +359,7 @@ class QueryHandlers:
                     )
                 if not recorder.status().keeps:
                     raise RequestRejected(
-                        f"{self._hand.name} records nothing now, so the mark would be lost; begin a"
+                        f"{self._hand.name} is not recording, so the mark would be lost; begin a"
                         " recording first, in the GUI or by record('start')"
                     )
                 recorder.mark(text)

@@ -1,8 +1,8 @@
-"""The router of a site: a router of Zenoh that hands and clients connect to, with its rules.
+"""The router of a site: a Zenoh router, with access rules, that hands and clients connect to.
 
-Hands and clients need no router. It stands where clients cannot reach the computers of the hands,
-or should know one address for all of them. Its certificates and its list of people are in a folder
-as that of a hand that listens itself, and the list names hands besides.
+A router is optional. Use one where clients cannot reach the hands' computers, or should use one
+address for all of them. Its certificates and its list of people are in a folder like that of a hand
+that listens itself; the list also names hands.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _LOOK_EVERY = 1.0
 async def route(
     site: Credentials | None, listen: Sequence[str], tell: Callable[[str], object]
 ) -> None:
-    """Be the router of a site until cancelled; errors as for `router_settings`.
+    """Run the router of a site until cancelled; raises the errors of `router_settings`.
 
-    Zenoh reads its rules once, so the router restarts when hands are added: once no client
-    that may ask for something is connected, since hands stop what clients asked for that are lost.
+    Zenoh reads its rules once, so the router restarts when hands are added. It waits until only
+    watching clients are connected, since a hand stops the goals of clients that it loses.
 
     Args:
         site: The site's certificates; ``None``: anyone who reaches the router can move the hands.
@@ -66,21 +66,21 @@ def _names(hands: Mapping[str, str]) -> str:
 
 
 def _busy(session: zenoh.Session) -> bool:
-    """Return whether a client of a hand is connected that may have asked for something."""
+    """Return whether a client is connected that may have sent a goal to a hand."""
     tokens = session.liveliness().get(network_key("*", f"{CLIENTS}/*"))
     names = (str(reply.ok.key_expr).rpartition("/")[2] for reply in tokens if reply.ok)
     return not all(name.startswith(WATCHES) for name in names)
 
 
 def router_settings(site: Credentials | None, listen: Sequence[str]) -> dict[str, Any]:
-    """Return Zenoh's settings of a router, beyond those of all that listens.
+    """Return Zenoh's settings of a router, besides those of every listening session.
 
     Args:
         site: The site's certificates; ``None``: anyone who reaches the router can move the hands.
         listen: Its endpoints.
 
     Raises:
-        ConfigError: if an endpoint cannot be used or would let in those without a certificate, or
+        ConfigError: if an endpoint cannot be used or would admit clients without a certificate, or
             certificates are missing.
     """
     check_endpoints(listen)

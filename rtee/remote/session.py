@@ -160,9 +160,9 @@ def local_endpoint(path: Path) -> str:
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:
-    """Open a session of Zenoh, which reads its threads from a variable of the environment.
+    """Open a Zenoh session; Zenoh reads its number of threads from an environment variable.
 
-    Raises `ConfigError` if that is wrong, `zenoh.ZError` for all that Zenoh itself refuses.
+    Raises `ConfigError` if the variable is malformed, `zenoh.ZError` for what Zenoh refuses.
     """
     # Not set, where another environment took the place of that in which this module was imported.
     text = os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME).strip()
@@ -204,7 +204,7 @@ def open_server(
 def open_listening(
     listen: Sequence[str], connect: Sequence[str], further: Mapping[str, Any] | None = None
 ) -> zenoh.Session:
-    """Open a session that listens on endpoints; as `open_server`, which makes it for a hand."""
+    """Open a session that listens on endpoints, like `open_server` but without a Unix socket."""
     try:
         return open_session(listening(listen, connect, further))
     except (OSError, zenoh.ZError) as error:
@@ -234,7 +234,7 @@ def listening(
 
 
 def most_sessions() -> int:
-    """Return the limit of connections of this process, lower if it may open few files."""
+    """Return the largest number of connections of this process; lower if it may open few files."""
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     # RLIM_INFINITY is -1.
     return _MOST_SESSIONS if files < 0 else max(1, min(_MOST_SESSIONS, files - _RESERVED))
@@ -248,7 +248,7 @@ def access_path(endpoint: str) -> str:
 
 
 def host_of(endpoint: str) -> tuple[str, int]:
-    """Return host and port of an endpoint on TCP or TLS; raises `ConfigError` for another one."""
+    """Return host and port of a TCP or TLS endpoint; raises `ConfigError` for any other."""
     match = _TCP.fullmatch(endpoint)
     if match is None:
         raise ConfigError(f"'{endpoint}' should be written tls/HOST:PORT")
@@ -256,7 +256,7 @@ def host_of(endpoint: str) -> tuple[str, int]:
 
 
 def address_of(text: str, what: str) -> tuple[str, int]:
-    """Return host and port of ``HOST:PORT`` for something; raises `ConfigError`."""
+    """Return host and port of ``HOST:PORT``; raises `ConfigError`, which names its purpose."""
     host, _, port = text.rpartition(":")
     if not (host and port.isascii() and port.isdigit() and int(port) < 1 << 16):
         raise ConfigError(f"{what}: '{text[:50]}' should be HOST:PORT, such as 127.0.0.1:9464")

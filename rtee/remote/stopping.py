@@ -1,8 +1,8 @@
-"""The access path of a stop: a socket of its own here, a query without `hello` elsewhere.
+"""The path of a stop: a socket of its own on this computer, a query without `hello` elsewhere.
 
-The socket takes datagrams. It has no connections, sessions or handshakes, so no client can use any
-up; it costs the hand one descriptor in all; and what arrives is not examined: each
-datagram is a stop. File permissions decide who may send one, as for the socket of the network.
+The socket receives datagrams. It has no connections, sessions or handshakes that a client could
+exhaust, and costs the hand one descriptor in all. The content of a datagram does not matter: each
+one is a stop. File permissions decide who may send one, as for the socket of the network.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def silent(hand: str) -> NoHand:
 
 @contextlib.contextmanager
 def _client(path: Path) -> Iterator[socket.socket]:
-    """Open a socket that only the hand can answer, since it is connected to the hand's."""
+    """Open a socket that only the hand can answer, since it is connected to the hand's socket."""
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         if sys.platform == "linux":

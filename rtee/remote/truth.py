@@ -1,6 +1,6 @@
-"""The present state of the hand, and the evidence for it: one source for all panels.
+"""The present state of the hand, and the evidence for it, for all panels of the GUI.
 
-It receives states, results, events and the status as they come, and reports their age.
+It receives states, results, events and the status as they arrive, and reports their age.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Turn(NamedTuple):
 
     Attributes:
         why: When and what, in words.
-        goal: The goal or stream that did, or an empty string.
+        goal: The goal or stream that caused it, or an empty string.
     """
 
     why: str = ""
@@ -104,7 +104,7 @@ class Truth:
     # --- incoming messages
 
     def on_state(self, state: State) -> None:
-        """Take a state that has just come."""
+        """Take a state that has just arrived."""
         self.state, self._received = state, monotonic.now()
         word, before = bool((np.asarray(state.grasped) == 1).any()), self._word
         self._word = word

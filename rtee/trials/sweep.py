@@ -121,7 +121,7 @@ class Local:
         """Raise why."""
         if isinstance(error, BrokenProcessPool):
             raise WorkerLost(
-                "a process that did trials was ended from outside, perhaps for want of memory"
+                "a process with trials was killed, perhaps for lack of memory"
             ) from error
         raise error
 

@@ -96,10 +96,10 @@ def test_the_table_shows_every_primitive(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "give either a hand, --urdf or --mjcf"),
+        ([], "give a hand, --urdf or --mjcf, and only one of them"),
         (["--urdf", "missing.urdf"], "missing.urdf"),
         (["dagana", "--srdf", "a.srdf"], "go with --urdf"),
-        (["dagana", "--urdf", "a.urdf"], "give either a hand, --urdf or --mjcf"),
+        (["dagana", "--urdf", "a.urdf"], "give a hand, --urdf or --mjcf, and only one of them"),
         (["no_such_hand"], "unknown hand 'no_such_hand'"),
     ],
 )

@@ -331,10 +331,10 @@ def test_new_ends_with_what_makes_the_actions(shipped: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("mine", "give either --urdf FILE, --mjcf FILE or --from HAND"),
+        ("mine", "give one of --urdf FILE, --mjcf FILE and --from HAND"),
         (
             f"mine --from {GRIPPER} --urdf g.urdf",
-            "give either --urdf FILE, --mjcf FILE or --from HAND",
+            "give one of --urdf FILE, --mjcf FILE and --from HAND",
         ),
         (
             f"mine --from {GRIPPER} --srdf g.srdf",

@@ -61,7 +61,7 @@ def test_a_whole_file_is_left_as_it_is(story: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     assert recover(path, copy).path == copy
     assert copy.read_bytes() == story.read_bytes()
-    with pytest.raises(LogError, match=r"copy.mcap: exists, and is not overwritten"):
+    with pytest.raises(LogError, match=r"copy.mcap: exists already"):
         recover(path, copy)
 
 

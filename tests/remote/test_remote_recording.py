@@ -32,7 +32,7 @@ async def test_a_recording_is_started_marked_and_stopped(
         ("mark", "", "a mark must be one line"),
         ("mark", "two\nlines", "a mark must be one line"),
         ("mark", "x" * 1001, "not 1001"),
-        ("mark", "nobody would find it", "records nothing now"),
+        ("mark", "nobody would find it", "is not recording"),
     ],
 )
 async def test_nonsense_does_not_reach_the_recorder(

@@ -170,7 +170,7 @@ async def test_64_clients_of_one_user_keep_no_stop_away_and_no_client_of_another
 ) -> None:
     monkeypatch.setattr(identities, "CLIENTS_OF_SHARE", 2)
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small"):
-        with pytest.raises(RequestRejected, match="clients of this kind"):
+        with pytest.raises(RequestRejected, match="clients already"):
             async with rtee.connect("small"):
                 pass
         assert await stop_hand() == ("small", {"sim": True})

@@ -120,7 +120,7 @@ def test_a_worker_that_is_killed_is_told_in_one_sentence(hand: Path) -> None:
     kept = read_results(hand / "trials.yaml")
     assert sweep.returncode == 1
     assert said == (
-        "rtee: a process that did trials was ended from outside, perhaps for want of memory; "
+        "rtee: a process with trials was killed, perhaps for lack of memory; "
         f"the results of {len(kept)} of 36 trials are kept in config/mine/trials.yaml; the same "
         "command does the others\n"
     )

@@ -164,9 +164,8 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
         if len(names) != JOINTS:
             raise ConfigError(
                 f"device '{spec.name}': an Allegro Hand has {JOINTS} actuators "
-                f"({', '.join(NAMES)}, four each), not {len(names)}; name the actuators that it "
-                "has by the "
-                "option 'joints'"
+                f"({', '.join(NAMES)}, four each), not {len(names)}; list those that are present "
+                "in the option 'joints'"
             )
         return list(range(JOINTS))
     return numbers_of(spec, "joints", options.joints, "joint")

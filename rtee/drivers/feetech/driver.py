@@ -141,9 +141,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     def _check_found(self, name: str, found: FoundServo) -> None:
         if found.limits == (0, 0) and self.family.offset is None:
             raise self.stranger(
-                f"servo {found.id} ({name}) with limits of its position",
-                "limits of 0 and 0, with which it turns without end",
-                hint="give it its limits back; from the factory they are 20 and 1003",
+                f"servo {found.id} ({name}) with position limits",
+                "limits of 0 and 0, with which it turns endlessly",
+                hint="restore its limits; those of the factory are 20 and 1003",
             )
 
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:

@@ -134,7 +134,10 @@ class MujocoDriver(Driver):
             return await anyio.to_thread.run_sync(exchange, limiter=self._thread)
         except SimulationUnstable as error:
             raise DeviceFault(
-                self.spec.name, _UNSTABLE, str(error), hint="`rtee recover` goes on from its start"
+                self.spec.name,
+                _UNSTABLE,
+                str(error),
+                hint="`rtee recover` restarts it from its initial state",
             ) from error
 
     def _exchange(self, simulation: Simulation, count: int) -> ActuatorState:

@@ -47,7 +47,8 @@ def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     for name in options.roles:
         if name not in names:
             raise ConfigError(
-                f"device '{spec.name}': roles name '{name}', not its actuator", key=key
+                f"device '{spec.name}': roles names '{name}', which is none of its actuators",
+                key=key,
             )
     fingers = [name for name in names if "palm" not in name and name not in options.roles]
     guessed: dict[str, Role] = {name: "scissor" for name in names if "palm" in name}

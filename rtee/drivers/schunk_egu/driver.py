@@ -371,7 +371,7 @@ class SchunkEguDriver(Driver):
         with self.busy("testing its brake"):
             await self._until(done, _BRAKE_TEST)
         if self._input.status & codec.Status.NOT_FEASIBLE:
-            raise self._error(_BRAKE, "brake test not feasible; has this model a brake?")
+            raise self._error(_BRAKE, "brake test not feasible; does this model have a brake?")
         await self._write(codec.Output(codec.Control.RUN))
 
     async def _until(self, done: Callable[[codec.Input], bool], within: float) -> None:
@@ -573,9 +573,7 @@ class SchunkEguDriver(Driver):
 
     def _refuse(self, now: codec.Input) -> None:
         if now.status & codec.Status.ERROR:
-            raise self._error(
-                now.error, codec.ERRORS.get(now.error, "an error that no document names")
-            )
+            raise self._error(now.error, codec.ERRORS.get(now.error, "an undocumented error"))
 
     def _error(self, code: int, name: str) -> DeviceFault:
         hint = "remove the cause, then `rtee recover`, which acknowledges it"

@@ -180,7 +180,7 @@ def channels_of(spec: DeviceSpec) -> tuple[int, ...]:
             ) from None
         if channel in found:
             raise ConfigError(
-                f"device '{spec.name}': two actuators are channel '{CHANNELS[channel].name}'"
+                f"device '{spec.name}': two actuators drive channel '{CHANNELS[channel].name}'"
             )
         found.append(channel)
     return tuple(found)

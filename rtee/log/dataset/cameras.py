@@ -118,7 +118,7 @@ class _Decoder:
         """Return the newest image."""
         self._decode()
         if self._frame is None:
-            raise self._error("has no whole image by then: a video begins with a key frame")
+            raise self._error("has no complete image by then: a video begins with a key frame")
         return self._frame
 
     def _decode(self) -> None:

@@ -204,8 +204,8 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
         raise LogError("contains no states of actuators", path=path)
     if not 1 <= choice.fps <= max(rate, 1.0):
         raise LogError(
-            f"has {rate:g} states a second: a dataset of it has 1 to {rate:g} frames, not "
-            f"{choice.fps}",
+            f"has {rate:g} states a second: a dataset of it can have 1 to {rate:g} frames "
+            f"a second, not {choice.fps}",
             path=path,
         )
     signals, reference = list(observed(recording)), sent(recording)
