@@ -109,7 +109,7 @@ def followed(
 
     Args:
         sweep: The sweep.
-        keep: Writes what there is.
+        keep: Writes the results so far.
         words: A phrase that says what is kept where.
     """
     # Closing ends the processes at once when this is interrupted.

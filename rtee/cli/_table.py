@@ -36,7 +36,7 @@ _PADDED: Final = 44
 class Column:
     """A column of a table, aligned to the right for numbers.
 
-    The lines of a whole one are wrapped only where nothing else would be left of the others.
+    The lines of a whole one are wrapped only if the others would have no room otherwise.
     """
 
     name: str

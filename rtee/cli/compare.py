@@ -56,7 +56,7 @@ def compare(
         hands (HAND…): Names of hands, or folders.
         objects (FOLDER): A folder of meshes in metres, or one object as for rtee try; may be
             repeated.
-        mass (0.001..100.0): Mass of each [kg].
+        mass (0.001..100.0): Mass of each part [kg].
         variations (1..1000): Variations of an action on a part, at most.
         wanted (0.01..0.99; RATE): Share of the variations in which a part has to be held;
             variations end once the interval lies to one side of it.

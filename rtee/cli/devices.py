@@ -80,7 +80,7 @@ def _devices_of(
 
 
 def _finished(work: Coroutine[Any, Any, T], *, simulated: bool) -> T:
-    """Run work and return its result, without real time for emulated devices."""
+    """Run work and return its result; in simulated time if the devices are emulated."""
     from rtee.buses.simulated_time import SimulatedTimeLoop
 
     with asyncio.Runner(loop_factory=SimulatedTimeLoop if simulated else None) as runner:
@@ -113,7 +113,7 @@ def doctor(
             little, and writes a report.
         out (DIR): Folder of that report; by default logs/.
         files (DIR): Only write the files for a robot PC: udev rule, limits, service.
-        ros2: Also check the ROS 2 graph: who does not hear whom.
+        ros2: Also check the ROS 2 graph: which nodes cannot hear each other.
     """
     if files is not None:
         from rtee.deploy.files import write_files

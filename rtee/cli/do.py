@@ -225,8 +225,8 @@ def grasp(
         fingers (FINGER…): Fingers to hold it with; the hand's best action unless given.
         force (FORCE): Force to hold it with, such as 10N.
         speed (SPEED): Speed of opening and closing, such as 50mm/s.
-        narrower (LENGTH): It may be held at less than its width by this.
-        wider (LENGTH): It may be held at more than its width by this.
+        narrower (LENGTH): How much narrower than its width it may be held.
+        wider (LENGTH): How much wider than its width it may be held.
         action: The action to close with, instead of the best one.
         max_force (FORCE): Force up to which a slip raises --force.
     """

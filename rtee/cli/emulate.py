@@ -40,8 +40,8 @@ def emulate(
     Arguments and options:
         device (DEVICE): Name of a driver.
         link (PATH): Make a link to the port at this path.
-        tcp (0..65535; PORT): Listen at a TCP port.
-        host: Address to listen at.
+        tcp (0..65535; PORT): Listen on a TCP port.
+        host: Address to listen on.
         raw: The TCP port carries a serial line's bytes.
         can (CHANNEL): Be a node on a CAN channel.
         interface: python-can interface of the channel.

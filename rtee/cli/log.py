@@ -267,7 +267,7 @@ def lerobot(
     Example: rtee log lerobot logs --out datasets/cups
 
     Arguments and options:
-        files (RECORDING…): Recordings of one hand (of a folder the newest), and files with images
+        files (RECORDING…): Recordings of one hand (the newest of a folder), and files with images
             of its cameras.
         output (--out; DATASET): A new folder.
         fps: Frames per second.
@@ -277,7 +277,7 @@ def lerobot(
         action: Take the intensity of this action as the command, instead of the actuators'
             targets; may be given again.
         observe: Observe this: position joint effort opening force touch taxel; may be given again.
-            All that is known but taxels, unless given.
+            By default, everything known except taxels.
         camera ([NAME=]TOPIC): Only this camera; may be given again.
     """
     from rtee.log.dataset.convert import Choice, EpisodeBoundary, write_dataset
@@ -451,7 +451,7 @@ def recover(
 
     Arguments and options:
         files (FILE…): Recordings, or folders: their newest recordings.
-        output (--out; PATH): The whole file; unless given, NAME_recovered.mcap.
+        output (--out; PATH): The repaired file; NAME_recovered.mcap unless given.
         in_place: Replace the damaged file.
     """
     from rtee.log.recover import recover as repair

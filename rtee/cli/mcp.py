@@ -48,15 +48,15 @@ def mcp(
 ) -> None:
     """Offer hands to a language model by the Model Context Protocol, on stdin and stdout.
 
-    The gate is "watch" unless given here or in hand.yaml, which the options only narrow: it only
-    reads. Its client starts this command; you decide what it may do.
+    By default the gate is "watch": the model only reads. The options can only narrow the limits of
+    hand.yaml. The model's client starts this command; you decide what the model may do.
 
     Example: rtee mcp robotiq_2f_85 --gate simulate --force 20
 
     Arguments and options:
         hands ([HAND…]): Names of hands; all that run here unless given.
         gate: What stands between the model and the hand.
-        action: An action that it may do, grasp or open; may be repeated; all.
+        action: An action that it may do, or grasp, or open; may be repeated; all unless given.
     """
     import anyio
 

@@ -38,7 +38,7 @@ def retarget(
     Example: rtee retarget leap_hand --show
 
     Arguments and options:
-        save: Find it in the model, and store it as retarget.yaml.
+        save: Find the correspondence in the model, and store it as retarget.yaml.
         show: Show it in the browser, beside a person's hand.
         landmarks (FILE): The points to show; by default, a pinching hand.
         port (0..65535): Port of the page.

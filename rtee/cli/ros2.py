@@ -59,13 +59,13 @@ def serve(
     beside: BesideOption = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Show running hands as nodes of ROS 2, until Ctrl-C; each whenever it runs.
+    """Offer running hands as ROS 2 nodes until Ctrl-C; hands may also start later.
 
     Options count before the section ros2 of each hand.yaml. 'rtee run HAND --ros2' does the same
     beside a run.
 
     Arguments and options:
-        domain (0..232): The domain, before ROS_DOMAIN_ID.
+        domain (0..232): The domain, instead of ROS_DOMAIN_ID.
         namespace (NAME): Namespace of the nodes, such as left.
         router (ENDPOINT): Where the router of ROS 2 is.
         distro: Distribution of the other nodes: jazzy, kilted, rolling or humble.
@@ -327,8 +327,8 @@ def echo(
 
     Arguments and options:
         topic: Name of the topic.
-        count (1..): End after so many messages.
-        timeout (0.0..): End when nothing comes for so long [s].
+        count (1..): End after this many messages.
+        timeout (0.0..): End when no message arrives for this time [s].
     """
     from rtee.ros2 import DEFAULT, LATCHED
     from rtee.ros2.keys import Kind
@@ -422,7 +422,7 @@ def send_goal(
     distro: DistroOption = "jazzy",
     as_json: JsonOption = False,
 ) -> None:
-    """Send a goal and print its result, as YAML; Ctrl-C and the end of the time cancel it.
+    """Send a goal and print its result, as YAML; Ctrl-C or the timeout cancels it.
 
     Example: rtee ros2 send-goal /robotiq_2f_85/gripper_cmd control_msgs/action/GripperCommand
     '{command: {position: 0.03}}'
@@ -487,7 +487,7 @@ def router(
 
     Arguments and options:
         listen (ENDPOINT): Where to listen.
-        insecure: Let others in the network come without certificates.
+        insecure: Let others on the network connect without certificates.
     """
     from rtee.ros2.session import open_router
 

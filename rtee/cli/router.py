@@ -18,10 +18,10 @@ def router(
     Example: rtee router factory --listen tls/0.0.0.0:7447
 
     Arguments and options:
-        site ([SITE]): Name of the site, as 'rtee secure init SITE' had it.
+        site ([SITE]): Name of the site, as given to 'rtee secure init SITE'.
         listen (ENDPOINT): Where to listen; tls/0.0.0.0:7447 unless given.
-        insecure (--insecure/--no-insecure): Without certificates: whoever reaches it can move the
-            hands.
+        insecure (--insecure/--no-insecure): Without certificates: anyone who reaches it can move
+            the hands.
         zenohd: Print the configuration for zenohd instead.
     """
     import anyio

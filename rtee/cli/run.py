@@ -87,18 +87,18 @@ def run(
     Arguments and options:
         driver: kinematic, devices (those of hand.yaml), or a driver's name.
         option (NAME=VALUE): Option of the driver; overrides hand.yaml.
-        object_ (SHAPE): Between the fingers. With --emulated: 50mm, or 0.4 of their closing travel.
-            With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a
-            mesh.
+        object_ (SHAPE): Object between the fingers. With --emulated: 50mm, or 0.4 of their closing
+            travel. With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill,
+            or a mesh.
         gravity (A): With --driver mujoco: along z [m/s²], -9.81 unless given.
         home: Home devices that need it, which moves them all the way.
         rate: Ticks per second, 1 to 2000.
         realtime: Ask for real-time scheduling.
         log (DIR): Folder for the recordings.
-        no_log: Write no recordings; what was before a fault only to a folder given with --log or in
-            hand.yaml.
+        no_log: Write no recordings; the time before a fault is saved only if --log or hand.yaml
+            gives a folder.
         gui: Open the hands in the browser.
-        ros2: Show the hands as nodes of ROS 2.
+        ros2: Offer the hands as ROS 2 nodes.
         metrics (HOST:PORT): Serve metrics for Prometheus there.
         events: Write each event as a line of JSON, or to the journal.
         duration (0.0..; S): End after this many seconds.

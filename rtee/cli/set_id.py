@@ -114,7 +114,7 @@ def set_id(
     new_baudrate: int | None = None,
     family: FamilyName | None = None,
 ) -> None:
-    """Store another id in a Feetech or Dynamixel servo; its torque is taken away.
+    """Store another id in a Feetech or Dynamixel servo; its torque is switched off.
 
     Examples: rtee set-id 3 --port /dev/ttyUSB0
 
@@ -124,7 +124,7 @@ def set_id(
         port (PORT): A tty, or socket://host:port.
         baudrate: Rate of the line [baud]; else that of new servos, 1000000 (Feetech) and 57600
             (Dynamixel).
-        new_baudrate: Rate that a Dynamixel servo gets, too [baud].
+        new_baudrate: Also store this rate in a Dynamixel servo [baud].
         family: Servo family to query; by default, both.
     """
     import asyncio

@@ -47,8 +47,8 @@ def state(
     Example: rtee state --json --follow --rate 50 > states.jsonl
 
     Arguments and options:
-        once: Show it once, on a terminal, too.
-        follow (--follow; -f): Go on, where the output goes to no terminal, too.
+        once: Show it once, even on a terminal.
+        follow (--follow; -f): Keep going, even if the output is not a terminal.
         rate (0.1..): States per second that are shown or printed.
         as_json (--json): Print JSON, one object per line and state.
     """

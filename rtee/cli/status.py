@@ -37,7 +37,7 @@ def status(
     Example: rtee status --connect tls/router:7447 --watch
 
     Arguments and options:
-        every (--all): Show all hands as a table, where only one runs, too.
+        every (--all): Show all hands as a table, even if only one runs.
     """
     from rtee.remote.find import hands_running
 
@@ -146,8 +146,8 @@ def gains(
 ) -> None:
     """Show the gains of a running hand's devices, or set them at once.
 
-    Without an actuator the values are for all. They hold until the hand ends; lasting ones are in
-    hand.yaml. A device whose gains are not those of actuators has them in a unit of its own.
+    Without an actuator the values apply to all. They last until the hand ends; put permanent ones
+    in hand.yaml. Gains of a whole device are in the device's own unit.
 
     Example: rtee gains index_flexion --kp 2 --kd 0.05
 

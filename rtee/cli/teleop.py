@@ -51,20 +51,20 @@ def teleop(
     connect: ConnectOption = None,
     wait: WaitOption = None,
 ) -> None:
-    """Move a hand from a gamepad or the keyboard, by actions, or as a person's hand moves.
+    """Move a hand by actions, from a gamepad or the keyboard, or as a person's hand moves.
 
-    Until Ctrl-C, or until the points end.
+    Ends with Ctrl-C, or when the points end.
 
     Example: rtee teleop --gamepad "rt=PinchTight index thumb" "lt=Trig ring"
 
     Arguments and options:
         actions ([AXIS=]ACTION…): Actions with their elements, each quoted: 'PinchTight index
-            thumb'; with an axis before, or by the next one: rt lt up right right_up right_right a b
-            x y rb lb.
+            thumb'; with an axis before it, otherwise on the next free axis: rt lt up right right_up
+            right_right a b x y rb lb.
         gamepad: From a gamepad.
         keyboard: From the keyboard: q/a, w/s, e/d, …; space opens.
-        landmarks (FILE|-): Points of a person's hand: lines of JSON, or .npz; - reads them as they
-            come.
+        landmarks (FILE|-): Points of a person's hand: lines of JSON, or .npz; - reads them from
+            standard input.
         layout: Their order and unit: mediapipe webxr leap manus manus21 mano.
         side: Which of the person's hands: right or left.
         device (PATH): The gamepad, such as /dev/input/event5.
@@ -185,7 +185,7 @@ def follow_landmarks(
     """Move a hand by points in a file, or by those on the standard input (``-``).
 
     Raises:
-        UserError: The points, the hand or an option can't be used.
+        UserError: if the points, the hand or an option cannot be used.
     """
     import anyio
 
@@ -221,8 +221,8 @@ async def follow_headset(
     """Move a running hand by the joints of a hand in WebXR, a frame of them in each line.
 
     Raises:
-        UserError: There are no joints, or not those of that side.
-        RemoteError: The hand does not run, or refuses the stream.
+        UserError: if there are no joints, or not those of that side.
+        RemoteError: if the hand does not run, or refuses the stream.
     """
     from rtee.remote.client import connect
 
@@ -241,7 +241,7 @@ async def _follow(
     rate: float,
     efforts: Mapping[str, float],
 ) -> tuple[int, Retargeter]:
-    """Send the answers to frames, and return how many, and what answered."""
+    """Stream the postures for the frames; return the number of frames, and the retargeter."""
     import anyio.to_thread
 
     from rtee.retarget.frames import follow as follow_frames

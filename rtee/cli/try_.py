@@ -85,15 +85,15 @@ def try_(
         until (0.01..0.99; RATE): Leave variations out once the interval lies to one side of this
             rate, such as 0.7; all are tried unless given.
         again: With --all: repeat trials whose results are known.
-        out (FOLDER|FILE): Where --all writes its results, if not with the hand: files of Parquet in
+        out (FOLDER|FILE): Where --all writes its results, if not with the hand: Parquet files in
             a folder, or a small .yaml.
         task (TASK): egg (breaks above 8 N), cup (filled with 500 g while held) or tug (of 5 N),
             instead of lifting and shaking; may be repeated.
-        reflexes (--reflexes/--no-reflexes): With --task: with reflexes only, or without only; each
+        reflexes (--reflexes/--no-reflexes): With --task: with reflexes only, or without only; both
             unless given.
         force (FORCE): With --task: force to hold with; 3N unless given.
         max_force (FORCE): With --task: force up to which a slip raises it; 7N unless given.
-        width (LENGTH): With --task: width of the object, if not its least extent.
+        width (LENGTH): With --task: width of the object, if not its smallest extent.
         pictures (DIR): Write a strip of pictures of each trial.
         log (DIR): Folder for recordings of the trials.
         json_: Print JSON.

@@ -135,13 +135,13 @@ class Page:
                     await remote.leave()
 
     async def fold(self) -> None:
-        """Fold the plots away, which leave the hand no room."""
+        """Fold the plots away to leave room for the hand."""
         self.narrow = True
         if self.session is not None:
             self.session.fold()
 
     async def close(self) -> None:
-        """Release the hand, and end after the jobs of this window."""
+        """Release the hand, and end once the jobs of this window have."""
         self._open = False
         if self.session is not None:
             await self.session.leave()
@@ -150,11 +150,11 @@ class Page:
 
 
 class App:
-    """The pages of all windows, their hands, and the states of these.
+    """The pages of all windows, with their hands and the hands' states.
 
     Attributes:
         endpoint: Where the hand runs, if on another computer.
-        approval: What answers the questions of agents.
+        approval: Answers the questions of agents.
         pages: The pages by the number of their window.
     """
 
@@ -330,7 +330,9 @@ async def serve(
     endpoint: str | None = None,
     follow: Follow | None = None,
 ) -> None:
-    """Serve the GUI of a hand, or of any that runs, until cancelled; headsets go to ``follow``.
+    """Serve the GUI of a hand, or of any that runs, until cancelled.
+
+    Frames of headsets go to ``follow``.
 
     If the port is in use, takes the next free one, or raises `ConfigError` where a proxy forwards
     to it. Raises `LoopError` if the access checks cannot be added to the installed viser.

@@ -1,8 +1,8 @@
 """The bar above the page, with the hand's present state and STOP.
 
-It is put into viser's page where that is served, and has a WebSocket of its own, so that neither a
-folded panel nor a dialog nor an end of viser's connection takes it away. Without messages, the page
-says by itself that it has lost its GUI.
+It is inserted into viser's page when that is served, and has a WebSocket of its own, so that no
+folded panel, dialog or loss of viser's connection removes it. If messages stop, the page itself
+reports that it has lost the GUI.
 """
 
 from __future__ import annotations

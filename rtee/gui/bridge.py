@@ -31,7 +31,7 @@ class Bridge:
         stage: The window.
         truth: The known state of the hand that the window shows.
         role: Permissions of this window's client.
-        refused: Why nothing is done for this window now, or an empty string.
+        refused: Why commands of this window are refused now, or an empty string.
     """
 
     def __init__(self, stage: Stage) -> None:
@@ -46,7 +46,7 @@ class Bridge:
     def call(self, work: Work, *, always: bool = False) -> None:
         """Run a function in the event loop; may be called from any thread.
 
-        Only what is ``always`` allowed is done while this window is refused.
+        While this window is refused, only functions marked ``always`` are run.
         """
         self._loop.call_soon_threadsafe(self._start, work, always)
 

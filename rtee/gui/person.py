@@ -35,7 +35,7 @@ async def show_person(
     """Serve a page with a person's hand and the robot's, until the answers end or cancelled.
 
     Raises:
-        LoopError: The access checks cannot be added to the installed viser.
+        LoopError: if the access checks cannot be added to the installed viser.
     """
     server = Visitors(access).open_server(port)
     try:

@@ -64,7 +64,7 @@ class Playback:
 
     @property
     def pose(self) -> float:
-        """The time shown, to which the plots' time axis leads [s]."""
+        """The time shown, at which the plots' time axis ends [s]."""
         return self.time
 
     def measured(self, name: str) -> BoolArray:
@@ -81,7 +81,7 @@ class Playback:
         return self.recording.spans
 
     def _page(self, length: float) -> tuple[float, float]:
-        """Return begin and end of the window with the time shown, which turns like a page [s]."""
+        """Return start and end of the plotted window, which advances by whole pages [s]."""
         begin = length * (min(self.time, math.nextafter(self.duration, 0.0)) // length)
         return begin, begin + length
 
@@ -152,7 +152,7 @@ class Playback:
     ) -> dict[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]:
         """Return the sums of touch sensors by device, thinned; see `TouchPanel`.
 
-        The window of this length [s] has the time shown in it.
+        The window has this length [s] and contains the time shown.
         """
         windows = {}
         for device, each in self.recording.touch.items():
@@ -164,7 +164,7 @@ class Playback:
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times in the recording [s] and the columns of a quantity, thinned.
 
-        The window of this length [s] has the time shown in it.
+        The window has this length [s] and contains the time shown.
         """
         time = self.recording.actuator_states.t
         start, end = np.searchsorted(time, self._page(length)).tolist()

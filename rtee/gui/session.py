@@ -138,7 +138,7 @@ class HandSession:
 
     @property
     def recorded(self) -> str:
-        """The part of the past that this window shows, or an empty string if it shows the hand."""
+        """The recording and the time that this window shows; empty if it shows the hand."""
         return "" if self._playback is None else self._recordings.place
 
     @property

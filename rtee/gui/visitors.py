@@ -4,8 +4,8 @@ viser 1.1 has no option for origins, hosts, tokens or TLS, but the function that
 `websockets.asyncio.server.serve`, has them. While viser starts its server, a wrapper that adds them
 replaces that function; `open_server` fails if viser did not call the wrapper.
 
-viser also sets the event of its sender from any thread, which fails while the sender leaves it. Its
-buffers therefore have an event that only viser's own thread sets, as viser has it do right after.
+viser also sets the event of its sender from any thread, which fails while the sender stops waiting
+for it. Its buffers therefore have an event that only viser's own thread sets.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ _READER: Final = msgspec.msgpack.Decoder(_Camera | _Update | _PageCommand)
 
 
 def _fits(value: object, control: Any) -> bool:
-    """Return whether a value is one that a control's page can give it."""
+    """Return whether a page can set a control to a value."""
     present, options = control._impl.value, getattr(control, "options", None)  # noqa: SLF001
     if isinstance(present, tuple):
         same = isinstance(value, list) and len(value) == len(present)
@@ -191,9 +191,9 @@ _LOGGER.addFilter(_NoRefusals())
 
 
 class _Serve(websockets.asyncio.server.serve):
-    """A server that does not wait at its end for connections that have asked for nothing yet.
+    """A server that does not wait for connections without a request when it closes.
 
-    A browser opens some for later, and websockets gives each 10 s to send its request.
+    Browsers open spare connections, and websockets gives each 10 s to send its request.
     """
 
     async def __aexit__(self, *raised: Any) -> None:

@@ -225,7 +225,7 @@ class _Checker:
         self._compare(piece, computed)
 
     def _begun(self, piece: Recording) -> Recording:
-        """Return the rest of a piece from the tick on from which it can be computed."""
+        """Return the part of a piece that can be recomputed: all from some tick on."""
         ticks = piece.actuator_states.tick
         if not self._begin and len(ticks) and ticks[0] != 0:
             state = json.loads(piece.attachments.get(STATE, b"{}"))

@@ -41,7 +41,7 @@ Entries = Mapping[int, tuple[NDArray[np.uint64], NDArray[np.uint64]]]
 
 
 def _memory(size: int) -> mmap.mmap:
-    """Return memory of its own [byte], which goes back to the system as a whole."""
+    """Return a mapping of this size [bytes], which returns to the system as a whole."""
     return mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
 
 
@@ -233,7 +233,7 @@ class ChunkBuilder:
             return pack(data, entries, self._compressor)
 
     def _turn(self, columns: InColumns) -> None:
-        """Turn the blocks into a message with all of them, and leave few as they are."""
+        """Pack all blocks into one message, and keep every n-th of them as it is."""
         last, ticks = self._block_times[-1], len(self._block_times)
         with self._ticks.taken() as data:
             rows = np.frombuffer(data, np.uint8).reshape(ticks, -1)

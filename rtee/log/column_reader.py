@@ -72,7 +72,7 @@ class Messages(NamedTuple):
         return sizes
 
     def where(self, chosen: NDArray[np.bool_]) -> Messages:
-        """Return some of them."""
+        """Return the selected messages."""
         if chosen.all():
             return self
         return Messages(self.data, self.starts[chosen], self.heads[chosen])
@@ -256,7 +256,7 @@ class MessageColumns:
         """Return a field of all messages ``(k, n)``, with the default for messages without it.
 
         Recordings of earlier versions may lack the field; those of other programs may have
-        positions alone.
+        only positions.
         """
         column = self._columns.get(name)
         if column is not None and column.shape[1] == len(self.names):

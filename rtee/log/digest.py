@@ -60,7 +60,7 @@ class Digest:
         self.size = 0
 
     def add(self, line: Sequence[Any]) -> None:
-        """Add a line; of loop statistics the last counts, which cover the whole run."""
+        """Add a line; of the loop statistics only the last are kept, which cover the whole run."""
         if line[0] == "loop":
             self._last = line
         else:
@@ -72,7 +72,7 @@ class Digest:
         self.size += len(data)
 
     def content(self, more: Mapping[str, Any]) -> bytes:
-        """Return all lines, the last with fields of the file; then no more may be added."""
+        """Return all lines, the last with fields of the file; no line may be added afterwards."""
         if self._last:
             self._add(self._last)
         self._add(more)

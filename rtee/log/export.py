@@ -49,8 +49,8 @@ class _Piece(NamedTuple):
 class Spool:
     """A table in a temporary file.
 
-    A column that is missing in some pieces is ``NaN`` there. One with other types of values in some
-    pieces has a type for all.
+    A column that is missing in some pieces is ``NaN`` there. One whose type
+    differs between pieces gets a common type.
 
     Args:
         path: Where the file is made, in a folder that is removed afterwards.
@@ -126,7 +126,7 @@ class Spool:
 
 
 def _common(kind: np.dtype[Any] | None, column: Column) -> np.dtype[Any]:
-    """Return a type for the values of a column and for those before."""
+    """Return a type that fits a column's new values and the previous ones."""
     new = column.dtype
     if new.kind == "U" and not (column != "").any():
         # Nothing is known of these values: of the type "no characters", unless others are.

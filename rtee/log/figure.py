@@ -197,8 +197,8 @@ class PlotLine:
 class PlotRow:
     """A row of the plot: positions with their references, and efforts or currents; or touch.
 
-    Of touch, the positions are the sums over the taxels, the efforts the largest taxels. Only then
-    has the row a unit. The title is the actuator, finger or device.
+    For touch, positions are the sums over the taxels and efforts the largest taxels; only then does
+    the row have a unit. The title is the actuator, finger or device.
     """
 
     title: str
@@ -330,7 +330,7 @@ def figure(
         recording: The recording, or its pieces (`read_for`), of which few are in memory at once.
         by: Subject of a row; by default, fingers if there are more than six actuators.
         actuators: Actuators to show; all unless given.
-        start: Begin of the plot [s].
+        start: Start of the plot [s].
         end: End of the plot [s].
         fingers: Actuators by finger, for rows by finger.
 

@@ -83,7 +83,7 @@ class FileIndex:
         loose: Number of messages outside chunks, which only other software writes.
         notes: Sentences about problems of the file.
         damage: Those notes that report damage.
-        repairable: Those of them about damage that is not in a recovered file any more.
+        repairable: Those of them about damage that a recovered file no longer has.
     """
 
     path: Path
@@ -344,7 +344,7 @@ class Damage:
     summary: bool = False
 
     def sentences(self, times: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-        """Return the damage in sentences; times are those of each chunk's ends [ns]."""
+        """Describe the damage in sentences, given each chunk's start and end time [ns]."""
         told = [_gap(record, chunks, times) for record, chunks in self.gaps[:_TOLD]]
         others = self.gaps[_TOLD:]
         if others:

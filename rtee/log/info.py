@@ -158,7 +158,7 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> RecordingInfo:
 
 
 def _whole(path: Path) -> Brief:
-    """Read all of a file, which need not be closed, or be of rtee."""
+    """Read all of a file, which need not be closed or written by rtee."""
     # Only here: NumPy and what imports it take longer than most summaries.
     from rtee.log.digest import lines_of
     from rtee.log.file_index import index_file

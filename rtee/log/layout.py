@@ -81,7 +81,7 @@ def library_name() -> str:
 
 @dataclass(frozen=True)
 class Contents:
-    """Content common to all recordings of a hand, whose loop has a rate [Hz].
+    """Content common to all recordings of a hand; ``rate`` is that of its loop [Hz].
 
     Attributes:
         attachments: Files to attach, by name: hand.yaml, SRDF, actions; the URDF always is.

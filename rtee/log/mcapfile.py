@@ -108,7 +108,7 @@ class McapFile:
             return False
 
     def _begin(self) -> list[bytes]:
-        """Return the begin of the file in parts, which avoids copies of large attachments."""
+        """Return the beginning of the file in parts, which avoids copies of large attachments."""
         header = record_bytes(Header(profile=PROFILE, library=self._preamble.library))
         parts = [MAGIC, header]
         offset = len(MAGIC) + len(header)

@@ -142,8 +142,8 @@ class Recorder(Observer):
     ticks.
 
     Attributes:
-        controller: The loop's controller, if parts of the recording shall be computed anew without
-            those before: each begins with its state.
+        controller: The loop's controller, if each part of the recording should be recomputable
+            alone: it then begins with the controller's state.
 
     Args:
         hand: The hand.
@@ -283,7 +283,7 @@ class Recorder(Observer):
             self._queue.put(lambda: self._writer.state(snapshot, record.tick, record.stamp))
 
     def _packed(self, record: TickRecord) -> PackedTicks | TickRecord:
-        """Add a tick to a piece of the backlog and return that; or the tick, if it fits none."""
+        """Add a tick to a piece of the backlog; return the piece, or the tick if it fits none."""
         if self._backlog is not None and self._backlog.add(record):
             return self._backlog
         backlog = PackedTicks(record)

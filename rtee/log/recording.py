@@ -271,7 +271,7 @@ class Recording(Value):
 
     @property
     def states(self) -> JointSeries:
-        """The states of the actuators, otherwise those of the joints, as of other programs."""
+        """The states of the actuators; in recordings of other programs, those of the joints."""
         return self.actuator_states if len(self.actuator_states) else self.joint_states
 
     @property

@@ -40,7 +40,7 @@ class Recovery:
         lost_bytes: Length of the unusable end of the file [bytes].
         seconds: Time from the first to the last message [s].
         damage: Sentences about damage that cannot be repaired.
-        left_out: Sentences about damage that the repaired file does not have any more.
+        left_out: Sentences about damage that the repaired file no longer has.
     """
 
     path: Path
@@ -63,7 +63,7 @@ def recover(
 
     Args:
         path: The recording.
-        output: Path of the whole file, which must not exist. Unless given, it is
+        output: Path of the repaired file, which must not exist. Unless given, it is
             ``NAME_recovered.mcap`` beside the recording, and not written if that is whole already.
         in_place: Replace the recording instead.
 

@@ -376,7 +376,7 @@ class LogWriter:
         self._add(topics.GRIP, wall, GRIP.encode(estimate, wall=wall))
 
     def state(self, snapshot: Snapshot, tick: int, stamp: float) -> None:
-        """Attach the state of the controller after a tick of a time [s] to the file."""
+        """Attach the controller's state after the tick at a time [s] to the file."""
         more = {"library": library_name(), "tick": tick, "wall": self.wall_of(stamp)}
         with contextlib.suppress(TypeError):  # then this part can be checked with those before only
             self.sink.attach(to_bytes(snapshot, **more))

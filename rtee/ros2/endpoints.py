@@ -443,7 +443,7 @@ class Client:
             raise TimeoutError(f"no node offers the service {self.name} ({self.type.name})")
 
     async def _answerable(self) -> None:
-        """Wait for the queryable: before it, where its token came first, a call ends at once."""
+        """Wait for the queryable: if its token comes first, a call before it would end at once."""
         loop, there = asyncio.get_running_loop(), asyncio.Event()
 
         def note(status: Any) -> None:

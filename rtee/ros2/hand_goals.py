@@ -55,8 +55,7 @@ class HandJob:
 
     The hand has one goal at a time; a new goal of any client ends this one. Two functions convert
     its result to that of the action, and its feedback to the fields of that of the action. A third
-    returns why a result is an abortion though the hand holds something; ``""``: it is not an
-    abortion.
+    returns the reason to abort although the hand holds something; ``""``: none.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """The action of trajectories: ``control_msgs/action/FollowJointTrajectory``.
 
-It is served as by the joint_trajectory_controller of ros2_control, with its error codes. A refused
-goal has no result there either, so the log has the reason, beginning with the code's name. A
-trajectory may leave joints out, and one without points stops the hand where it is, as in ROS 1.
+It behaves like that of the joint_trajectory_controller of ros2_control, with its error codes. A
+refused goal has no result there either, so the log has the reason, beginning with the code's name.
+A trajectory may omit joints, and one without points stops the hand where it is, as in ROS 1.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     for name in options.roles:
         if name not in names:
             raise ConfigError(
-                f"device '{spec.name}': roles names '{name}', which is none of its actuators",
+                f"device '{spec.name}': option 'roles' names '{name}', none of its actuators",
                 key=key,
             )
     fingers = [name for name in names if "palm" not in name and name not in options.roles]

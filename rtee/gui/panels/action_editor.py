@@ -372,7 +372,7 @@ class JogPanel:
                 await self._remote.release_lease()
 
     def follow(self, state: State) -> None:
-        """Mark the measured positions, where the sliders are unless they were moved since.
+        """Mark the measured positions; sliders that were not moved since follow them.
 
         A stop, or anything else that moves the hand, takes them back there.
         """
@@ -516,7 +516,7 @@ class PartsPanel:
 
 
 def _free(name: str, taken: Collection[str]) -> str:
-    """Return a name that is not taken, by a number behind it if need be."""
+    """Return a free name: the given one, with a number appended if it is taken."""
     numbers = itertools.count(2)
     first = name
     while name in taken:

@@ -41,7 +41,7 @@ _FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as
 
 
 class Card:
-    """One action, or all primitives of one name; `words` is what the search is compared with."""
+    """One action, or all primitives of one name; the search looks in `words`."""
 
     def __init__(
         self,

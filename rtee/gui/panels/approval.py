@@ -21,7 +21,7 @@ _LOOK_EVERY: Final = 0.5
 class Approval:
     """Shows one question after the other, with a button for yes and one for no.
 
-    As long as an operator has the page open, and no terminal approves.
+    It does so while an operator has the page open and no terminal approves.
 
     Attributes:
         listens: Whether questions come here.
@@ -51,7 +51,7 @@ class Approval:
             group.cancel_scope.cancel()
 
     async def ask(self, question: str) -> bool:
-        """Show a question until it is answered; cancelled, it is taken away."""
+        """Show a question until it is answered or this call is cancelled."""
         gui, answered, said = self._bridge.stage.gui, anyio.Event(), False
 
         async def answer(yes: bool) -> None:

@@ -23,7 +23,7 @@ from rtee.types import Feedback, Result
 
 
 class _Shown(NamedTuple):
-    """A shown result, its request, and the last turn at that time."""
+    """A displayed result, its request, and the last `Turn` at that time."""
 
     result: Result
     asked: object

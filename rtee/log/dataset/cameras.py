@@ -1,4 +1,4 @@
-"""Images of cameras in MCAP files: the newest one at each time, by when it was recorded."""
+"""Images of cameras in MCAP files: the newest image at a given time, by its recording time."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class CameraTopic:
         """Yield the newest image at each of some rising times, as a frame of PyAV.
 
         Raises:
-            LogError: An image cannot be decoded.
+            LogError: if an image cannot be decoded.
         """
         decoder = _Decoder(self)
         messages = self._messages()
@@ -90,7 +90,7 @@ class CameraTopic:
 
 
 class _Decoder:
-    """Decodes the images of a camera, still ones only when they are asked for."""
+    """Decodes the images of a camera; still images only when requested."""
 
     def __init__(self, camera: CameraTopic) -> None:
         self._camera = camera
@@ -146,7 +146,7 @@ def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[Camera
     A camera is named after its topic unless given.
 
     Raises:
-        LogError: A file cannot be read, or there is no such topic.
+        LogError: if a file cannot be read, or there is no such topic.
     """
     topics: dict[str, dict[Path, int]] = {}
     for path in paths:

@@ -54,7 +54,7 @@ def episodes_of(recording: Recording, by: EpisodeBoundary) -> list[Episode]:
     By goals, only the successful ones are episodes.
 
     Raises:
-        LogError: There are none.
+        LogError: if there are none.
     """
     found = list(_by_marks(recording) if by is EpisodeBoundary.MARKS else _by_goals(recording))
     if not found:
@@ -106,7 +106,7 @@ class Choice:
         fps: Frames per second [Hz].
         by: The event that separates episodes.
         task: The task of all episodes; empty: each has its own.
-        actions: Actions whose intensities are the action; none: the actuators' targets are.
+        actions: Actions whose intensities are the dataset's action; none: the actuators' targets.
         observe: Observed quantities, all of which must be known; none: all known ones.
         cameras: Cameras by ``[NAME=]TOPIC``; none: all.
     """
@@ -153,9 +153,9 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         choice: How its episodes are selected.
 
     Raises:
-        LogError: A file cannot be read or written or has no episodes, or a selected quantity is
+        LogError: if a file cannot be read or written or has no episodes, or a selected quantity is
             unknown.
-        MissingExtra: pyarrow or PyAV is not installed.
+        MissingExtra: if pyarrow or PyAV is not installed.
     """
     with needing_extra("a LeRobot dataset", "lerobot"):
         import av

@@ -79,7 +79,7 @@ class DatasetFiles:
         """Write an episode: its task, its numbers, and the frames of its cameras (PyAV).
 
         Raises:
-            LogError: The images of a camera have several sizes.
+            LogError: if the images of a camera have several sizes.
         """
         count, number = len(next(iter(vectors.values()))), len(self._episodes)
         frames = np.arange(count)
@@ -119,7 +119,7 @@ class DatasetFiles:
     def _video(
         self, path: Path, key: str, images: Iterator[Any], count: int
     ) -> NDArray[np.float64]:
-        """Encode the images of an episode; return how often each colour is in them ``(3, 256)``."""
+        """Encode the images of an episode; return their colour histograms ``(3, 256)``."""
         import av
 
         codec, pixel_format, options = _CODEC
@@ -255,7 +255,7 @@ def _of_rows(values: NDArray[Any]) -> Stats:
 
 
 def _of_pixels(counts: NDArray[np.float64], images: int) -> Stats:
-    """Return the statistics of colours from how often each is in images, ``(3, 1, 1)``, 0 to 1."""
+    """Return the statistics of colours, from histograms: ``(3, 1, 1)``, 0 to 1."""
     levels = np.arange(256) / 255.0
     shares = counts / counts.sum(axis=1, keepdims=True)
     mean = shares @ levels

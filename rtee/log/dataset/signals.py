@@ -41,7 +41,7 @@ class Signal:
         names: Their names ``(n,)``.
         wall: When they became known ``(k,)``, rising [ns since 1970].
         values: The values ``(k, n)``; ``NaN``: not known.
-        longest: How long a value is the present one [s].
+        longest: Time for which a value stays valid [s].
     """
 
     names: tuple[str, ...]
@@ -150,7 +150,7 @@ def sent(recording: Recording) -> Signal:
 def asked(recording: Recording) -> Signal:
     """Return the set-points of streams and jogs, by actuator [rad | m].
 
-    ``NaN``: nothing, or by a goal, whose way is the loop's own: what was sent.
+    ``NaN`` where nothing was asked for, or a goal ran: the loop planned its path, see `sent`.
     """
     names = recording.reference.names
 
@@ -167,7 +167,7 @@ def asked(recording: Recording) -> Signal:
 
 
 def intensities(recording: Recording, actions: Sequence[str]) -> Signal:
-    """Return the intensities of actions, as streams and goals asked for them."""
+    """Return the intensities of actions that streams and goals asked for."""
 
     def row(targets: Mapping[str, float]) -> FloatArray:
         said = {spelled(name): value for name, value in targets.items()}
@@ -188,20 +188,20 @@ def intensities(recording: Recording, actions: Sequence[str]) -> Signal:
 
 
 def spelled(action: str) -> str:
-    """Return an action's name with its elements as the library compares them."""
+    """Return an action's name with its elements, in the form that the library compares."""
     name, *elements = action.split()
     return " ".join((name.replace("_", "").lower(), *elements))
 
 
 def _takeovers(recording: Recording) -> set[int]:
-    """Return the times from which on earlier targets do not hold any more [ns]."""
+    """Return the times at which earlier targets become obsolete [ns]."""
     ends = (Cancel, Hold, Freeze, EndStream)
     goals = {entry.wall for entry in recording.goals}
     return goals | {e.wall for e in recording.commands if isinstance(e.value.command, ends)}
 
 
 def _filled(names: tuple[str, ...], rows: Mapping[int, FloatArray], ends: set[int]) -> Signal:
-    """Return targets over time: values that a later one leaves out stay."""
+    """Return targets over time; a target without a value keeps the previous one."""
     wall = sorted(rows.keys() | ends)
     values = np.full((len(wall), len(names)), math.nan)
     last = np.full(len(names), math.nan)

@@ -111,5 +111,5 @@ def test_roles_are_checked() -> None:
     with pytest.raises(ConfigError, match="two actuators drive the same motor"):
         Robotiq3FDriver(replace(CASE, options=options).spec(), BusPool())
     options = {**CASE.options, "roles": {"thumb": "a"}}
-    with pytest.raises(ConfigError, match="roles names 'thumb', which is none of its actuators"):
+    with pytest.raises(ConfigError, match="option 'roles' names 'thumb', none of its actuators"):
         Robotiq3FDriver(replace(CASE, options=options).spec(), BusPool())
