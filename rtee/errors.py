@@ -169,7 +169,7 @@ class MissingExtra(ConfigError):
 
 
 def check_system() -> None:
-    """Raise `ConfigError` on a system whose parts rtee cannot do without."""
+    """Raise `ConfigError` on an operating system that lacks what rtee needs."""
     if sys.platform == "win32":
         raise ConfigError(
             "rtee runs on Linux, and without real devices on macOS, but not on Windows; use WSL 2"
@@ -177,10 +177,10 @@ def check_system() -> None:
 
 
 def install_line(extra: str) -> str:
-    """Return how an extra is added to this rtee, from where it was installed.
+    """Return the command that adds an extra to this rtee, from where it was installed.
 
-    A package of the same name on an index may be something else. The origin is what PEP 610 has
-    installers write; packages from an index, or from a folder of wheels, have none.
+    A package of the same name on an index may be something else. The origin is recorded by the
+    installer (PEP 610); packages from an index, or from a folder of wheels, have none.
     """
     from importlib import metadata  # it would cost every start some milliseconds
 
@@ -220,7 +220,7 @@ def needing_extra(what: str, extra: str) -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` at the end, too: trimesh takes it for a package that is missing."""
+    """Raise `KeyboardInterrupt` at the end, too: trimesh mistakes it for a missing package."""
     default, pressed = signal.default_int_handler, False
 
     def press(*_: object) -> None:
@@ -266,7 +266,7 @@ class ExpressionError(ModelError):
 
 
 def closest(name: str, valid: Iterable[str]) -> str:
-    """Return the valid name that is most like a name, in any case; ``""``: none is."""
+    """Return the valid name most similar to a name, ignoring case; ``""`` if none is similar."""
     folded = {each.casefold(): each for each in valid}
     return next(
         (folded[each] for each in difflib.get_close_matches(name.casefold(), folded, 1)), ""
@@ -520,7 +520,7 @@ class RequestRejected(RemoteError):
 class GoalRejected(ActionError, RequestRejected):
     """A goal, or another motion, that cannot be executed; the hand has not moved.
 
-    The same error, whether the hand refuses it or this computer already does.
+    It is the same error whether the hand or this computer refuses the goal.
 
     Attributes:
         code: Kind of the mistake: ``unknown`` for an unknown name or word, otherwise ``value``.

@@ -5,8 +5,8 @@ Importing it registers ``rtee/Hand-v0``::
     import gymnasium, rtee.gym
     env = gymnasium.make("rtee/Hand-v0", hand="schunk_svh", task="lift")
 
-The policy's action goes where a stream's sample goes: through the loop's own interpolation, limits
-and safety, so that what works here is what the hand does.
+A policy's action takes the path of a stream's sample: through the loop's interpolation, limits and
+safety, as on the real hand.
 """
 
 from __future__ import annotations
@@ -110,10 +110,10 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
             task: What to do.
             object: The object, in the syntax of ``rtee run --object``.
             mass: Its mass [kg].
-            render_mode: None is known.
+            render_mode: Must be ``None``.
 
         Raises:
-            UserError: The hand cannot be simulated, or there is no such task or object.
+            UserError: if the hand cannot be simulated, or there is no such task or object.
         """
         if task not in (*Task,):
             raise ConfigError(f"unknown task '{task}'; valid: {', '.join(Task)}")
@@ -149,7 +149,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-        """Begin an episode: the hand at rest, the object a little beside the fingertips' middle."""
+        """Begin an episode: the hand at rest, the object slightly off the fingertips' middle."""
         super().reset(seed=seed)
         simulation, bench = self._simulation, self._bench
         place = self._start.copy()
@@ -172,7 +172,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
         """Send targets, and go on by a thirtieth of a second.
 
         Raises:
-            ConfigError: The action is not ``(n,)`` finite numbers, or no episode has begun.
+            ConfigError: if the action is not ``(n,)`` finite numbers, or no episode has begun.
         """
         headless = self._headless
         if headless is None:

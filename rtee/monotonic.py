@@ -1,8 +1,8 @@
-"""The time on CLOCK_MONOTONIC: the one place where rtee's code asks for it.
+"""The time on CLOCK_MONOTONIC: the only place where rtee reads this clock.
 
-Ask as ``monotonic.now()``, never by a copy of the function: while an event loop on simulated time
-runs (`rtee.buses.simulated_time`), these functions are those of that loop. Asking costs no more
-than asking the system.
+Call ``monotonic.now()``, and keep no reference to the function: while an event loop on simulated
+time runs (`rtee.buses.simulated_time`), these functions are those of that loop. A call costs no
+more than one of the system.
 """
 
 from __future__ import annotations
@@ -21,5 +21,5 @@ sleep: Callable[[float], None] = time.sleep
 
 
 def asked() -> float:
-    """Return `now`; for places that keep the function that they ask."""
+    """Return `now`, for callers that keep a reference to the function."""
     return now()

@@ -1,4 +1,4 @@
-"""The vocabulary that every room shares: plain, frozen, free of I/O.
+"""Data types shared by all packages: plain, frozen and without I/O.
 
 Units are SI throughout: rad or m, s, N·m or N, A, °C. Arrays are in the hand's order of actuators;
 values in files and messages are keyed by name. ``NaN`` in a state means "not measured"; a reference
@@ -359,7 +359,7 @@ class Intensity(Value):
     Attributes:
         share: 0 (rest posture) to 1 (the action's posture).
         stage: Stages of a pinch to execute.
-        tolerance: Norm of the error at which the goal counts as reached [rad, and m apart].
+        tolerance: Norm of the error at which the goal counts as reached [rad | m, each by itself].
 
     Raises:
         GoalRejected: if a value cannot be used.
@@ -383,7 +383,7 @@ class Opening(Value):
         width: The opening [m].
 
     Raises:
-        GoalRejected: if it is negative or no number.
+        GoalRejected: if it is negative or not a number.
     """
 
     width: float
@@ -402,7 +402,7 @@ class Around(Value):
         wider: Tolerance of the width above this [m].
 
     Raises:
-        GoalRejected: if a value is negative or no number.
+        GoalRejected: if a value is negative or not a number.
     """
 
     width: float
@@ -420,7 +420,7 @@ class FirstContact(Value):
     """A touch: close slowly, and stop all fingers at the first contact.
 
     Attributes:
-        tolerance: Norm of the error at which the hand counts as closed [rad, and m apart].
+        tolerance: Norm of the error at which the hand counts as closed [rad | m, each by itself].
 
     Raises:
         GoalRejected: if the tolerance cannot be used.

@@ -63,7 +63,7 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
 
     Raises:
         GoalRejected: if the value is not such a quantity, not finite, or negative; or a length
-            of some metres without a unit, which is meant in millimetres.
+            of several metres without a unit, probably meant in millimetres.
     """
     kind, unit = _KINDS[id(units)], ""
     if isinstance(value, str):

@@ -21,7 +21,7 @@ def read_step(word: str) -> StepPlan:
     """Read ``ACTION[:ELEMENT…][*SCALE][:before=SECONDS,after=SECONDS,alias=NAME]``.
 
     Raises:
-        ActionError: if the word is not like that.
+        ActionError: if the word has another form.
     """
     # From the end, since elements follow a colon, too, but have no equals sign.
     body, colon, options = word.rpartition(":")

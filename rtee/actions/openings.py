@@ -159,10 +159,10 @@ class Opening:
         """Return the table corrected by pairs measured on the real hand: intensity, opening [m].
 
         Interpolates the difference from the model between two measured pairs, and takes that of the
-        nearest pair beyond them. Drops rows at which the corrected table would not fall.
+        nearest pair beyond them. Drops rows at which the corrected table would not decrease.
 
         Raises:
-            ActionError: if the corrected table falls nowhere.
+            ActionError: if the corrected table decreases nowhere.
         """
         measured = sorted(pairs)
         if not measured:
@@ -205,7 +205,7 @@ def doubtful(action: Action) -> bool:
 
 
 def crowded(action: Action, opening: Opening) -> bool:
-    """Return whether fingers of one side press on one another where the action leads.
+    """Return whether fingers of one side press on one another at the action's posture.
 
     If they do, they meet each other before an object, and sensors feel them as one.
     """
@@ -241,8 +241,8 @@ def astride(hand: Hand, action: Action, opening: Opening, intensity: float) -> f
 def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> float:
     """Return the opening at which the empty hand's fingertips meet one another [m].
 
-    That of an action is where its own evidence has the first contact, or that of an action with the
-    same posture; otherwise the narrowest of its table.
+    It is the opening at the first contact in the action's evidence, or in that of an action with
+    the same posture; otherwise the narrowest of the table.
 
     Args:
         action: The action.

@@ -178,14 +178,14 @@ class ActionReference(Value):
 
     @classmethod
     def of(cls, what: ActionReference | str, elements: Sequence[str] = ()) -> ActionReference:
-        """Return the use that a text means; one that is given stays.
+        """Return the use that a text describes; a use is returned unchanged.
 
         Args:
             what: The use, or its text.
             elements: Its elements, if the text has none.
 
         Raises:
-            ActionError: if the text is not like that.
+            ActionError: if the text has another form.
         """
         if isinstance(what, str):
             body, star, factor = what.partition("*")

@@ -117,8 +117,8 @@ class Needs:
             serials: Serial numbers of adapters by device name.
 
         Raises:
-            ConfigError: A device with a serial number has no port, a value is not valid in a system
-                file, or the service could not run with it.
+            ConfigError: if a device with a serial number has no port, a value is not valid in a
+                system file, or the service could not run with it.
         """
         options = {device.spec.name: _options(device.spec) for device in prepared.devices}
         exposed(prepared.config.remote)  # the service would refuse to start

@@ -1,9 +1,9 @@
 """Assumptions of drivers about their devices, not confirmed on one, each with its source.
 
 A wrong assumption of one kind is a reason to look at that kind in every family: what counts belong
-to one finger or to both, what registers hold at power-up, what sensors read at rest, who answers,
-what a device does when nobody speaks. The first contact with a real device confirms or refutes
-them; the pages of the devices show them.
+to one finger or to both, what registers hold at power-up, what sensors read at rest, which devices
+answer, what a device does when the host is silent. The first contact with a real device confirms or
+refutes them; the pages of the devices show them.
 """
 
 from __future__ import annotations

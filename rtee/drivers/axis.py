@@ -62,7 +62,7 @@ class Axis:
         heating: Heating rate at the effort `rating` [K/s].
         cooling: Share of the difference to `ambient` lost per second [1/s].
         rating: Effort at which `heating` applies.
-        travel: Its whole way, to which shares of wear refer; by default that between the stops.
+        travel: Its whole travel, to which shares of wear refer; by default that between the stops.
         lag: Time from a change of `target` until it is followed [s]; a stop, the target at the
             present position, is followed at once.
         pace: Share of `max_velocity` that it reaches.
@@ -118,7 +118,7 @@ class Axis:
         self._now: float | None = None
 
     def wear_down(self, wear: Wear) -> None:
-        """Differ from the sheet, and be warm after a while."""
+        """Make the axis differ from its data sheet, and become warm."""
         self.lag, self.pace = wear.lag, wear.pace
         self.sensor = WornSensor.of(wear, self.travel)
         self.ambient += wear.warmth

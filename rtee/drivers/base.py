@@ -37,14 +37,14 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process, from which the driver acquires the one it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
-        active: Whether the device has been activated, in drivers that note it: one that is not is
-            only read.
+        active: Whether the device has been activated, in drivers that set it; an inactive device
+            is only read.
         doing: A lengthy operation under way, in words such as ``homing the thumb``; otherwise
             empty. It is published while the call is under way.
         object_description: Shape of the object that a simulated device grasps, after `configure`.
         connection: The device's bus from `configure` to `close`, for drivers that have one bus.
-        standstill: Judges what `stop` measures, before it is commanded; the caller tells it what
-            `sense` has returned and `move` was given.
+        standstill: Judges the positions that `stop` measures, before they are commanded; the caller
+            passes it what `sense` returned and what `move` was given.
     """
 
     Options: ClassVar[type[Any] | None] = None
@@ -112,7 +112,7 @@ class Driver(ABC):
         *strangers: type[Exception],
         check: str = "check the address",
     ) -> Iterator[None]:
-        """Distinguish in errors of the first exchanges between no device and another device.
+        """Raise errors that distinguish a missing device from another one, in the first exchanges.
 
         Args:
             expected: The device, with its article, such as ``an SVH``.

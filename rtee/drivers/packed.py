@@ -36,7 +36,7 @@ class PackedPart(NamedTuple):
     skip: int = 0
 
     def getter(self, at: int) -> Callable[[tuple[Any, ...]], Any]:
-        """Return what takes the value from all numbers, of which its first is at an index.
+        """Return a function that takes the value from all numbers, the first of them at an index.
 
         It raises `ValueError` for a number that does not encode a value.
         """
@@ -53,7 +53,7 @@ class PackedPart(NamedTuple):
         return lambda values: kind(cut(values))
 
     def putter(self) -> Callable[[Any], Sequence[Any]]:
-        """Return what makes the numbers or bytes of the value."""
+        """Return a function that converts the value to its numbers or bytes."""
         per = self.per
         if per is not None and self.many:
             return lambda value: [round(one * per) for one in value]

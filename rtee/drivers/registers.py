@@ -103,7 +103,7 @@ class Registers:
     Attributes:
         COUNT: Registers of the block.
         WHAT: Its name in messages, such as ``status of an RG``.
-        STRICT: Whether bits that no field has are always clear.
+        STRICT: Whether bits outside all fields are always clear.
     """
 
     __slots__ = ()

@@ -1,7 +1,7 @@
 """The engine of drivers of servos on a shared line: find, set up, power, read, aim, stop.
 
 A family of servos gives its link (`ServoLink`), its registers, how its measurements are read and
-its goals written, and what is special of its set-up and its faults.
+its goals written, and what is special about its set-up and its faults.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class FoundServo:
         offset: Its position offset [counts].
         mode: Its operating mode.
         return_delay: Its return delay [2 µs].
-        limits: Its smallest and largest position [counts]; both the same: it goes anywhere.
+        limits: Its smallest and largest position [counts]; equal: it has none.
         most: Its largest torque or current [counts].
         powered: Whether it has torque.
         gains: Its P, I and D; empty if they were not read.
@@ -300,7 +300,7 @@ class ServoDriver(Driver, Generic[L]):
         """Set up servos without torque; their goals and torque follow."""
 
     async def _arm(self) -> Collection[int]:
-        """Set what guards powered servos; return those that it has stopped meanwhile."""
+        """Set the guards of powered servos; return those that a guard has stopped meanwhile."""
         return ()
 
     async def _watch(self) -> None:
@@ -323,7 +323,7 @@ class ServoDriver(Driver, Generic[L]):
         """Set goals, which lie within the servos' limits."""
 
     def _believe(self, readings: Readings, stamp: float) -> None:
-        """Raise `FrameError` for readings that cannot be."""
+        """Raise `FrameError` for impossible readings."""
 
     # --- set-up ----------------------------------------------------------------------------------
 

@@ -28,10 +28,10 @@ class Standstill:
     """Judges the measurements that a stop would command.
 
     A driver that stops its device by commanding the measured posture would make it jump if that
-    posture was invalid, implausible or frozen. Who calls the driver tells what was measured and
-    what was asked; the driver asks `instead` before it commands a measurement. The alternative, the
-    reference sent last, moves nothing that was not about to move; so this is stricter than what
-    `Plausibility` takes for possible.
+    posture was invalid, implausible or frozen. The driver's caller passes it what was
+    measured and commanded; the driver calls `instead` before it commands a measurement. The
+    alternative, the reference sent last, moves nothing that was not about to move; so this check
+    is stricter than `Plausibility`.
 
     Args:
         actuators: The actuators of the device.

@@ -1,4 +1,4 @@
-"""Take off what contact sensors read while nothing touches them."""
+"""Subtract what contact sensors read while nothing touches them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SensorTare:
         self._stamp = 0.0
 
     def reset(self) -> None:
-        """Take the next reading as that of sensors that nothing touches."""
+        """Count the next reading as that of untouched sensors."""
         self._rest = None
 
     def above(self, values: FloatArray, stamp: float) -> FloatArray:

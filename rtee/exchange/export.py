@@ -70,9 +70,9 @@ def export_hand(
         kinds: Formats to write.
 
     Raises:
-        ConfigError: The files cannot be written, or would replace the hand's own.
-        MissingExtra: MJCF is asked for, and the extra ``sim`` is not installed.
-        ModelError: A mesh is missing, or the hand cannot be simulated.
+        ConfigError: if the files cannot be written, or would replace the hand's own.
+        MissingExtra: if MJCF is asked for, and the extra ``sim`` is not installed.
+        ModelError: if a mesh is missing, or the hand cannot be simulated.
     """
     if target.resolve() == folder.resolve():
         raise ConfigError("is the hand's own folder; export the hand to another one", path=target)

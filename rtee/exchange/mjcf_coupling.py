@@ -332,8 +332,8 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str) -> Solv
         what: Name of the constraint that closes the linkage, for messages.
 
     Raises:
-        ModelError: The linkage leaves the others free, cannot be closed near the model's posture,
-            or no polynomial fits its motion.
+        ModelError: if the linkage leaves the others free, cannot be closed near the model's
+            posture, or no polynomial fits its motion.
     """
     model, joint, others = linkage.model, linkage.joint, linkage.others
     start = min(max(0.0, limits[0]), limits[1])
@@ -446,7 +446,7 @@ def motion_of(model: mujoco.MjModel) -> ModelMotion:
     """Return the motion of a model's hinge and slide joints.
 
     Raises:
-        ModelError: The couplings leave a number of degrees of freedom other than that of the
+        ModelError: if the couplings leave a number of degrees of freedom other than that of the
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     constraints = constraints_of(model)

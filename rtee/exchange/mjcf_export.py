@@ -62,7 +62,7 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
     """Return a hand as MJCF, and notes about differences from the hand's model.
 
     Raises:
-        ModelError: The hand cannot be simulated; the message says why.
+        ModelError: if the hand cannot be simulated; the message says why.
     """
     plain, notes = _rigid_where_curved(hand)
     built = build_hand(plain, SimOptions())

@@ -106,7 +106,7 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> ParsedMod
     """Read an MJCF file; its includes and meshes may be in further folders, too.
 
     Raises:
-        ModelError: A file is missing, is not MJCF, leads out of these folders, is too large, or
+        ModelError: if a file is missing, is not MJCF, leads out of these folders, is too large, or
             has a refused element; the message names file and line if they are known.
     """
     file = Path(path)

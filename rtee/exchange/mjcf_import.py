@@ -90,9 +90,9 @@ def import_mjcf(
         radians: Whether the angles of a file that does not say are radians; ``None``: degrees.
 
     Raises:
-        UnknownLink: The model has no body ``root``.
-        ConfigError: A unit is given, and the file says it by itself.
-        ModelError: The file cannot be read, or has elements that a URDF cannot represent; the
+        UnknownLink: if the model has no body ``root``.
+        ConfigError: if a unit is given, and the file says it by itself.
+        ModelError: if the file cannot be read, or has elements that a URDF cannot represent; the
             message names file and line if they are known.
     """
     source = read_mjcf(path, folders)

@@ -223,7 +223,7 @@ def constraints_of(model: mujoco.MjModel) -> ModelConstraints:
     """Return the motors and constraints of a model.
 
     Raises:
-        ModelError: An actuator moves something other than a joint or tendon.
+        ModelError: if an actuator moves something other than a joint or tendon.
     """
     constraints = ModelConstraints(_motors(model))
     for i in range(model.neq):

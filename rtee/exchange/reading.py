@@ -55,7 +55,7 @@ def as_urdf(
         angle: Unit of the angles of an MJCF that does not say; ``None``: degrees.
 
     Raises:
-        ConfigError: There are arguments without a xacro file, or a unit without an MJCF.
+        ConfigError: if there are arguments without a xacro file, or a unit without an MJCF.
     """
     if angle is not None and mjcf is None:
         raise ConfigError("--angle needs --mjcf; the angles of a URDF are radians")
@@ -83,8 +83,8 @@ def xacro_as_urdf(
         package_dirs: Folders to look packages up in.
 
     Raises:
-        MissingExtra: The extra ``xacro`` is not installed.
-        ModelError: The file cannot be expanded.
+        MissingExtra: if the extra ``xacro`` is not installed.
+        ModelError: if the file cannot be expanded.
     """
     with temporary_folder(path) as folder:
         urdf = folder / f"{path.name.partition('.')[0] or 'hand'}.urdf"
@@ -101,8 +101,8 @@ def as_srdf(
     """Return a context in which an SRDF exists, expanded if its name ends with ``.xacro``.
 
     Raises:
-        MissingExtra: The extra ``xacro`` is not installed.
-        ModelError: The file cannot be expanded.
+        MissingExtra: if the extra ``xacro`` is not installed.
+        ModelError: if the file cannot be expanded.
     """
     if path is None or path.suffix != XACRO:
         yield path
@@ -127,8 +127,8 @@ def mjcf_as_urdf(
     degrees.
 
     Raises:
-        MissingExtra: The extra ``sim`` is not installed.
-        ModelError: The file cannot be read, or has elements that a URDF cannot represent.
+        MissingExtra: if the extra ``sim`` is not installed.
+        ModelError: if the file cannot be read, or has elements that a URDF cannot represent.
     """
     with needing_extra("reading MJCF", "sim"):
         from rtee.exchange.mjcf_import import import_mjcf

@@ -41,7 +41,7 @@ def arguments_of(words: Sequence[str]) -> dict[str, str]:
     """Return xacro arguments given as ``NAME:=VALUE``.
 
     Raises:
-        ConfigError: A word has another form, or a name is given twice.
+        ConfigError: if a word has another form, or a name is given twice.
     """
     arguments: dict[str, str] = {}
     for word in words:
@@ -66,7 +66,7 @@ def expand(
         package_dirs: Folders to look packages up in, before those of the environment.
 
     Raises:
-        MissingExtra: The extra ``xacro`` is not installed.
+        MissingExtra: if the extra ``xacro`` is not installed.
         ModelError: xacro refuses the file, or the expansion exceeds a limit.
     """
     with needing_extra("expanding xacro files", "xacro"):

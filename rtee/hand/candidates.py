@@ -52,13 +52,13 @@ class UndrivenCandidate:
 def passive_candidates(hand: Hand) -> tuple[UndrivenCandidate, ...]:
     """Return the actuators of a hand without SRDF that may have no motor, in its order.
 
-    Likely are springs (by a simulator's elements, by name, or by a range of a few degrees), joints
-    without effort, velocity or transmission where others have one, and joints of a finger whose
-    other joints follow a motor elsewhere, as by a tendon. Possible is the outer one of two parallel
-    joints of a finger: one tendon may bend both.
+    Likely ones are springs (by a simulator's elements, by name, or by a range of a few degrees),
+    joints without effort, velocity or transmission where others have one, and joints of a finger
+    whose other joints follow a motor elsewhere, as by a tendon. A possible one is the outer of two
+    parallel joints of a finger: one tendon may bend both.
 
     Raises:
-        ModelError: Its URDF cannot be read again.
+        ModelError: if its URDF cannot be read again.
     """
     # Read again, since the model keeps only the data for kinematics.
     root = read_xml(hand.urdf.path, "URDF")[0]
@@ -163,7 +163,7 @@ class OneMotor:
     Attributes:
         joint: The joint that may follow.
         master: The joint that it may follow.
-        factor: By which factor: 1 or -1.
+        factor: The factor: 1 or -1.
     """
 
     joint: str
@@ -172,7 +172,7 @@ class OneMotor:
 
     @property
     def element(self) -> str:
-        """The element of the URDF that says so, inside that of the joint."""
+        """The URDF element that states this, to be put inside the joint's."""
         return f'<mimic joint={quoteattr(self.master)} multiplier="{self.factor}"/>'
 
     def of(self, robot: Element, _whole: Urdf) -> Element:
@@ -228,7 +228,7 @@ def one_motor(hand: Hand) -> OneMotor | None:
 def fixed_jaw(hand: Hand) -> Chain | None:
     """Return the part that may oppose the only finger of a hand: the link that carries it.
 
-    Where further links with geometry are welded to that, it is the one farthest from the root.
+    If further links with geometry are fixed to it, it is the one farthest from the root.
     """
     if len(hand.fingers) != 1 or hand.fingers[0].tip is None:
         return None
@@ -268,7 +268,7 @@ def motor_notes(hand: Hand) -> list[str]:
     """Return notes on the joints of a hand without SRDF that may have no motor.
 
     Raises:
-        ModelError: Its URDF cannot be read again.
+        ModelError: if its URDF cannot be read again.
     """
     notes = in_words(passive_candidates(hand))
     if notes:

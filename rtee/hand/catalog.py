@@ -70,7 +70,7 @@ def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
     """Return the folder of a hand.
 
     Raises:
-        ConfigError: There is no hand of that name, or the name is not allowed.
+        ConfigError: if there is no hand of that name, or the name is not allowed.
     """
     check_name(name, "hand")
     for folder in config_dirs(extra):

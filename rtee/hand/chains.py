@@ -73,8 +73,8 @@ def check_srdf(srdf: Srdf, urdf: Urdf) -> list[str]:
         Notes on harmless mistakes, one sentence each.
 
     Raises:
-        ModelError: The SRDF names a link, joint or group that does not exist, or a chain whose tip
-            is not below its base; the message names file and line.
+        ModelError: if the SRDF names a link, joint or group that does not exist, or a chain whose
+            tip is not below its base; the message names file and line.
     """
     for group in srdf.groups.values():
         _check_group(srdf, group, urdf)
@@ -143,7 +143,7 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
     others, as that of an arm.
 
     Raises:
-        ModelError: A member of the group of fingers is not a single chain, or groups contain one
+        ModelError: if a member of the group of fingers is not a single chain, or groups contain one
             another.
     """
     chosen = _group_of_fingers(srdf)

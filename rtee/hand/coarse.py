@@ -1,4 +1,4 @@
-"""Coarsen meshes that are finer than hands are made, since each triangle costs 2 kB and 10 µs."""
+"""Coarsen meshes with more triangles than a hand needs, since each costs 2 kB and 10 µs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BITS: Final = 21
 
 
 def coarsened(points: FloatArray, faces: Faces, kept: FloatArray) -> FloatArray:
-    """Return triangles whose corners in each cell of a grid are one of them.
+    """Merge the corners in each cell of a grid into one of them; return the remaining triangles.
 
     Closed surfaces stay closed, and the corners that are left stay where they are: those of the
     convex hull first, unless it is round, with too many, and then shrinks by micrometres.
@@ -69,7 +69,7 @@ def welded(corners: FloatArray) -> tuple[FloatArray, Faces]:
 
 
 def _number(points: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Return a number for each point ``(k, 3)``, other for all others but by a chance of 1e-8."""
+    """Return a number for each point ``(k, 3)``; two share one with a probability of 1e-8."""
     # As files of STL have them: the same corner of two triangles is equal in every bit.
     bits = np.ascontiguousarray(points, dtype=np.float32).view(np.uint32).astype(np.uint64)
     mixed = bits[:, 0]

@@ -131,7 +131,7 @@ def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:
     """Read a hand.yaml, or the one in a folder; also return its document, which has the lines.
 
     Raises:
-        ConfigError: If the file cannot be read or a value is wrong; with file, line and field.
+        ConfigError: if the file cannot be read or a value is wrong; with file, line and field.
     """
     file = Path(path)
     document = read_yaml(file / FILE_NAME if file.is_dir() else file, FILE_NAME)

@@ -46,8 +46,8 @@ def make_fingers(
         The fingers, and notes of one sentence each.
 
     Raises:
-        ModelError: Two fingers share a fingertip, or a group of fingers is not well defined.
-        ConfigError: A finger's name is not allowed.
+        ModelError: if two fingers share a fingertip, or a group of fingers is not well defined.
+        ConfigError: if a finger's name is not allowed.
     """
     given, notes = fingers_of(srdf, urdf) if srdf else (), []
     branches = find_branches(urdf, movers)

@@ -169,7 +169,7 @@ def with_local_meshes(hand: Hand) -> LocalMeshes:
     """Return a hand's URDF with relative addresses of its meshes, and the files of the meshes.
 
     Raises:
-        ModelError: A collision mesh is missing; a missing visual mesh is only noted.
+        ModelError: if a collision mesh is missing; a missing visual mesh is only noted.
     """
     addresses: dict[str, str] = {}
     sources: dict[str, Path] = {}

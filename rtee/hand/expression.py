@@ -78,7 +78,7 @@ class Expression:
         """Read an expression.
 
         Raises:
-            ExpressionError: The text is outside the grammar; ``column`` points at the place.
+            ExpressionError: if the text is outside the grammar; ``column`` points at the place.
         """
         self.text = text
         try:

@@ -25,7 +25,7 @@ def write_atomically(path: Path | str, data: str | bytes) -> None:
     renamed.
 
     Raises:
-        ConfigError: The file cannot be written; nothing has changed.
+        ConfigError: if the file cannot be written; nothing has changed.
     """
     write_together({Path(path): data})
 
@@ -36,7 +36,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
     A symbolic link is kept, and the file that it leads to is written. Devices and pipes are errors.
 
     Raises:
-        ConfigError: One of the files cannot be written; nothing has changed.
+        ConfigError: if one of the files cannot be written; nothing has changed.
     """
     staged: dict[Path, str] = {}
     target = Path()
@@ -80,7 +80,7 @@ def check_writable(path: Path | str, *, folder: bool = False) -> None:
         folder: Whether ``path`` is a folder that will be made if it is missing.
 
     Raises:
-        ConfigError: The file cannot be written.
+        ConfigError: if the file cannot be written.
     """
     target = Path(path)
     there = target if folder else target.parent
@@ -100,7 +100,7 @@ def make_folder(path: Path | str) -> Path:
     """Make a folder with its parents unless it exists.
 
     Raises:
-        ConfigError: The folder cannot be made, or the path is a file.
+        ConfigError: if the folder cannot be made, or the path is a file.
     """
     folder = Path(path)
     try:
@@ -115,7 +115,7 @@ def new_folder(path: Path | str) -> Iterator[Path]:
     """Make a folder for files written inside the block; remove it if the block fails.
 
     Raises:
-        ConfigError: The folder cannot be made, or the path is a file.
+        ConfigError: if the folder cannot be made, or the path is a file.
     """
     folder = Path(path)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
@@ -138,7 +138,7 @@ def new_tree(target: Path) -> Iterator[Path]:
         target: The folder, which must not exist; its parent is made if needed.
 
     Raises:
-        ConfigError: The folder exists, or cannot be made.
+        ConfigError: if the folder exists, or cannot be made.
     """
     if target.exists():
         raise ConfigError("is already there; remove the folder first", path=target)
@@ -171,7 +171,8 @@ def write_all(
         gone: Files to delete after the others were written.
 
     Raises:
-        ConfigError: A file cannot be written, and nothing has changed; or a file cannot be deleted.
+        ConfigError: if a file cannot be written, and nothing has changed; or a file cannot be
+            deleted.
     """
     with contextlib.ExitStack() as made:
         for folder in sorted({*folders, *(path.parent for path in files)}):
@@ -194,7 +195,7 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
         error: Class of the error to raise; by default `ConfigError`.
 
     Raises:
-        UserError: The file does not exist, cannot be read, or is larger than 64 MB.
+        UserError: if the file does not exist, cannot be read, or is larger than 64 MB.
     """
     raised: type[UserError] = error or ConfigError
     file = Path(path)
@@ -228,8 +229,8 @@ def files_below(folder: Path, limit: int = MAX_SIZE) -> Iterator[tuple[Path, byt
     and folders, and those that begin with two underscores, are left out.
 
     Raises:
-        ConfigError: A file cannot be read, is larger than ``limit`` [bytes], or belongs to another
-            user than the folder, as a hard link to somebody's file does.
+        ConfigError: if a file cannot be read, is larger than ``limit`` [bytes], or belongs to
+            another user than the folder, as a hard link to somebody's file does.
     """
     for root, folders, names, descriptor in os.fwalk(folder):  # does not follow links
         folders[:] = sorted(each for each in folders if not each.startswith((".", "__")))
@@ -276,7 +277,7 @@ def _place_of(target: Path) -> Path:
     """Return the path of a file with symbolic links resolved.
 
     Raises:
-        OSError: The path exists, but is not a regular file.
+        OSError: if the path exists, but is not a regular file.
     """
     place = Path(os.path.realpath(target))
     if place.is_dir():

@@ -225,7 +225,7 @@ class HandGeometry:
                 shapes, or whose visual meshes cannot be read, get their collision shapes.
 
         Raises:
-            ModelError: A mesh is missing or cannot be read.
+            ModelError: if a mesh is missing or cannot be read.
         """
         self.hand = hand
         self.kinematics = kinematics or Kinematics(hand)
@@ -490,7 +490,7 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
     Two fingertips are such a pair only if they are adjacent; otherwise their contact is a pinch.
 
     Raises:
-        ModelError: A mesh cannot be read.
+        ModelError: if a mesh cannot be read.
     """
     geometry = HandGeometry(hand)
     kinematics = geometry.kinematics
@@ -520,7 +520,7 @@ def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
     """Return a function that checks whether two links touch at rest, with the exact geometry.
 
     Raises:
-        ModelError: A mesh cannot be read.
+        ModelError: if a mesh cannot be read.
     """
     geometry = HandGeometry(hand)
     poses = geometry.kinematics.placements(hand.rest)

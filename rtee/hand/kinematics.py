@@ -58,7 +58,7 @@ class Kinematics:
         """Return the index of the joint that carries a link, 0 for the base.
 
         Raises:
-            UnknownLink: The hand has no such link.
+            UnknownLink: if the hand has no such link.
         """
         return self._body(link)[0]
 
@@ -78,7 +78,7 @@ class Kinematics:
             Homogeneous transform ``(4, 4)``, lengths in metres.
 
         Raises:
-            UnknownLink: The hand has no such link.
+            UnknownLink: if the hand has no such link.
         """
         body, placement = self._body(link)
         self._forward(u)

@@ -90,7 +90,7 @@ def actuator_spec(
         The actuator, without its fingers, and a sentence for each assumption.
 
     Raises:
-        UserError: Its limits are empty or wider than the URDF's, or it rests outside them.
+        UserError: if its limits are empty or wider than the URDF's, or it rests outside them.
     """
     reader = _LimitReader(joint, urdf, overrides)
     lower, upper = reader.range()
@@ -225,7 +225,7 @@ def standing_position(
     """Return the position of a joint that no actuator moves [rad | m].
 
     Raises:
-        UserError: Its configured rest position is outside its limits.
+        UserError: if its configured rest position is outside its limits.
     """
     if joint.name in overrides.config.ignore or joint.name in overrides.config.rest:
         rest = _LimitReader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)

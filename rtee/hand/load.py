@@ -73,8 +73,8 @@ def load_model(
         edits: Changes of the URDF, such as which part of a whole robot is the hand.
 
     Raises:
-        ModelError: A file cannot be read or does not describe a hand.
-        ConfigError: The name is not allowed.
+        ModelError: if a file cannot be read or does not describe a hand.
+        ConfigError: if the name is not allowed.
     """
     model, semantics = read_both(urdf, srdf, edits)
     if actuators is not None:
@@ -110,8 +110,8 @@ def load_hand(name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = (
         config_dirs: Folders to look the name up in, before the usual ones.
 
     Raises:
-        ConfigError: There is no such hand, or its hand.yaml is wrong.
-        ModelError: Its URDF or SRDF cannot be read or does not describe a hand.
+        ConfigError: if there is no such hand, or its hand.yaml is wrong.
+        ModelError: if its URDF or SRDF cannot be read or does not describe a hand.
     """
     return load_configured(name_or_path, config_dirs=config_dirs)[0]
 
@@ -159,7 +159,7 @@ def hand_folder(
     """Return the folder and the hand.yaml of a hand, or of one given by name or path.
 
     Raises:
-        ConfigError: There is no such hand, or it was made without a folder.
+        ConfigError: if there is no such hand, or it was made without a folder.
     """
     if isinstance(hand, Hand):
         if hand.folder is None:
@@ -227,8 +227,8 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     """Build a hand from its description files and overrides.
 
     Raises:
-        ModelError: The files do not describe a hand.
-        ConfigError: A name or a configured value is not allowed.
+        ModelError: if the files do not describe a hand.
+        ConfigError: if a name or a configured value is not allowed.
     """
     config = overrides.config
     # First, since what follows looks up the names in the SRDF unchecked.
@@ -428,7 +428,7 @@ def _make_dynamics(
     """Return the dynamics of every actuator, with the names of the joints on springs.
 
     Raises:
-        UserError: The configuration names an actuator or a joint that does not exist.
+        UserError: if the configuration names an actuator or a joint that does not exist.
     """
 
     def refuse(place: tuple[str | int, ...], what: str) -> UserError:

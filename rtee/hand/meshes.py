@@ -41,7 +41,7 @@ def resolve_mesh(
         line: Line of the address in the URDF, for messages.
 
     Raises:
-        ModelError: There is no such file.
+        ModelError: if there is no such file.
     """
     folder = Path(urdf).absolute().parent
     match = _SCHEME.match(uri)
@@ -156,7 +156,7 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
     """Return the file of a mesh after a check of its content.
 
     Raises:
-        ModelError: The file does not exist, cannot be read, is empty or truncated, or has an
+        ModelError: if the file does not exist, cannot be read, is empty or truncated, or has an
             unknown format.
     """
     path = resolve_mesh(shape.mesh, urdf.path, package_dirs, line=shape.line)
@@ -178,7 +178,7 @@ def unit_of(path: Path) -> float:
     """Return the length of a mesh's unit [m]: the one that a COLLADA file states, otherwise 1.
 
     Raises:
-        ModelError: The file cannot be read.
+        ModelError: if the file cannot be read.
     """
     if path.suffix.lower() != ".dae":
         return 1.0

@@ -33,7 +33,7 @@ def check_name(
         line: Its line in that file.
 
     Raises:
-        ConfigError: The name is empty, longer than 100 characters, starts with a dot, contains
+        ConfigError: if the name is empty, longer than 100 characters, starts with a dot, contains
             ``..`` or characters other than letters, digits, ``_``, ``-`` and ``.``.
     """
     wrong = _why_not(name)

@@ -47,8 +47,8 @@ def own_place(folder: Path) -> Path:
     The copy is made in the first of the folders for users' hands that can be written to.
 
     Raises:
-        ConfigError: There is no such folder, it has a hand of that name already, or another hand of
-            that name takes precedence over the copy.
+        ConfigError: if there is no such folder, it has a hand of that name already, or another hand
+            of that name takes precedence over the copy.
     """
     if is_own(folder):
         return folder
@@ -75,7 +75,7 @@ def own(folder: Path) -> Path:
     """Return the folder in which a hand may be changed: its own, or that of a new copy.
 
     Raises:
-        ConfigError: A copy is needed and cannot be made; see `own_place`.
+        ConfigError: if a copy is needed and cannot be made; see `own_place`.
     """
     target = own_place(folder)
     if target != folder:
@@ -107,8 +107,8 @@ def copy_hand(folder: Path, target: Path) -> None:
         target: Folder of the copy, which must not exist; its name is that of the copy.
 
     Raises:
-        ConfigError: The name is not allowed or taken, or the folder cannot be written.
-        ModelError: The copy cannot be loaded, because the hand has files outside of its folder.
+        ConfigError: if the name is not allowed or taken, or the folder cannot be written.
+        ModelError: if the copy cannot be loaded, because the hand has files outside of its folder.
     """
     name = check_name(target.name, "hand")
     if target.exists():

@@ -86,7 +86,7 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     them apart. Tips side by side, which bend next to each other, do not.
 
     Raises:
-        ModelError: A mesh cannot be read.
+        ModelError: if a mesh cannot be read.
     """
     search = _GapSearch(geometry)
     pairs = search.pinching()
@@ -116,7 +116,7 @@ def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
     closed: `rtee open` would not open it, and its pinch would have no room to close.
 
     Raises:
-        ModelError: A mesh cannot be read.
+        ModelError: if a mesh cannot be read.
     """
     hand, search = geometry.hand, _GapSearch(geometry)
     pairs = search.parted()
@@ -269,7 +269,7 @@ def closed_rest_of(hand: Hand, *, narrow: bool = False) -> ClosedRest | None:
     See `closed_rest` and `widest_rest`.
 
     Raises:
-        ModelError: A mesh cannot be read.
+        ModelError: if a mesh cannot be read.
     """
     # Imported here, since it needs Coal and Pinocchio, which a robot's computer may not have.
     from rtee.hand.geometry import HandGeometry

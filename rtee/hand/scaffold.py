@@ -92,8 +92,8 @@ def make_hand(
         subtree: Which part of a whole robot is the hand.
 
     Raises:
-        ConfigError: The name is not allowed or taken, or the folder cannot be written.
-        ModelError: The files do not describe a hand, or describe several, or a mesh is missing.
+        ConfigError: if the name is not allowed or taken, or the folder cannot be written.
+        ModelError: if the files do not describe a hand, or describe several, or a mesh is missing.
     """
     check_name(name, "hand")
     target = Path(into) / name

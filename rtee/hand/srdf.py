@@ -106,7 +106,7 @@ def read_srdf(path: Path | str) -> Srdf:
     """Read an SRDF.
 
     Raises:
-        ModelError: The file does not exist, is not an SRDF, or defines a name twice.
+        ModelError: if the file does not exist, is not an SRDF, or defines a name twice.
     """
     root, _ = read_xml(path, "SRDF")
     if root.tag != "robot":

@@ -35,8 +35,8 @@ class Subtree:
         refer to links or joints outside.
 
         Raises:
-            UnknownLink: The robot has no such link.
-            ModelError: A joint of the hand follows one outside.
+            UnknownLink: if the robot has no such link.
+            ModelError: if a joint of the hand follows one outside.
         """
         if self.root not in whole.links:
             raise UnknownLink(self.root, tuple(whole.links), path=whole.path)

@@ -213,8 +213,8 @@ def make_transmission(
         The transmission to all moving joints, in the URDF's order.
 
     Raises:
-        ModelError: A joint mimics a missing or fixed joint, or mimics form a loop, or an expression
-            cannot be read or has no finite value somewhere within the actuator's limits.
+        ModelError: if a joint mimics a missing or fixed joint, or mimics form a loop, or an
+            expression cannot be read or has no finite value somewhere within the actuator's limits.
     """
     index = {name: i for i, name in enumerate(actuators)}
     known: dict[str, Coupling] = {name: Coupling(i) for name, i in index.items()}
@@ -231,7 +231,7 @@ def check_mimics(urdf: Urdf) -> None:
     """Refuse joints that mimic missing or fixed joints, and mimics that form a loop.
 
     Raises:
-        ModelError: There are some.
+        ModelError: if there are some.
     """
     free = {j.name: Coupling(None) for j in urdf.joints.values() if j.moving and not j.mimic}
     for joint in urdf.joints.values():

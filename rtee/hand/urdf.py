@@ -186,7 +186,7 @@ class Urdf:
         """Return the joints from the root to a link, nearest the root first.
 
         Raises:
-            UnknownLink: There is no such link.
+            UnknownLink: if there is no such link.
         """
         if link not in self.links:
             raise UnknownLink(link, tuple(self.links), path=self.path)
@@ -202,7 +202,7 @@ class Urdf:
         """Return the links from ``base`` down to ``tip``, or ``None`` if tip is not below base.
 
         Raises:
-            UnknownLink: There is no such link.
+            UnknownLink: if there is no such link.
         """
         if base not in self.links:
             raise UnknownLink(base, tuple(self.links), path=self.path)

@@ -60,8 +60,8 @@ def read_urdf(path: Path | str, edits: Sequence[Edit] = ()) -> Urdf:
     """Read a URDF, with changes such as `rtee.hand.subtree.Subtree`.
 
     Raises:
-        UnknownLink: A change names a link that is not there.
-        ModelError: The file does not exist, is neither XML nor a URDF, or describes no tree of
+        UnknownLink: if a change names a link that is not there.
+        ModelError: if the file does not exist, is neither XML nor a URDF, or describes no tree of
             links with well-defined joints; the message names file and line.
     """
     root, text = read_xml(path, "URDF")

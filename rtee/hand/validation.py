@@ -1,10 +1,10 @@
 """Check plain data, as YAML and JSON hold it, against types.
 
-msgspec does it: `Section` is the base of what people write, and dataclasses hold what programs
-write; bounds are `msgspec.Meta`. Values are converted only where YAML and JSON lack the type: a
-mapping becomes a section or a dataclass, a list a tuple or a set, a text a path or a member of an
-enumeration, an integer a ``float``. msgspec stops at the first mistake and does not say the key of
-a mapping, so that wrong data is looked through once more, for sentences with all locations.
+msgspec does the check: `Section` is the base of what people write, and dataclasses hold what
+programs write; bounds are `msgspec.Meta`. Values are converted only where YAML and JSON lack the
+type: a mapping becomes a section or a dataclass, a list a tuple or a set, a text a path or a member
+of an enumeration, an integer a ``float``. msgspec stops at the first mistake and does not say the
+key of a mapping, so wrong data is examined once more, to locate every mistake.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Amount = Annotated[float, Meta(ge=0, le=_LARGEST)]
 class Section(Struct, frozen=True, forbid_unknown_fields=True):
     """A section of a file written by users: unknown keys are refused.
 
-    Conditions on its values together are checked in ``__post_init__``, which raises a
+    Conditions on several values are checked in ``__post_init__``, which raises a
     ``ValueError`` with the reason, or `Misfit`.
     """
 
@@ -123,7 +123,7 @@ def validated(kind: type[T], data: Any) -> T:
     """Return plain data from YAML or JSON as a value of a type.
 
     Raises:
-        Invalid: It does not fit; the error names all mistakes.
+        Invalid: if it does not fit; the error names all mistakes.
     """
     try:
         return convert(data, kind, dec_hook=_converted)
@@ -148,7 +148,7 @@ def checked(
         data: The data, if not the whole document.
 
     Raises:
-        UserError: It does not fit; the message names file, line and key of the first mistake.
+        UserError: if it does not fit; the message names file, line and key of the first mistake.
     """
     try:
         return validated(kind, document.data if data is None else data)

@@ -1,6 +1,6 @@
 """The elements and attributes of models that are read, or that mean nothing to a hand.
 
-Everything else in a URDF or SRDF is noted, so that nothing physical is passed over in silence. In
+Everything else in a URDF or SRDF is noted, so that nothing physical is ignored silently. In
 an MJCF, MuJoCo refuses what it does not know; what it knows and a hand does not have is noted.
 """
 

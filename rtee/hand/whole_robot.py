@@ -116,7 +116,8 @@ def check_one_hand(hand: Hand) -> None:
     """Refuse a robot of which a part, or several, are hands; say which ones.
 
     Raises:
-        ModelError: The robot has several hands, or other parts besides one, or limbs and no hand.
+        ModelError: if the robot has several hands, or other parts besides one, or limbs and no
+            hand.
     """
     # With the joints of an arm, which the hand ignores.
     still = {joint.name for joint in hand.joints if joint.role is JointRole.PASSIVE}

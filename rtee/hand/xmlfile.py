@@ -55,7 +55,7 @@ class Element:
         """Return an attribute that must exist and not be empty.
 
         Raises:
-            ModelError: It is missing or empty.
+            ModelError: if it is missing or empty.
         """
         value = self.attributes.get(attribute, "").strip()
         if not value:
@@ -68,7 +68,8 @@ class Element:
         """Return an attribute as a finite number.
 
         Raises:
-            ModelError: It is not finite, is larger than ``most``, or is missing without a default.
+            ModelError: if it is not finite, is larger than ``most``, or is missing without a
+                default.
         """
         text = self.attributes.get(attribute)
         if text is None and default is not None:
@@ -88,7 +89,7 @@ class Element:
         """Return an attribute as finite numbers separated by blanks.
 
         Raises:
-            ModelError: There are not ``count`` of them, one is not finite or is larger than
+            ModelError: if there are not ``count`` of them, one is not finite or is larger than
                 ``most``, or the attribute is missing without a default.
         """
         text = self.attributes.get(attribute)
@@ -123,7 +124,7 @@ def check_expanded(root: Element) -> None:
     """Refuse a xacro file, which would otherwise be reported as one without content.
 
     Raises:
-        ModelError: One of the elements is xacro's.
+        ModelError: if one of the elements is xacro's.
     """
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:
@@ -207,8 +208,8 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
         The root element and the file's text.
 
     Raises:
-        ModelError: The file does not exist or cannot be read, is not well-formed XML, or declares a
-            document type or entities.
+        ModelError: if the file does not exist or cannot be read, is not well-formed XML, or
+            declares a document type or entities.
     """
     file = Path(path)
     data = _decodable(read_bytes(file, what, ModelError))
@@ -248,10 +249,10 @@ _DECLARED: Final = re.compile(
 
 
 def _decodable(data: bytes) -> bytes:
-    """Return XML that is a little wrong as it is meant, as the readers of other programs take it.
+    """Return slightly malformed XML as it is meant, as other programs read it.
 
-    What stands before the declaration goes behind it, with as many lines. Text that claims to be
-    UTF-8 and is not is Latin-1, such as a name in a comment.
+    Text before the declaration is moved behind it, with as many lines. Text that claims to be
+    UTF-8 but is not, such as a name in a comment, is read as Latin-1.
     """
     lead = _LEAD.match(data)
     if lead is not None:

@@ -151,7 +151,7 @@ class YamlDocument:
     def lines(self) -> Mapping[Location, int]:
         """The line of every key and item, by its location from the root.
 
-        Only errors need it, so that the text is read once more for it.
+        Only errors need it, so the text is read once more then.
         """
         # The text was judged when it was first read, so this reader need not refuse anything.
         reader = _Reader(self.path, UserError, foreign=True)
@@ -187,7 +187,7 @@ def read_yaml(path: Path | str, what: str) -> YamlDocument:
         what: What it should be, for messages, such as ``"hand.yaml"``.
 
     Raises:
-        ConfigError: The file does not exist or cannot be read, is not YAML, or holds a tab, a
+        ConfigError: if the file does not exist or cannot be read, is not YAML, or holds a tab, a
             duplicate key, a tag, an anchor, a NaN or an infinite number.
     """
     file = Path(path)
@@ -206,7 +206,7 @@ def read_text(path: Path, what: str, raised: type[UserError] = ConfigError) -> s
         raised: The error to raise.
 
     Raises:
-        UserError: It cannot be read, is larger than 64 MB, or is not UTF-8 text.
+        UserError: if it cannot be read, is larger than 64 MB, or is not UTF-8 text.
     """
     data = read_bytes(path, what, raised)
     try:
@@ -261,7 +261,7 @@ def parse_yaml(
             allowed, as other programs write them; such a key becomes a tuple of strings.
 
     Raises:
-        UserError: As `read_yaml`.
+        UserError: if as `read_yaml`.
     """
     data = read_emitted(text)
     if data is None:

@@ -117,6 +117,6 @@ def from_document(document: Mapping[str, Any]) -> GraspSolution:
     """Return the solution from plain data.
 
     Raises:
-        Invalid: If it is not a grasp solution; the error names all mistakes.
+        Invalid: if it is not a grasp solution; the error names all mistakes.
     """
     return validated(GraspSolution, document)

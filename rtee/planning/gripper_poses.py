@@ -208,7 +208,7 @@ def reach_gripper_pose(
 
     Raises:
         ConfigError: if a value is invalid, or no action has this opening; names the nearest.
-        ModelError: A mesh of the hand is missing or cannot be read.
+        ModelError: if a mesh of the hand is missing or cannot be read.
     """
     for name in fingers:
         if name not in hand.finger_names:

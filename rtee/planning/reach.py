@@ -130,7 +130,7 @@ def reach_contacts(
 
     Raises:
         ConfigError: if a value is invalid, or no posture reaches the contacts; with the reason.
-        ModelError: A mesh of the hand is missing or cannot be read.
+        ModelError: if a mesh of the hand is missing or cannot be read.
     """
     base = checked_pose(palm_pose, "the palm's pose")
     tips = tips or Fingertips(hand)

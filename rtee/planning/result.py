@@ -173,6 +173,6 @@ def from_document(document: Mapping[str, Any]) -> Ranking:
     """Return a ranking from plain data.
 
     Raises:
-        Invalid: If it is not a ranking; the error names all mistakes.
+        Invalid: if it is not a ranking; the error names all mistakes.
     """
     return validated(Ranking, document)

@@ -61,7 +61,7 @@ class GraspScene:
         """Read the hand's geometry, unless it is given.
 
         Raises:
-            ModelError: A mesh of the hand is missing or cannot be read.
+            ModelError: if a mesh of the hand is missing or cannot be read.
         """
         self.hand, self.object = hand, obj
         self.geometry = geometry or HandGeometry(hand)

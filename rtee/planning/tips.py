@@ -31,7 +31,7 @@ class Fingertips:
         """Read the geometry.
 
         Raises:
-            ModelError: A mesh of the hand is missing or cannot be read.
+            ModelError: if a mesh of the hand is missing or cannot be read.
         """
         self.hand = hand
         self.geometry = geometry or HandGeometry(hand)

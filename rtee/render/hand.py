@@ -69,8 +69,8 @@ class HandRenderer:
             postures: Postures that must fit into the picture, besides rest.
 
         Raises:
-            MissingExtra: The extra ``plot`` is not installed.
-            ModelError: A mesh cannot be read, or the hand has no shapes at all.
+            MissingExtra: if the extra ``plot`` is not installed.
+            ModelError: if a mesh cannot be read, or the hand has no shapes at all.
         """
         check_pictures()
         self.hand = hand

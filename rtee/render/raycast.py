@@ -90,8 +90,8 @@ def check_pictures() -> None:
     """Check, before any work, that pictures can be made.
 
     Raises:
-        MissingExtra: The extra ``plot`` is not installed.
-        ConfigError: Embree is missing, which has packages for x86-64 only.
+        MissingExtra: if the extra ``plot`` is not installed.
+        ConfigError: if embree is missing, which has packages for x86-64 only.
     """
     with needing_extra("a picture", "plot"):
         import PIL.Image  # noqa: F401

@@ -1,6 +1,6 @@
 """A human hand's points as positions of any hand's actuators.
 
-Offline, `rtee.retarget.fit` finds from the model which finger answers which; online, a `Retargeter`
+Offline, `rtee.retarget.fit` finds from the model which finger follows which; online, a `Retargeter`
 turns 21 points into positions, once per frame.
 """
 

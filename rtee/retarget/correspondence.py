@@ -111,8 +111,8 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
     """Read the correspondence of a hand's folder; ``None`` if it has no such file.
 
     Raises:
-        ConfigError: The file cannot be read, or is for another model.
-        ActionError: It is not as it should be; names the line.
+        ConfigError: if the file cannot be read, or is for another model.
+        ActionError: if it is not as it should be; names the line.
     """
     path = folder / FILE_NAME
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""Offline: which finger of a hand answers which human one, from its model and its pinches."""
+"""Offline: find which finger of a hand follows which human one, from its model and its pinches."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def fit(library: ActionLibrary) -> Correspondence:
     """Derive the correspondence of a hand to a human hand from its model and primitives alone.
 
     Raises:
-        ConfigError: The hand has less than two fingertips.
-        ModelError: One of its meshes cannot be read.
+        ConfigError: if the hand has less than two fingertips.
+        ModelError: if one of its meshes cannot be read.
     """
     return _Fit(library, Tips(library.hand)).found()
 

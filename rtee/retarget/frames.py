@@ -71,7 +71,7 @@ class FrameReader:
         """Return the frame in a line; ``None`` if it has none.
 
         Raises:
-            LogError: The line is not valid; says what would be.
+            LogError: if the line is not valid; says what would be.
         """
         self._number += 1
         if not line.strip():
@@ -158,7 +158,7 @@ def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
     as `FrameReader` reads it.
 
     Raises:
-        LogError: The file cannot be read, or has no frames.
+        LogError: if the file cannot be read, or has no frames.
     """
     reader = FrameReader(layout, side, path)
     try:
@@ -207,7 +207,7 @@ async def due(frames: Sequence[TrackerFrame]) -> AsyncIterator[TrackerFrame]:
 
 
 async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[TrackerFrame]:
-    """Yield the frames in lines as they come; raises `LogError` for a line without sense."""
+    """Yield the frames in lines as they arrive; raises `LogError` for an invalid line."""
     async for line in lines:
         frame = reader.read(line)
         if frame is not None:
@@ -220,7 +220,7 @@ async def follow(frames: AsyncIterable[TrackerFrame], retargeter: Retargeter, se
     Nothing is sent before a hand was found. While it is lost, the last answer is sent again.
 
     Raises:
-        TrackingError: The points are not those of the expected hand.
+        TrackingError: if the points are not those of the expected hand.
     """
     sent = 0
     async for frame in frames:

@@ -62,7 +62,7 @@ class Layout:
         """Return a tracker's points ``(count, 3)`` as MediaPipe's ``(21, 3)`` [m].
 
         Raises:
-            ConfigError: They are not as many, or not finite numbers.
+            ConfigError: if they are not as many, or not finite numbers.
         """
         try:
             found = np.array(given, dtype=np.float64)

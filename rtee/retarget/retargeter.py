@@ -344,7 +344,7 @@ class TrackingError(ConfigError):
 
 
 class Retargeter:
-    """A person's hand as the master of a hand.
+    """Moves a robot's hand as a person's hand moves.
 
     Attributes:
         hand: The hand.
@@ -511,9 +511,9 @@ class Retargeter:
             second: Another one.
 
         Raises:
-            UnknownActuator: There is no such actuator.
-            UnknownFinger: There is no such finger.
-            ConfigError: A finger has no tip with geometry.
+            UnknownActuator: if there is no such actuator.
+            UnknownFinger: if there is no such finger.
+            ConfigError: if a finger has no tip with geometry.
         """
         u = np.array(self.hand.rest)
         for name, value in at.items():

@@ -76,7 +76,7 @@ class EmulatedDevices(ABC):
         self._act("fault", name, device)
 
     def clear(self, device: str | None = None) -> None:
-        """Mend all faults."""
+        """Clear all faults."""
         self._act("clear", "", device)
 
 

@@ -1,4 +1,4 @@
-"""The suite that every driver passes: one test for each failure that users of hands suffer from."""
+"""The suite that every driver passes: one test for each failure that users of hands have met."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class SimulationRenderer:
                 hand's closing is seen well, from above, unless given.
 
         Raises:
-            MissingExtra: The extra ``plot`` is not installed.
+            MissingExtra: if the extra ``plot`` is not installed.
         """
         check_pictures()
         self.simulation = simulation

@@ -48,7 +48,7 @@ def write_pictures(recording: Recording, path: Path) -> bool:
         Whether there is an object to be seen; without one no file is written.
 
     Raises:
-        MissingExtra: The extra ``plot`` is not installed.
+        MissingExtra: if the extra ``plot`` is not installed.
         ConfigError: if the file cannot be written.
         LogError: if the recording does not hold its hand.
     """

@@ -344,8 +344,8 @@ _SHORTED = 20_000.0
 def touch_force(word: int) -> float:
     """Return the force on a touch sensor by the client's formula [N].
 
-    It is a placeholder of the maker, not a calibration, and begins at 0.88 N; only differences to
-    a sensor's value at rest say something about a contact.
+    It is a placeholder of the maker, not a calibration, and begins at 0.88 N; only the
+    difference from a sensor's value at rest indicates a contact.
     """
     volts = word * _VOLTS
     return _SLOPE * volts / (_DIVIDER + _SERIES * volts) + _OFFSET

@@ -48,7 +48,7 @@ class AbilityProperties(Section, frozen=True):
         touch: Whether it has touch sensors.
         touch_rest: Words of the six sensors of each finger while nothing touches them.
         fast: Fast mode: a reply has the variant that the previous request selected.
-        alone: Its own behaviour after it leaves API mode.
+        alone: What its own control does after it leaves API mode.
         after_contact: Share of a digit's effort limit that is left after a collision.
         haste: Factor by which it moves faster than a real one.
         turnaround: Time between a request and its reply [s].

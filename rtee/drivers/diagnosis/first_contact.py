@@ -1,7 +1,7 @@
 """The first hour with a real device: compare what a person sees with what the driver reports.
 
-Each step is small and says before what it does. What it finds confirms or refutes assumptions of
-the device's page; the report is made for being sent to the project.
+Each step is small and announces what it does. Its findings confirm or refute assumptions on the
+device's page; the report can be sent to the project.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _ends(one: ActuatorSpec) -> tuple[float, float]:
 
 
 class _Ended(Exception):
-    """The person ends it."""
+    """The person has ended the procedure."""
 
 
 class ContactGuide:
@@ -85,7 +85,7 @@ class ContactGuide:
         self.report = ContactReport(driver.spec.name, driver.spec.driver)
 
     async def run(self) -> ContactReport:
-        """Go through all steps; the report is complete as far as it came."""
+        """Go through all steps; if it ends early, the report covers the steps done."""
         steps: Sequence[tuple[str, Callable[[], Awaitable[None]]]] = (
             ("identify", self._identify),
             ("rest", self._rest),

@@ -266,7 +266,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             await self._set(table.GOAL_CURRENT, most)
 
     async def _arm(self) -> Collection[int]:
-        """Set all bus watchdogs; return the servos whose one had tripped, and is cleared."""
+        """Set all bus watchdogs; return the servos whose watchdog had tripped and is cleared."""
         guards = await self.connection.link.values(table.BUS_WATCHDOG, self.ids)
         # 0 clears a watchdog that has tripped; any other value is refused until then.
         await self._set(table.BUS_WATCHDOG, dict.fromkeys(self.ids, 0))

@@ -329,7 +329,7 @@ def _hold_passive_joints_up(spec: mujoco.MjSpec, hand: Hand, data: mujoco.MjData
 def compiled(
     spec: mujoco.MjSpec, hand: Hand, object_file: tuple[str, Path] | None = None
 ) -> mujoco.MjModel:
-    """Compile the model of a hand, and of an object with a mesh of a name in the model from a file.
+    """Compile a hand's model; ``object_file`` is the name and the file of the object's mesh.
 
     Raises:
         ModelError: if MuJoCo refuses it, with MuJoCo's reason, such as a mesh without volume.

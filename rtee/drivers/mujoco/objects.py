@@ -172,7 +172,7 @@ def _corners(path: str) -> FloatArray | None:
 def solid_parts(path: str) -> tuple[Solid, ...]:
     """Return the solids of a mesh file; see `convex_solids`.
 
-    A mesh of more than `MOST_PARTS` parts is one; there is none if it is no solid.
+    A mesh of more than `MOST_PARTS` parts counts as one; the result is empty if it is not solid.
     """
     probe = mujoco.MjSpec()
     _read_mesh(probe, path)

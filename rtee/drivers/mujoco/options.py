@@ -30,8 +30,8 @@ class SimOptions(Section, frozen=True):
     """Options of the `mujoco` driver in hand.yaml.
 
     Attributes:
-        timestep: Step of the simulation [s]; several steps make one exchange. Unless given 2 ms,
-            and 1 ms for hands whose fingertips are fast.
+        timestep: Step of the simulation [s]; several steps make one exchange. By default 2 ms,
+            or 1 ms for hands whose fingertips are fast.
         gravity: Gravity along the world's z axis [m/s²].
         friction: Friction of every contact of the hand, mainly with objects; by default 1.0 at
             fingertips and 0.8 elsewhere.
@@ -46,8 +46,8 @@ class SimOptions(Section, frozen=True):
         object_mass: Mass of the object [kg].
         object_scale: Factor of all lengths of the object.
         support: What carries the object before the grasp: ``held``: a yielding hand, which lets go
-            when two links have touched it for a while; ``table``; ``floating``: it never weighs
-            anything while it is supported.
+            when two links have touched it for a while; ``table``; ``floating``: it has no
+            weight while it is supported.
         carrier: What carries the hand: a fixed mount, a vertical lift, or an arm with six
             degrees of freedom that follows a script. A hand that is carried reaches down, otherwise
             the base frame is the world's.

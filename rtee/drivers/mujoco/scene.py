@@ -235,7 +235,7 @@ def _place_in_hand(
 ) -> FloatArray:
     """Return the place where a hand closes on an object.
 
-    A gripper closes with its two tips, so the object is between them where they fit it. More
+    A gripper closes with its two tips, so the object is put between them if it fits. More
     fingers may wrap around it: it is moved out of the hand until it is free of it at rest.
 
     Args:
@@ -247,7 +247,7 @@ def _place_in_hand(
         closing: How a gripper closes.
 
     Returns:
-        The place; the given one where there is no such place near.
+        The place; the given one if there is no such place nearby.
 
     Raises:
         ConfigError: if the object's mesh cannot be used.

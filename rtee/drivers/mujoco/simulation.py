@@ -142,7 +142,7 @@ class Simulation:
         self.surroundings.watch(self.time)
 
     def _follow(self, references: list[float], targets: list[float]) -> None:
-        """Move the references that count towards the given ones."""
+        """Move the effective references towards the given ones."""
         positions = self._positions.take(self._qpos).tolist()
         steps = (self._speed * self._period).tolist()
         # Plain numbers: for so few, at every exchange, numpy takes several times as long.
@@ -225,7 +225,7 @@ class Simulation:
     ) -> None:
         """Set references and limits of the masked actuators.
 
-        As in a real hand's own controller, the reference that counts moves to the given one no
+        As in a real hand's own controller, the effective reference moves to the given one no
         faster than the velocity limit.
 
         Args:

@@ -230,7 +230,8 @@ def _messages_in(
 ) -> list[Message]:
     """Return the messages of some channels among the records of a chunk, by their log time.
 
-    Those of other channels hold ticks, column by column, of which few are there besides.
+    A message of a ``packed`` channel holds many ticks, column by column, and replaces the single
+    messages of their channels.
     """
     messages, position = [], 0
     ticks: list[Message] = []

@@ -51,7 +51,7 @@ class Bars:
 
     Attributes:
         length: Their length [m].
-        angle: Their angle to the direction of closing's normal when open [rad].
+        angle: Their angle to the normal of the closing direction when open [rad].
         offset: Distance of the tips when the bars are along that normal [m].
         closed: How far they have turned when closed [rad].
     """

@@ -51,11 +51,11 @@ class GripTimer:
         self._seen: tuple[float, float] | None = None  # way closed [µm] and time [s]
 
     def begin(self, closed: float) -> None:
-        """Note that a grip begins, and how far it is closed then [µm]."""
+        """Record the start of a grip, and how far the gripper is closed then [µm]."""
         self._seen, self._from = None, closed
 
     def see(self, closed: float, asked: float, answered: float) -> None:
-        """Note how far it is closed [µm], measured between question and answer [s]."""
+        """Record how far it is closed [µm], measured between request and answer [s]."""
         at = 0.5 * (asked + answered)
         if self._seen is not None:
             self._speed = (closed - self._seen[0]) / max(at - self._seen[1], _JITTER)
@@ -63,15 +63,15 @@ class GripTimer:
             self._seen = closed, at
 
     def read(self, took: float) -> None:
-        """Note how long a reading took [s]."""
+        """Record the duration of a reading [s]."""
         self.reading += _NEWER * (took - self.reading)
 
     def wrote(self, took: float) -> None:
-        """Note how long a write took [s]."""
+        """Record the duration of a write [s]."""
         self.writing += _NEWER * (took - self.writing)
 
     def due(self, left: float, writes: int) -> float:
-        """Return when to begin the writes that stop it where it has so far to go [µm].
+        """Return the time [s] to begin the writes that stop it after a further travel [µm].
 
         Infinity if it does not move, or not yet.
         """
@@ -95,7 +95,7 @@ class EguIdentity:
         most: Largest distance between the fingers [mm].
         force: Largest grip force [N].
         speed: Largest speed of that distance [mm/s].
-        grip_speed: Largest speed of a grip [mm/s]; that of motions where it says none.
+        grip_speed: Largest speed of a grip [mm/s]; that of motions if it reports none.
     """
 
     name: str

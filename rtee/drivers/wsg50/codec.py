@@ -249,7 +249,7 @@ def number(frame: Frame) -> float:
 
 
 def numbers(frame: Frame, count: int) -> tuple[float, ...]:
-    """Return the numbers of an answer; raises `CodecError` unless they are ``count`` finite."""
+    """Return the ``count`` finite numbers of an answer; raises `CodecError` for anything else."""
     data = frame.payload[2:]
     if len(data) != 4 * count:
         raise CodecError(f"{len(data)} bytes of numbers instead of {4 * count}")
