@@ -12,6 +12,7 @@ import asyncio
 import queue
 import selectors
 import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -60,6 +61,10 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Return the simulated time [s]."""
         return self._time
+
+    def idle(self) -> bool:
+        """Return whether nothing is ready to run after the present callback, and no thread works."""
+        return not self._ready and not self._working
 
     def run_forever(self) -> None:
         """Run until stopped, with this loop's time in `rtee.monotonic`."""
@@ -119,6 +124,8 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
 
     def _release(self) -> None:
         """Resume the threads whose wait is over."""
+        if not self._waits:
+            return
         for wait in [w for w in self._waits if w.until <= self._time or w.ready()]:
             self._waits.remove(wait)
             self.work_begins()
@@ -145,6 +152,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         self._release()
         return []
 
+    _ready: deque[asyncio.Handle]
     _thread_id: int | None
 
 

@@ -294,7 +294,8 @@ class ManualClock:
         rate: Ticks per second of the clock's own time [Hz].
         ticks: Number of ticks after which `drive` returns; ``None``: never.
         start: The clock's time at the beginning [s].
-        turns: Turns of the event loop that the other tasks get between two ticks.
+        turns: Turns of the event loop that the other tasks get between two ticks, at most: on
+            simulated time, until all of them wait.
     """
 
     def __init__(
@@ -319,9 +320,13 @@ class ManualClock:
 
     async def settle(self) -> None:
         """Let the other tasks run."""
+        loop, rested = on_simulated_time(), False
         for _ in range(self.turns):
             # Several turns: a task that was woken may itself wake another one.
             await asyncio.sleep(0)
+            before, rested = rested, loop is not None and loop.idle()
+            if before and rested:  # a whole turn in which nothing else ran
+                return
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
         """Call a function at every tick; see `Clock.drive`."""
