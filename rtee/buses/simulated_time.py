@@ -63,7 +63,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         return self._time
 
     def idle(self) -> bool:
-        """Return whether nothing is ready to run after the present callback, and no thread works."""
+        """Return whether nothing else is ready to run, and no worker thread works."""
         return not self._ready and not self._working
 
     def run_forever(self) -> None:
