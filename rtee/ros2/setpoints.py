@@ -419,7 +419,7 @@ class _Following:
         self._begin = motion.end - (times[-1] if times else 0.0)
         self._outcome: ActionOutcome | None = None
         self._changed = anyio.Event()
-        self._played = False  # the hand has begun to
+        self._played = math.inf  # when the hand was first seen to
         self._passed = False  # its end has been looked at
         self._play = Play(
             motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
@@ -484,7 +484,8 @@ class _Following:
             async for state in self._action.served.hand.states(_RATE):
                 now = monotonic.now()
                 lag = state.channels.get(_LAG)
-                self._played |= lag is not None
+                if lag is not None:
+                    self._played = min(self._played, now)
                 # The stream plays set-points with a lag.
                 at = now - (0.0 if lag is None else float(lag[0]))
                 desired, actual = self._motion.at(at), self._action.measured(state)
@@ -500,7 +501,8 @@ class _Following:
         """End the goal if it is reached or a tolerance is violated."""
         end, limits = self._motion.end, self._limits
         # The first state after the end, too: of a short trajectory there may be no earlier one.
-        if self._played and not self._passed:
+        played = self._played <= now
+        if played and not self._passed:
             self._passed = at >= end
             if outside := _outside(limits.path, desired, actual):
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
@@ -508,12 +510,12 @@ class _Following:
         if at < end:
             return
         outside, moving = _outside(limits.goal, desired, actual), _moving(limits.stopped, actual)
-        if not self._played:
+        if not played:
             # Joints that have not set off yet do not move, either.
             moving = moving or "the hand did not play it"
         # Without goal tolerances, the goal is reached after the time to settle: measurements may be
-        # older than the end.
-        if not (outside or moving) and (limits.goal or now >= end + SETTLED):
+        # older than the end, and a stream that began late than the end's set-point.
+        if not (outside or moving) and (limits.goal or now >= max(end, self._played) + SETTLED):
             # A hand that is slower than the trajectory has been led to the end until now.
             self._play.until = max(now, end + SETTLED)
             self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))

@@ -24,7 +24,7 @@ from rtee.remote.client import connect
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import ActionOutcome, GoalState
 from rtee.ros2.serving import Shown
-from rtee.ros2.setpoints import Code
+from rtee.ros2.setpoints import SETTLED, Code, MotionPlayer, Play
 
 from .facing import Robot, a_hand_in_ros, facing
 from .facing import robot as robot_of
@@ -146,10 +146,23 @@ async def test_violated(hand: Hand, library: ActionLibrary, settings: Ros2Settin
 
 
 async def test_it_ends_when_the_hand_has_stopped(
-    hand: Hand, library: ActionLibrary, settings: Ros2Settings
+    hand: Hand, library: ActionLibrary, settings: Ros2Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without tolerances it ended while the hand, slower than it, was far from its end."""
     async with acting(hand, library, settings) as (served, _, client):
+        # On a busy computer, a stream may begin when the trajectory is long over.
+        play = MotionPlayer.play
+
+        def play_late(player: MotionPlayer, motion: Play) -> None:
+            asyncio.get_running_loop().call_later(3 * SETTLED, play, player, motion)
+
+        with monkeypatch.context() as late:
+            late.setattr(MotionPlayer, "play", play_late)
+            state, code, text = told(await done(client, goal(["push"], (0.05, [0.02]))))
+        assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text
+        assert near(served, [0.0, 0.0, 0.02])
+        assert where(served)[2] > 0.01
+        await until(lambda: not served.loop.streams.stream)
         state, code, text = told(await done(client, goal(["push"], (0.05, [0.04]))))
         assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text
         assert "the goal is reached" in text
