@@ -6,6 +6,14 @@ TEST_PROCESSES ?= 4
 # Where it is set, each process would compile all modules anew.
 export PYTHONDONTWRITEBYTECODE :=
 
+# A virtual environment names its own folder: that of a clone that was moved is made anew.
+ifneq ($(wildcard .venv/.pip),)
+ifeq ($(shell grep -sF '$(CURDIR)/.venv' .venv/bin/activate),)
+$(info This folder was moved; its .venv is made anew.)
+$(shell rm -rf .venv)
+endif
+endif
+
 .PHONY: demo quick test tests times heavy ros2-peers device-peers lerobot wheels bundle checks lint types layers docs bench format clean
 
 .venv/.pip:
