@@ -48,9 +48,14 @@ for (const name of ["clear", ...kinds.map((kind) => `draw${kind}`)]) {
     if (window.drawing) draw.apply(this, given);
   };
 }
+const frame = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (seen) =>
+  window.drawing ? frame(seen) : setTimeout(() => seen(performance.now()), 100);
+const cancel = window.cancelAnimationFrame.bind(window);
+window.cancelAnimationFrame = (number) => (clearTimeout(number), cancel(number));
 """
 """Draws the 3D view, in which the processor draws each frame for 0.4 s, only while somebody looks
-at it."""
+at it; and prepares ten frames a second at other times, not sixty."""
 
 _NOTE_WHAT_IS_TOLD = """
 window.told = [];
@@ -70,7 +75,7 @@ GATE = "gate"
 """While a file of this name is in the hands' folder, trials and plans of the page wait to begin."""
 
 DRIVERS = {
-    GRIPPER: ("--driver", "kinematic", "--rate", "100"),
+    GRIPPER: ("--driver", "kinematic", "--rate", "50"),
     SQUEEZER: ("--driver", "mujoco", *BALL, "--rate", "100", "--no-log"),
     MANY: ("--driver", "kinematic", "--rate", "50", "--no-log"),
 }
@@ -108,6 +113,10 @@ class Hands:
             self._running[hand] = program
             program.line(rf"{hand}: .* active")
         return self._running[hand]
+
+    def end(self, hand: str) -> None:
+        """End a hand's process, which computes as long as it runs."""
+        self._running.pop(hand).end()
 
     def kill(self, hand: str) -> None:
         """Kill a hand's process; the next one who asks gets a new one."""
@@ -202,6 +211,23 @@ def any_window(only_window: Window) -> Iterator[Window]:
 def window(any_window: Window) -> Window:
     """The window, showing the gripper's actions."""
     any_window.show(GRIPPER)
+    return any_window
+
+
+@pytest.fixture(scope="module")
+def ball(hands: Hands, only_window: Window) -> Iterator[None]:
+    """Runs a simulated gripper with a ball between its fingers."""
+    pytest.importorskip("mujoco")
+    assert hands[SQUEEZER].process.poll() is None
+    yield
+    only_window.show(GRIPPER)
+    hands.end(SQUEEZER)
+
+
+@pytest.fixture
+def squeezer(any_window: Window, ball: None) -> Window:
+    """The window, showing that gripper."""
+    any_window.show(SQUEEZER)
     return any_window
 
 

@@ -26,15 +26,6 @@ BALL_WIDTH, SOFT = 60.0, 1.5
 At 30 N the fingertips were 0.3 to 0.9 mm closer than the ball is wide."""
 
 
-@pytest.fixture
-def squeezer(any_window: Window, hands: Hands) -> Window:
-    """The window, showing a simulated gripper with a ball between its fingers."""
-    pytest.importorskip("mujoco")
-    assert hands[SQUEEZER].process.poll() is None
-    any_window.show(SQUEEZER)
-    return any_window
-
-
 def _toggled(window: Window, box: Locator, before: Picture) -> Picture:
     box.click()
     return window.pictured_anew(before)

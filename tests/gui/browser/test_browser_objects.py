@@ -7,24 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import Hands
 from .marks import in_a_browser
-from .running import SQUEEZER
 from .window import Window
 
 pytestmark = in_a_browser
 
 FELT = re.compile(r"inner_finger\w* \d\d+\.\d N")
 """What is said of the forces while the ball is held; let go, it lies in the hand with 1 N."""
-
-
-@pytest.fixture
-def squeezer(any_window: Window, hands: Hands) -> Window:
-    """The window, showing a simulated gripper with a ball between its fingers."""
-    pytest.importorskip("mujoco")
-    assert hands[SQUEEZER].process.poll() is None
-    any_window.show(SQUEEZER)
-    return any_window
 
 
 def grasp(window: Window) -> None:
