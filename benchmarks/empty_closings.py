@@ -1,19 +1,22 @@
-"""Close simulated hands on nothing, by each of their actions, and count what they say.
+"""Close simulated hands on nothing, and on objects, and count what they say.
 
-With the fingers' forces measured ("sensors") and by effort alone, in simulated time.
+On nothing by each of their actions, with the fingers' forces measured ("sensors") and by effort
+alone; on two balls and a box by every second pinch, with sensors. In simulated time.
 Run: python benchmarks/empty_closings.py
 """
 
 from __future__ import annotations
 
 import argparse
+import zlib
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from common import Table
-from grasp_cases import NumbHand
+from grasp_cases import RATE, Case, CaseObject, NumbHand, Unfit, try_case
 
-from rtee.actions.types import Timed
+from rtee.actions.types import Primitive, PrimitiveKind, Timed
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
@@ -22,16 +25,16 @@ from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal, Named, Outcome
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
+PINCHES = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE, PrimitiveKind.MULTI_PINCH_TIGHT)
 SAID = (Outcome.REACHED, Outcome.CLOSED, Outcome.STALLED, Outcome.HELD)
 
 
-def main() -> None:
-    """Close the hands, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hand", nargs="+", help="these hands only")
-    hands = parser.parse_args().hand or sorted(
-        p.parent.name for p in CONFIG.glob("*/openings.yaml")
-    )
+THINGS = ((CaseObject.SPHERE, 0.02), (CaseObject.SPHERE, 0.04), (CaseObject.BOX, 0.03))
+WEIGHT = 1.0  # force for which the objects are made [N]: 20 g
+
+
+def empty(hands: Sequence[str]) -> None:
+    """Close hands on nothing, and print the table."""
     table = Table("hand", "sensors", *SAID, "other")
     for hand in hands:
         ready = bench(str(CONFIG / hand))
@@ -46,6 +49,48 @@ def main() -> None:
                 said[headless.do(Goal(Named(action.name, action.elements))).outcome] += 1
             other = said.total() - sum(said[outcome] for outcome in SAID)
             table.row(hand, "no" if kind is NumbHand else "yes", *(said[o] for o in SAID), other)
+
+
+def objects(hands: Sequence[str]) -> None:
+    """Close hands on objects by their pinches, and print the table."""
+    table = Table(
+        "hand", *(f"{true}: {o}" for true in ("stays", "falls") for o in ("tries", *SAID))
+    )
+    for hand in hands:
+        ready = bench(str(CONFIG / hand), RATE)
+        said: Counter[tuple[bool, Outcome]] = Counter()
+        pinches = [a for a in ready.library if isinstance(a, Primitive) and a.kind in PINCHES]
+        for action in pinches[::2]:
+            for thing, width in THINGS:
+                seed = zlib.crc32(f"{hand}/{action.name}/{action.elements}/{thing}".encode())
+                case = Case(
+                    thing, width, WEIGHT, seed=seed, elements=action.elements, action=action.name
+                )
+                try:
+                    truth = try_case(ready, case)
+                except Unfit:
+                    continue
+                said[truth.held, truth.result.outcome] += 1
+        if said:
+            counts = [
+                count
+                for true in (True, False)
+                for count in (
+                    sum(n for (held, _), n in said.items() if held is true),
+                    *(said[true, o] for o in SAID),
+                )
+            ]
+            table.row(hand, *counts)
+
+
+def main() -> None:
+    """Close the hands, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hand", nargs="+", help="these hands only")
+    parser.add_argument("--objects", action="store_true", help="on objects instead of nothing")
+    arguments = parser.parse_args()
+    hands = arguments.hand or sorted(p.parent.name for p in CONFIG.glob("*/openings.yaml"))
+    (objects if arguments.objects else empty)(hands)
 
 
 if __name__ == "__main__":

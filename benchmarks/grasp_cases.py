@@ -30,7 +30,7 @@ from rtee.trials.bench import TrialBench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.holding import SLIP, TURN, said_lost, turned
-from rtee.types import Around, Fingers, Force, Goal, OnContact, Result, TipSpeed
+from rtee.types import Around, Fingers, Force, Goal, Named, OnContact, Result, TipSpeed
 
 RATE: Final = 500.0
 """Ticks per second [Hz]: a contact is answered within two."""
@@ -106,6 +106,8 @@ class Case:
         seed: Seed of place and friction.
         on_contact: What the fingers do on contact, if anything is asked.
         elements: Fingers to use; empty: those of the hand's best action.
+        action: An action to close by its posture instead, without a width or a force; ``force`` is
+            then that for which the object is made.
     """
 
     thing: CaseObject
@@ -116,6 +118,7 @@ class Case:
     seed: int = 0
     on_contact: OnContact | None = None
     elements: tuple[str, ...] = ()
+    action: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,6 +294,8 @@ def try_case(ready: TrialBench, case: Case) -> Truth:
         {} if case.force is None else Force(case.force),
         on_contact={} if case.on_contact is None else {"": case.on_contact},
     )
+    if case.action:
+        goal = Goal(Named(case.action, case.elements))
     plan = make_plan(goal, hand, library, settings)
     varied = np.random.default_rng(case.seed)
     friction = varied.uniform(*_FRICTION)

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtee.actions.naming import label, normalise
-from rtee.actions.types import Action, Primitive, PrimitiveKind, Timed
+from rtee.actions.types import Action, Primitive, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.frames import tip_pose_and_jacobian
@@ -59,11 +59,6 @@ _WEAKEST: Final = 1e-3
 _CROWDED: Final = 0.005
 """Depth from which on two fingers of one side meet before the object is between the sides [m]: more
 than the overlap of fingers that only lie side by side."""
-
-_FOLDED: Final = 0.8
-"""Intensity from which on a finger that bends alone may meet the palm or itself: no geometry of its
-path is stored, and those of seven hands get as far in simulation. One that swings about its base
-may meet its neighbour anywhere."""
 
 _TAKES_PART: Final = 0.1
 """Share of the largest lever below which an actuator does not press."""
@@ -195,6 +190,24 @@ class Opening:
         )
 
 
+@dataclass(frozen=True)
+class Meeting:
+    """Where the empty hand meets itself on the path of one action from rest.
+
+    Attributes:
+        action: Name of the action.
+        elements: Elements of a primitive.
+        posture: Fingerprint of the posture, and the path to it, for which this was found.
+        at: Intensity of the first contact of links that an actuator moves against each other, by
+            the actuator's name; without those that meet nothing.
+    """
+
+    action: str
+    elements: tuple[str, ...]
+    posture: str
+    at: Mapping[str, float]
+
+
 def doubtful(action: Action) -> bool:
     """Return whether links collide at a primitive's posture, or its tips would not hold a ball."""
     if not (isinstance(action, Primitive) and action.evidence):
@@ -258,23 +271,6 @@ def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> floa
     return max((opening.at(at) for at in contacts if at is not None), default=opening.narrowest)
 
 
-def meets_at(action: Action, *, opposed: bool) -> float | None:
-    """Return the intensity from which on the empty hand may meet itself; ``None``: not known.
-
-    Args:
-        action: The action.
-        opposed: Whether its fingertips oppose each other.
-    """
-    if not isinstance(action, Primitive):
-        return None
-    if action.evidence:
-        evidence = action.evidence[0]
-        return evidence.contact_at if evidence.path_clear else 0.0
-    if opposed or len(action.fingers) > 1:
-        return None
-    return 0.0 if action.kind is PrimitiveKind.FING_FLEX else _FOLDED
-
-
 def suitability(
     hand: Hand, action: Action, opening: Opening, width: float, margin: float = MARGIN
 ) -> tuple[float, ...]:
@@ -335,12 +331,14 @@ class Openings:
     Attributes:
         hand: The hand.
         tables: The stored tables.
+        meetings: Where the empty hand meets itself, of all actions but timed ones.
         made: Whether tables were made at all.
         outdated: Whether they were made for another model of the hand.
     """
 
     hand: Hand
     tables: tuple[Opening, ...] = ()
+    meetings: tuple[Meeting, ...] = ()
     made: bool = True
     outdated: bool = False
 
@@ -397,6 +395,17 @@ class Openings:
         except ActionError as error:
             return error.message
 
+    def meeting(self, action: Action) -> Mapping[str, float] | None:
+        """Return where the empty hand meets itself on the path of an action; see `Meeting.at`.
+
+        ``None``: not known, or not for its present posture and model.
+        """
+        wanted = _key(action.name, action.elements)
+        for each in () if self.outdated else self.meetings:
+            if _key(each.action, each.elements) == wanted:
+                return each.at if each.posture == fingerprint_of(self.hand, action) else None
+        return None
+
     def measured(self, action: Action) -> tuple[tuple[float, float], ...]:
         """Return the measured pairs of intensity and opening [m] of an action in hand.yaml."""
         wanted = _key(action.name, action.elements)
@@ -414,8 +423,8 @@ def _key(action: str, elements: tuple[str, ...]) -> tuple[str, frozenset[str]]:
 # --- the file --------------------------------------------------------------------------------
 
 
-def to_document(hand: Hand, tables: Iterable[Opening]) -> dict[str, Any]:
-    """Return tables as plain data; the same tables give the same data."""
+def to_document(openings: Openings) -> dict[str, Any]:
+    """Return openings as plain data; the same ones give the same data."""
     entries = [
         {
             "action": table.action,
@@ -429,9 +438,19 @@ def to_document(hand: Hand, tables: Iterable[Opening]) -> dict[str, Any]:
             "lever": [_rounded(row) for row in table.lever],
             "angle": [round(float(a), 3) for a in table.angle],
         }
-        for table in tables
+        for table in openings.tables
     ]
-    return {"format": FORMAT, "model": model_of(hand), "openings": entries}
+    meetings = [
+        {
+            "action": each.action,
+            "elements": list(each.elements),
+            "posture": each.posture,
+            **({"at": dict(each.at)} if each.at else {}),
+        }
+        for each in openings.meetings
+    ]
+    model = model_of(openings.hand)
+    return {"format": FORMAT, "model": model, "openings": entries, "meetings": meetings}
 
 
 def _rounded(values: FloatArray) -> list[float]:
@@ -439,15 +458,15 @@ def _rounded(values: FloatArray) -> list[float]:
     return [round(float(value), 6) for value in values]
 
 
-def write_openings(folder: Path, hand: Hand, tables: Iterable[Opening]) -> Path:
-    """Write the tables into a hand's folder and return the file.
+def write_openings(folder: Path, openings: Openings) -> Path:
+    """Write openings into a hand's folder and return the file.
 
     Raises:
         ConfigError: if the file cannot be written.
     """
     path = folder / FILE_NAME
-    lines = (f"Openings of the actions, made by `rtee openings {hand.name} --save`.",)
-    write_atomically(path, emit(to_document(hand, tables), lines))
+    made = f"Openings of the actions, made by `rtee openings {openings.hand.name} --save`."
+    write_atomically(path, emit(to_document(openings), (made,)))
     return path
 
 
@@ -470,7 +489,8 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
                 path=path,
             )
         tables = tuple(_table(entry) for entry in data["openings"])
-        return Openings(hand, tables, outdated=data["model"] != model_of(hand))
+        meetings = tuple(_meeting(entry) for entry in data.get("meetings", ()))
+        return Openings(hand, tables, meetings, outdated=data["model"] != model_of(hand))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ConfigError):
             raise
@@ -508,4 +528,14 @@ def _table(entry: Mapping[str, Any]) -> Opening:
         lever,
         angle,
         str(entry.get("note", "")),
+    )
+
+
+def _meeting(entry: Mapping[str, Any]) -> Meeting:
+    """Return a meeting from plain data; raise `ValueError` and the like if it is invalid."""
+    return Meeting(
+        str(entry["action"]),
+        tuple(str(name) for name in entry["elements"]),
+        str(entry["posture"]),
+        {str(name): float(at) for name, at in entry.get("at", {}).items()},
     )

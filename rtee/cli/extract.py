@@ -138,8 +138,7 @@ def extract(
     stored = []
     if home is not None:
         # Read from the stored files, since the hand's other actions have openings, too.
-        openings = measured_openings(home)
-        stored.append(write_openings(home, openings.hand, openings.tables))
+        stored.append(write_openings(home, measured_openings(home)))
     if as_json:
         from rtee.actions.describe import describe
 
@@ -287,12 +286,11 @@ def measured_openings(folder: Path) -> Openings:
     """
     with needing_extra("making openings", "extract"):
         from rtee.extract.openings import make_openings
-    from rtee.actions.openings import Openings
 
     # Load by path, since the name may match another folder first.
     library = actions_of(str(folder))
     with progress_bar("measuring openings") as progress:
-        return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))
+        return make_openings(library.hand, library, progress)
 
 
 def _show(hand: HandModel, extraction: Extraction) -> None:

@@ -58,7 +58,7 @@ def make(hand: str) -> None:
     measured = measured_openings(folder)
     # Copied after the work, which leaves no copy behind if it fails.
     home = owned(folder)
-    print(f"written to {write_openings(home, measured.hand, measured.tables)}", file=sys.stderr)
+    print(f"written to {write_openings(home, measured)}", file=sys.stderr)
 
 
 def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
@@ -76,6 +76,11 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
             # Timed actions never have an opening, so that nothing is wrong with those.
             if action.action_kind != "timed":
                 notes[str(error)] = None
+    if tables.made and not tables.meetings:
+        name = library.hand.name
+        notes[f"where the empty hand meets itself is not known; `rtee openings {name} --save`"] = (
+            None
+        )
     return valid, list(notes)
 
 

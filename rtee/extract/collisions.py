@@ -225,6 +225,34 @@ class Collisions:
         measures = Measures(self._scene, self._motion, self._envelopes)
         return CollisionChecker(measures, pairs, margins, nested, carried)
 
+    def meetings(self, u: FloatArray) -> dict[int, float]:
+        """Return where the empty hand meets itself on the straight path from rest to a posture.
+
+        Links meet where they are nearer than their margin.
+
+        Args:
+            u: The posture ``(n,)``.
+
+        Returns:
+            The intensity of the first contact of links that an actuator moves against each other,
+            by index; without those that meet nothing.
+        """
+        scene, path = self._scene, self._motion.path_to(u)
+        moving = np.flatnonzero(u != scene.hand.rest).tolist()
+        checker, found = self.checker(moving, ()), dict[int, float]()
+        for i in moving:
+            first = checker.first_on(path, [pair for pair in checker.pairs if i in pair.actuators])
+            if first is not None:
+                found[i] = first.at
+        whole = {pair.number for pair in self.checked}
+        for pair in scene.tips.values():
+            # Joined tips, as a claw's, and those of several links are not among these.
+            if pair.number not in whole and (concerned := pair.actuators.intersection(moving)):
+                at = first_contact(scene, pair, path, self._motion.speed(pair, path))
+                if at is not None:
+                    found |= {i: min(at, found.get(i, at)) for i in concerned}
+        return found
+
     def _fingers(self, closing: Closing) -> list[frozenset[int]]:
         """Return the bodies of each finger alone: its bars, and those that carry its tip only."""
         supports = [

@@ -17,9 +17,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtee.actions.openings import Opening, fingerprint_of
+from rtee.actions.openings import Meeting, Opening, Openings, fingerprint_of
 from rtee.actions.types import Action, Timed
+from rtee.extract.collisions import Collisions
 from rtee.extract.jobs import Progress
+from rtee.extract.motion import Motion
+from rtee.extract.scene import Scene
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, vecmat
 from rtee.hand.model import Hand
@@ -74,6 +77,9 @@ _WORTH: Final = 0.005
 _FLAT: Final = 1e-12
 """Squared sine of the angle below which three points are on a line."""
 
+_DIGITS: Final = 4
+"""Decimals of the intensity of a first contact: some micrometres of a fingertip's way."""
+
 _STILL: Final = 1e-9
 """Speed below which a tip does not move [m per unit of intensity]."""
 
@@ -99,24 +105,36 @@ class _Sample:
 
 def make_openings(
     hand: Hand, actions: Iterable[Action], progress: Progress | None = None
-) -> list[Opening]:
-    """Return the openings of the actions that have one, in their order.
+) -> Openings:
+    """Return the openings of the actions that have one, in their order, and what stops each.
 
     ``progress`` is called with the number of actions done and their total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.
     """
-    chosen = list(actions)
-    geometry = HandGeometry(hand)
-    openings = []
+    chosen = [action for action in actions if not isinstance(action, Timed)]
+    scene = Scene(hand)
+    collisions = Collisions(scene, Motion(scene))
+    openings, meetings = [], []
     for number, action in enumerate(chosen, 1):
-        table = opening_of(geometry, action)
+        table = opening_of(scene.geometry, action)
         if table is not None:
             openings.append(table)
+        first = collisions.meetings(_goal(hand, action))
+        names = {hand.actuator_names[i]: round(at, _DIGITS) for i, at in first.items()}
+        meetings.append(Meeting(action.name, action.elements, fingerprint_of(hand, action), names))
         if progress is not None:
             progress(number, len(chosen))
-    return openings
+    return Openings(hand, tuple(openings), tuple(meetings))
+
+
+def _goal(hand: Hand, action: Action) -> FloatArray:
+    """Return the actuators' positions at intensity 1 ``(n,)`` [rad | m]."""
+    posture, goal = action.waypoints[-1], np.array(hand.rest)
+    for name in posture.involved:
+        goal[hand.actuator_index(name)] = posture.position[name]
+    return np.clip(goal, hand.lower, hand.upper)
 
 
 def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
@@ -161,10 +179,7 @@ class _TipPaths:
             if action.waypoints[-1].position[name] != hand.actuator(name).rest
         )
         self._columns = [hand.actuator_index(name) for name in self.actuators]
-        goal = np.array(hand.rest)
-        for name in self.actuators:
-            goal[hand.actuator_index(name)] = action.waypoints[-1].position[name]
-        self._goal = np.clip(goal, hand.lower, hand.upper)
+        self._goal = _goal(hand, action)
         self.direction: FloatArray = (self._goal - hand.rest)[self._columns]
         self._kinematics = geometry.kinematics
         self.tips = {name: str(hand.finger(name).tip) for name in self.fingers}

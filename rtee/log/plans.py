@@ -74,6 +74,8 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
             "elements": list(plan.elements),
             "grip": [] if plan.grip is None else [_grip_fields(plan.grip, actuators)],
             "speed": plan.speed,
+            "meets_name": [actuators[index] for index in plan.meets],
+            "meets": list(plan.meets.values()),
         }
     )
 
@@ -112,6 +114,7 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
         timed=fields["timed"],
         elements=tuple(fields["elements"]),
         grip=_grip_of(fields["grip"][0], actuators) if fields["grip"] else None,
+        meets=indexed(fields["meets_name"], fields["meets"]),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from rtee.loop.free_motion import FREELY
 
-VERSION: Final = 11
+VERSION: Final = 12
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made by others."""
 
@@ -23,9 +23,6 @@ a soft object gives way."""
 _OTHER_SIDE: Final = 0.1
 """Least share of the force of one side that the other has to show: efforts of those that hold an
 object between them differ by a factor of 4 at most in simulation, and of others by 60."""
-
-_PAIR: Final = 2
-"""Fingers that hold an object between them."""
 
 _CREEP: Final = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
@@ -173,33 +170,31 @@ def shows(grasping: bool, *, word: bool, effort: float, hard: float) -> bool:
     return effort >= hard or word or grasping
 
 
-def may_be_nothing(opening: float, doubt: float, *, word: bool, alone: bool = False) -> bool:
+def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
     """Return whether what seems to be held may be the hand itself.
 
     Fingertips press on one another as they press on an object. Where the opening is no wider than
-    it may be in the empty hand, force and effort say nothing. Nor do they where the fingers came as
-    far as those of the empty hand: when they press on one another, the stronger push the weaker
-    back, to openings that an object could have.
+    it may be in the empty hand, force and effort say nothing.
 
     Args:
         opening: The opening by the actuators' positions [m]; ``NaN``: not known.
         doubt: How wide it may seem to be when the tips touch one another [m].
         word: Whether the device itself says that it holds something.
-        alone: Whether the fingers came as far as in the empty hand; see `alone`.
     """
-    return (opening <= doubt or alone) and not word
+    return opening <= doubt and not word
 
 
-def alone(passed: Sequence[bool]) -> bool:
-    """Return whether fingers that close together came as far as in the empty hand.
+def came_as_far(came: float, meets: float, early: float) -> bool:
+    """Return whether an actuator came as far as in the empty hand, all [rad | m].
 
-    One of several that goes that far has passed what they would hold together. One of two may push
-    what both hold.
+    If so, another finger, or the hand, may have stopped it. What stops it earlier is an object.
 
     Args:
-        passed: Whether each finger came to where the empty hand meets itself.
+        came: The farthest that it came from rest; a stronger one may have pushed it back.
+        meets: Where a link that it moves first meets another one, or its target.
+        early: How far before that it may be stopped in the empty hand.
     """
-    return any(passed) if len(passed) > _PAIR else bool(passed) and all(passed)
+    return came >= meets - early
 
 
 def lost(

@@ -97,7 +97,6 @@ class _WatchedActuator:
     since: float
     seen: float
     start: float = math.nan
-    farthest: float = math.nan
     led: int = 0
     blocked_at: float = math.nan
     grasping: bool = False
@@ -192,6 +191,8 @@ class ContactMonitor:
         self._watched: dict[int, _WatchedActuator] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
+        # Over several goals: one that was pushed back stays there when it is to close once more.
+        self._farthest = [math.nan] * len(actuators)
         # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
         self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
 
@@ -269,9 +270,8 @@ class ContactMonitor:
         )
 
     def farthest(self, i: int) -> float:
-        """Return how far a watched actuator has come towards its target [rad | m]."""
-        watched = self._watched.get(i)
-        return math.nan if watched is None else watched.farthest
+        """Return how far an actuator has come since it last moved the other way [rad | m]."""
+        return self._farthest[i]
 
     def grasping(self, i: int) -> bool:
         """Return whether an actuator holds an object."""
@@ -402,8 +402,8 @@ class ContactMonitor:
             self._listen(i, watched, position, stamp)
             ahead = 1.0 if watched.target >= position else -1.0
             tolerance = watched.tolerance
-            if not (watched.farthest - position) * ahead >= 0.0:
-                watched.farthest = position
+            if not (self._farthest[i] - position) * ahead >= 0.0:
+                self._farthest[i] = position
             lag = (reference[i] - position) * ahead
             if watched.new and lag > 0.0:
                 # It hung behind before it set out, as a servo under load does.

@@ -43,9 +43,13 @@ _STEADY = 0.25
 """How long a grasp must be at rest before its result comes [s]: a blow is over, and what springs
 away is gone."""
 
-_EARLY = 0.05
-"""Share of its way by which an actuator may be stopped before the empty hand meets itself: it lags,
-and fingers are broader in simulation, and in rubber gloves, than in their model."""
+_EARLY = 0.03
+"""Share of its way by which an actuator may be stopped before the empty hand meets itself: fingers
+are broader in rubber gloves than in their model."""
+
+_UNEVEN = 0.03
+"""Time by which actuators follow their references unevenly [s]: by as much of its way, one of a
+quick hand is stopped by a finger that is ahead of it."""
 
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
@@ -326,15 +330,14 @@ class Executor:
         grasped = any(contact.grasping(i) for i in plan.involved)
         closes = plan.aim is Aim.POSTURE and self._stopped_closing(run)
         word = contact.says(plan.involved)
-        alone = closes and self._alone(run)
-        if plan.grip is None:
-            return rules.may_be_nothing(math.nan, math.nan, word=word, alone=alone)
-        if not (self._reflexes.touched or grasped or closes):
+        if closes and plan.meets:
+            return not word and self._alone(run)
+        if plan.grip is None or not (self._reflexes.touched or grasped or closes):
             return False
         # Fingers that bend as they press have an opening only where they met the object.
         met = run.touched if run.touched and self._bends(run) else measured.position
         opening, doubt = plan.grip.opening(met), plan.grip.doubt(met)
-        if rules.may_be_nothing(opening, doubt, word=word, alone=alone):
+        if rules.may_be_nothing(opening, doubt, word=word):
             return True
         last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
         if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):
@@ -342,26 +345,30 @@ class Executor:
         return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
 
     def _stopped_closing(self, run: _Run) -> bool:
-        """Return whether all actuators that were stopped in the last leg were closing."""
+        """Return whether an actuator that was stopped in the last leg was closing.
+
+        Others may have been pushed away before it began, from rest or beyond their target.
+        """
         rest, contact = self._hand.rest, self._contact
-        return run.stalled[-1] and all(
+        return run.stalled[-1] and any(
             contact.closes(i, rest[i]) for i in run.present.targets if contact.blocked(i)
         )
 
     def _alone(self, run: _Run) -> bool:
-        """Return whether the fingers came as far as those of the empty hand."""
-        passed: dict[str, bool] = {}
-        for i, meets in run.plan.meets.items():
-            actuator, target = self._hand.actuators[i], run.present.targets[i]
-            way, least = target - actuator.rest, run.shares[i]
-            if abs(way) <= least:
-                continue  # it hardly moves, and others push it
-            ahead = math.copysign(1.0, way)
-            came = ahead * (self._contact.farthest(i) - actuator.rest)
-            enough = max(ahead * (meets - actuator.rest) - _EARLY * abs(way), least)
-            for finger in actuator.fingers:
-                passed[finger] = passed.get(finger, True) and came >= enough
-        return rules.alone(list(passed.values()))
+        """Return whether every actuator came as far as in the empty hand."""
+        targets, actuators = run.present.targets, self._hand.actuators
+        ways = {i: target - actuators[i].rest for i, target in targets.items()}
+        # All arrive together with the one that takes longest.
+        longest = max(abs(way) / self.max_velocity[i] for i, way in ways.items())
+        early = _EARLY + (_UNEVEN / longest if longest else 0.0)
+        return all(
+            rules.came_as_far(
+                math.copysign(1.0, way) * (self._contact.farthest(i) - actuators[i].rest),
+                min(math.copysign(1.0, way) * (run.plan.meets[i] - actuators[i].rest), abs(way)),
+                max(early * abs(way), run.shares[i]),
+            )
+            for i, way in ways.items()
+        )
 
     def _grip_values(
         self, run: _Run, measured: Measured, grasped: bool, aborted: bool

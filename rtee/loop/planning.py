@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, doubtful, meeting, meets_at, suitability
+from rtee.actions.openings import MARGIN, Opening, doubtful, meeting, suitability
 from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
 from rtee.errors import ActionError, GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
@@ -15,7 +15,17 @@ from rtee.loop.closing import checked_share, closing_time
 from rtee.loop.forces import DeviceForces, effort_limits, force_efforts, unlimited
 from rtee.loop.grip import Grip
 from rtee.loop.plan import Leg, Plan, targets_of
-from rtee.types import Around, FirstContact, Force, Goal, Intensity, Named, Stage, TipSpeed
+from rtee.types import (
+    Around,
+    FirstContact,
+    Force,
+    Goal,
+    Intensity,
+    Named,
+    Stage,
+    TipSpeed,
+    from_rest,
+)
 from rtee.types import Opening as ToOpening
 
 if TYPE_CHECKING:
@@ -272,14 +282,20 @@ def make_plan(
         on_contact=goal.on_contact,
         timed=isinstance(action, Timed),
         grip=None if tips is None else tips.grip,
-        meets=_meets(action, tips, hand),
+        meets=_meets(action, hand, library),
     )
 
 
-def _meets(action: Action, tips: OpposingTips | None, hand: Hand) -> Mapping[int, float]:
-    """Return the positions from which on the empty hand may meet itself, by index [rad | m]."""
-    at = meets_at(action, opposed=tips is not None)
-    return {} if at is None else targets_of(action.waypoints[-1], hand, at)
+def _meets(action: Action, hand: Hand, library: ActionLibrary) -> Mapping[int, float]:
+    """Return the positions from which on the empty hand meets itself, by index [rad | m]."""
+    known = None if isinstance(action, Timed) else library.openings.meeting(action)
+    if known is None:
+        return {}
+    rest, names = hand.rest, hand.actuator_names
+    return {
+        i: from_rest(float(rest[i]), target, known.get(names[i], 1.0))
+        for i, target in targets_of(action.waypoints[-1], hand).items()
+    }
 
 
 def _legs(

@@ -27,7 +27,7 @@ def pinch_and_opening(hand: Hand) -> tuple[float, float, float, bool]:
     """Return contact, depth and opening at rest of the pinch, and whether it is clear."""
     found = extract(hand, jobs=1)
     pinch = next(p for p in found.primitives if p.kind is PrimitiveKind.PINCH_TIGHT)
-    evidence, (opening,) = pinch.evidence[0], make_openings(hand, [pinch])
+    evidence, (opening,) = pinch.evidence[0], make_openings(hand, [pinch]).tables
     assert evidence.contact_at is not None
     assert evidence.depth is not None
     clear = evidence.clear and bool(evidence.path_clear)
@@ -114,7 +114,7 @@ def test_openings_do_not_depend_on_the_order_of_the_fingers(tmp_path: Path) -> N
         tables.append(
             {
                 (o.action, frozenset(o.elements)): (o.width[0], o.at(0.5))
-                for o in make_openings(hand, pinches)
+                for o in make_openings(hand, pinches).tables
             }
         )
     assert tables[0].keys() == tables[1].keys() == tables[2].keys() == tables[3].keys()

@@ -128,7 +128,6 @@ def test_an_opening_of_the_empty_hand_holds_nothing_that_is_known() -> None:
     assert not rules.may_be_nothing(0.0004, 0.0005, word=True)  # the device knows better
     assert not rules.may_be_nothing(0.002, 0.0005, word=False)
     assert not rules.may_be_nothing(NAN, 0.0005, word=False)
-    assert rules.may_be_nothing(NAN, 0.0005, word=False, alone=True)
 
 
 def test_fingers_of_one_side_press_on_one_another() -> None:
@@ -137,13 +136,11 @@ def test_fingers_of_one_side_press_on_one_another() -> None:
     assert rules.both_press([5.0])  # against what nothing moves
 
 
-def test_fingers_that_come_as_far_as_in_the_empty_hand_may_have_met_one_another() -> None:
-    assert rules.alone([True])
-    assert rules.alone([True, True])
-    assert not rules.alone([True, False])  # one of two pushes what both hold
-    assert rules.alone([True, False, False])  # one of three has passed it
-    assert not rules.alone([False, False, False])
-    assert not rules.alone([])
+def test_what_stops_a_finger_before_the_empty_hand_meets_itself_is_an_object() -> None:
+    assert rules.came_as_far(0.80, 0.80, 0.05)
+    assert rules.came_as_far(0.76, 0.80, 0.05)
+    assert not rules.came_as_far(0.74, 0.80, 0.05)
+    assert not rules.came_as_far(NAN, 0.80, 0.05)
 
 
 def test_a_result_waits_until_the_force_has_settled() -> None:

@@ -24,6 +24,7 @@ from rtee.log import Recorder, RecorderSettings, Recording, read
 from rtee.log.check import check
 from rtee.loop.settings import loop_settings
 from rtee.trials.bench import bench, recorder_for
+from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.types import Around, DeviceSpec, Force, Goal, Intensity, Named, Reference
 
@@ -101,9 +102,22 @@ def test_a_timed_action_runs_through() -> None:
 )
 def test_an_empty_hand_closes_on_itself(name: str, action: str, elements: tuple[str, ...]) -> None:
     headless = start(name)
-    result = headless.do(Goal(Named(action, elements)))
-    assert result.outcome == "closed"
-    assert result.grasped_fingers == ()
+    for _ in range(2):  # the second time, from where its fingers push one another
+        result = headless.do(Goal(Named(action, elements)))
+        assert result.outcome == "closed"
+        assert result.grasped_fingers == ()
+
+
+def test_a_pinch_that_an_object_stops_before_the_fingers_meet_holds_it() -> None:
+    headless = start("schunk_svh", object="sphere:0.02", carrier="lift")
+    simulation, action = headless.simulation, headless.library.find("PinchTight", ("thumb", "ring"))
+    (place,) = Places(simulation, headless.hand, action).find(1)
+    simulation.reset()
+    around = simulation.surroundings
+    around.place(around.base_pose @ place.pose)
+    result = headless.do(Goal(Named(action.name, action.elements)))
+    assert result.outcome == "held"
+    assert set(result.grasped_fingers) == {"thumb", "ring"}
 
 
 def test_the_lag_of_fingers_is_learned_to_be_kept() -> None:
