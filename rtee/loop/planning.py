@@ -377,6 +377,8 @@ def _speed(goal: Goal, action: Action, tips: OpposingTips | None, hand: Hand) ->
 
 def _slowness(speed: float, hand: Hand, legs: Iterable[Leg]) -> float:
     """Return the additional time of motions at a share of the velocity limits [s]."""
+    if speed == 1.0:
+        return 0.0
     at = {i: actuator.rest for i, actuator in enumerate(hand.actuators)}
     time = 0.0
     for leg in legs:

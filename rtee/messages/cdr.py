@@ -149,11 +149,13 @@ class Reader:
         start = self._position
         end = start + count
         if end > self._end:
-            raise MessageError(
-                f"{count} bytes expected at offset {start - len(HEADER)}, {self.remaining} left"
-            )
+            raise self._short(count, start)
         self._position = end
         return start
+
+    def _short(self, count: int, start: int) -> MessageError:
+        left = self._end - start
+        return MessageError(f"{count} bytes expected at offset {start - len(HEADER)}, {left} left")
 
     def scalar(self, kind: str) -> Any:
         """Return one number or truth value of a primitive kind."""
@@ -167,8 +169,12 @@ class Reader:
 
     def double(self) -> float:
         """Return a ``float64``."""
-        self._position += (4 - self._position) % 8
-        value: float = _DOUBLE.unpack_from(self._data, self._take(8))[0]
+        # As `_take` does, without the call: most fields are of this kind.
+        start = self._position + (4 - self._position) % 8
+        self._position = end = start + 8
+        if end > self._end:
+            raise self._short(8, start)
+        value: float = _DOUBLE.unpack_from(self._data, start)[0]
         return value
 
     def strings(self) -> list[str]:

@@ -80,12 +80,13 @@ def mapping(names: str, values: str) -> As:
 
 def word(name: str, kind: type[StrEnum], wrong: str) -> As:
     """Return the conversion of an enumeration to a string, with the error for any other string."""
+    known = {str(member): member for member in kind}
 
     def unpack(value: str) -> StrEnum:
-        try:
-            return kind(value)
-        except ValueError:
-            raise MessageError(wrong.format(value)) from None
+        member = known.get(value)
+        if member is None:
+            raise MessageError(wrong.format(value))
+        return member
 
     return field(name, unpack)
 

@@ -128,10 +128,9 @@ def _fields(goal: Goal) -> dict[str, Any]:
     }
 
 
-_SAME: Final = (
-    *("action", "elements", "kind", "intensity", "tolerance", "narrower", "wider"),
-    *("grasp", "touch", "speed", "goal_id", "client"),
-)
+_WITHOUT: Final = ("header", "time")
+"""Fields that are no options of a goal."""
+
 OPTIONAL = ("opening", "tip_speed", "force", "max_force", "timeout")
 """Fields that are ``NaN`` where a goal has no such value."""
 
@@ -142,17 +141,17 @@ _ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' is none of stop
 
 def _goal(fields: Mapping[str, Any]) -> Goal:
     """Return the goal in the fields of a message."""
-    words = list(map(_ON_CONTACT.unpack, fields["on_contact"]))
-    given: dict[str, Any] = {
-        name: None if math.isnan(fields[name]) else fields[name] for name in OPTIONAL
-    }
-    return goal_of(
-        **{name: fields[name] for name in _SAME},
-        **given,
-        stage=_STAGE.unpack(fields["stage"]),
-        effort=paired("effort", fields["effort_name"], fields["effort"]),
-        on_contact=paired("on_contact", fields["contact_finger"], words),
-    )
+    options = dict(fields)
+    for name in OPTIONAL:
+        if math.isnan(options[name]):
+            options[name] = None
+    words = list(map(_ON_CONTACT.unpack, options["on_contact"]))
+    options["stage"] = _STAGE.unpack(options["stage"])
+    options["effort"] = paired("effort", options.pop("effort_name"), options["effort"])
+    options["on_contact"] = paired("on_contact", options.pop("contact_finger"), words)
+    for name in _WITHOUT:
+        options.pop(name, None)
+    return goal_of(**options)
 
 
 GOAL = Codec("rtee_msgs/msg/Goal", Goal, whole=(_fields, _goal))

@@ -89,7 +89,12 @@ class Rates:
 
     def allow(self, name: str) -> bool:
         """Count a request and return whether it may be handled."""
-        left, now = self._requests_left(name), self._now()
+        now = self._now()
+        rate = self._times * _RATES.get(name, _USUAL)
+        # With less than one, a slow rate would allow nothing at all.
+        most = max(_BURST * rate, float(rate > 0.0))
+        left, then = self._left.get(name, (most, now))
+        left = min(left + (now - then) * rate, most)
         # A refused request uses up nothing: clients that go on are not locked out for longer.
         if left < 1.0:
             return False
@@ -104,13 +109,6 @@ class Rates:
     def has_bytes(self) -> bool:
         """Return whether one more answer may be sent, of any length."""
         return self._bytes_left() > 0.0
-
-    def _requests_left(self, name: str) -> float:
-        rate, now = self._times * _RATES.get(name, _USUAL), self._now()
-        # With less than one, a slow rate would allow nothing at all.
-        most = max(_BURST * rate, float(rate > 0.0))
-        left, then = self._left.get(name, (most, now))
-        return min(left + (now - then) * rate, most)
 
     def _bytes_left(self) -> float:
         now = self._now()

@@ -418,13 +418,13 @@ class Server:
         """Return a function that queues the answer to a query."""
         return lambda data, ok: queue.put(partial(reply, self._hand, query, data, ok))
 
-    def _later(self, query: zenoh.Query, send: Send) -> Later | None:
-        """Return a function that refuses a query after a delay; ``None`` for a large query."""
-        if query.payload is not None and len(query.payload) > _LARGEST_REFUSED:
-            return None
+    def _later(self, query: zenoh.Query, send: Send) -> Later:
+        """Return a function that refuses a query after a delay, and a large one at once."""
 
         def later(data: bytes | None) -> None:
-            if not self.refused.put(partial(refuse, query, data)) and data is not None:
+            large = query.payload is not None and len(query.payload) > _LARGEST_REFUSED
+            waits = not large and self.refused.put(partial(refuse, query, data))
+            if not waits and data is not None:
                 send(data, False)
 
         return later
