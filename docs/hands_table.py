@@ -205,7 +205,7 @@ def tables() -> str:
 
 def _trust() -> list[str]:
     return [
-        "How far to trust each: what judged its driver and its emulator. The sheet is made from",
+        "What each driver and emulator was tested against. The sheet is made from",
         "the maker's documents and from programs for the device; software by the maker or by",
         "others drives the emulator in the tests (`make heavy`); recorded bytes are frames of real",
         "devices that the tests decode. No driver has been tried on hardware by its authors;",

@@ -50,7 +50,7 @@ class GripForce:
     def force_for(self, effort: float, position: float) -> float:
         """Return the force [N] of an effort limit [N·m | N] at a position [rad | m]."""
         low, high = self.range_at(position)
-        # Beyond the sheet's limits, the nearest force that it states: measured efforts may be.
+        # Clamped to the sheet's forces, since measured efforts may exceed its limits.
         share = (effort - self.effort[0]) / (self.effort[1] - self.effort[0])
         return low + min(max(share, 0.0), 1.0) * (high - low)
 

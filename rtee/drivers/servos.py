@@ -674,14 +674,14 @@ class ServoDriver(Driver, Generic[L]):
                 # A goal would enable the torque of some servos.
                 read = partial(self.connection.link.values, self.TORQUE, self.ids)
                 powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
-            # In the cycle's deadline: an answer that is lost must not use up a stop's time.
+            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
             await patiently(partial(self._hold, powered, self.standstill.instead))
 
     async def disable(self) -> None:
         """Disable the torque; the fingers go limp."""
         self.active = False
         with contextlib.suppress(RteeError, OSError):
-            # In the cycle's deadline, as a stop.
+            # Within the cycle's deadline, as for a stop.
             await patiently(self._release)
 
     # --- calibration -------------------------------------------------------------------------

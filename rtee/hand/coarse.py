@@ -44,7 +44,7 @@ def coarsened(points: FloatArray, faces: Faces, kept: FloatArray) -> FloatArray:
     points, faces, count = points[order], np.argsort(order)[faces], int(own.sum())
     a, b, c = (points[faces[:, i]] for i in range(3))
     area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
-    # A closed surface has twice as many triangles as corners; and no more cells than fit in bits.
+    # A closed surface has twice as many triangles as corners; cells must be countable in `_BITS`.
     cell = max(math.sqrt(2.0 * area / MOST), float(np.ptp(points, axis=0).max()) / 2**_BITS)
     while True:
         place = ((points - low) / cell).astype(np.int64)

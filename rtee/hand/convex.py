@@ -62,8 +62,8 @@ def convex_solids(corners: FloatArray, parts: Sequence[Faces]) -> list[Solid]:
 
 
 def _pieces(corners: FloatArray, faces: Faces, most: int) -> list[Solid]:
-    """Return the pieces of a part, at most so many; none if it cannot be divided."""
-    # In an order of their own, so that each reader of a file comes to the same pieces.
+    """Return the pieces of a part, at most ``most``; none if it cannot be divided."""
+    # In an order of their own, so that every reader of the file gets the same pieces.
     corners, place = np.unique(np.round(corners, _PLACES) + 0.0, axis=0, return_inverse=True)
     faces = place.reshape(-1)[faces]
     turn = faces.argmin(axis=1)[:, None] + np.arange(3)
@@ -77,7 +77,7 @@ def _pieces(corners: FloatArray, faces: Faces, most: int) -> list[Solid]:
             for points, sides in json.loads(file.read_text())
         ]
     found = list(_divided(corners, faces, most))
-    with suppress(OSError):  # a computer without a home does it again
+    with suppress(OSError):  # without a home directory, it is computed again
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, json.dumps([(p.tolist(), f.tolist()) for p, f in found]))
     return found

@@ -288,7 +288,7 @@ class _Collector:
         joint_states = self._series(topics.JOINT_STATES, start)
         reference = self._series(topics.REFERENCE, start)
         actuator_states = self._actuators(start)
-        # Plans of before have no speed of their own: that of the goal was replaced by it.
+        # In earlier versions the planned speed was recorded in the goal, not in the plan.
         speeds = {each["goal_id"]: each["speed"] for _, _, each in self._messages[topics.GOALS]}
         goals = self._entries(topics.GOALS, _goal, start)
         by_id = {entry.value.goal_id: entry.value for entry in goals}

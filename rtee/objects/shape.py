@@ -185,7 +185,7 @@ def hollow_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> st
         corners: Its corners ``(v, 3)`` [m].
         faces: Its triangles, as indices of corners ``(f, 3)``.
     """
-    # Some of the faces and corners show it, and a scan has a hundred thousand.
+    # A sample of faces and corners shows it; a scan may have a hundred thousand.
     some = faces[:: max(len(faces) // _LOOKED_AT, 1)]
     points = np.asarray(corners[:: max(len(corners) // _LOOKED_AT, 1)], dtype=np.float64)
     first, second, third = (np.asarray(corners[some[:, k]], dtype=np.float64) for k in range(3))

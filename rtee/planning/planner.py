@@ -317,7 +317,7 @@ class Planner:
         limited: BoolArray = np.isfinite(limits)
         # Virtual work: the transposed Jacobian turns the forces at contacts into efforts.
         maps = self.scene.torques(closure.u, contacts)[:, limited] / limits[limited, None]
-        maps = np.repeat(maps, EDGES + 2, axis=0)  # each contact has so many wrenches
+        maps = np.repeat(maps, EDGES + 2, axis=0)  # the number of wrenches of a contact
         efforts: FloatArray = np.einsum("kaj,kj->ka", maps, found[:, :3])
         return efforts
 

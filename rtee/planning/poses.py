@@ -300,7 +300,7 @@ class Poses:
             here = coal.Transform3s(np.eye(3), middle + gone * towards)
             least = min(self._scene.distance(tip, at, self._probe, here) for tip in tips)
             if least < _PROBED:
-                # The probe's radius is room as well, but not where the probe itself has none.
+                # The probe's radius is free, too, unless the probe itself has no room at the start.
                 return max(0.0, gone + _PROBE) if gone else 0.0
             gone += least
         return None

@@ -133,6 +133,6 @@ def _judged(
     promises = [planner.promise(middle)]
     closures = closed_nearby(closing, candidate)
     promises += [planner.promise(closure) for closure in closures if closure is not None]
-    # Poses nearby that are not held count in the mean, as promising nothing.
+    # Nearby poses that do not hold count in the mean, with a score of 0.
     count = len(closures) + 1
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)

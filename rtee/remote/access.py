@@ -94,7 +94,7 @@ def gate_access_control(hand: str, zid: str, name: str, role: Role) -> dict[str,
     """
     settings = _allowed(hand, {HERE: {name: role}})
     settings["rules"].append(_all("all", "**"))
-    # The hand itself, and what goes to it, which was judged when it came in.
+    # The hand itself, and messages to it, which were checked when they arrived.
     settings["subjects"].append({"id": "hand", "zids": [zid]})
     settings["policies"].append({"rules": ["all"], "subjects": ["hand"]})
     return settings

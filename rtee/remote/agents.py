@@ -110,7 +110,7 @@ class Agents:
             descriptor = os.open(self._file, os.O_RDONLY | _FLAGS)
         except FileNotFoundError:
             return ""
-        except OSError:  # whatever is there means that they are out
+        except OSError:  # any content means that they are locked out
             return "stopped"
         with os.fdopen(descriptor, "rb") as file:
             text = file.read(_LONGEST).decode("utf-8", "replace")

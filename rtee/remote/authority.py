@@ -72,7 +72,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
             path=folder / AUTHORITY_KEY,
         )
     try:
-        # Each by itself, since `parents` makes those above with whatever the umask leaves.
+        # One by one, since `parents` makes the upper ones with the umask's permissions.
         for place in (*reversed(folder.parents), folder):
             place.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:

@@ -403,7 +403,7 @@ class Server:
                 # Too many stops: their answers are delayed, but they take effect at once.
                 request.send = answer_later
             request.check()
-            # Name the person only: the door does not know the clients of a certificate apart.
+            # Name the person only: the door cannot tell a certificate's clients apart.
             self._commands.stop(request.client.partition(".")[0], request.answer)
 
         check, junk = self._identities.name, self._identities.answers_junk

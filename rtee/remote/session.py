@@ -181,7 +181,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
 
     Raises `ConfigError` if the variable is malformed, `zenoh.ZError` for what Zenoh refuses.
     """
-    # Not set, where another environment took the place of that in which this module was imported.
+    # Missing if another environment has replaced the one in which this module was imported.
     text = os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME).strip()
     wrong = ConfigError(
         f"{_RUNTIME_VARIABLE}={text[:80]} does not describe Zenoh's threads, as "

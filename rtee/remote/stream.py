@@ -205,7 +205,8 @@ class StreamClient:
                     # lease; the answer comes first, since what has not begun cannot be ended.
                     # Shielded: a cancelled client must end its stream before its deadline.
                     with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                        with contextlib.suppress(NoHand):  # its answer may be lost, and it be open
+                        # The answer may be lost although the stream is open.
+                        with contextlib.suppress(NoHand):
                             await begun
                         if not (stream.ended or link.gone):
                             await link.ask("end_stream", {"client": link.client, "stream": name})

@@ -415,12 +415,12 @@ class _Following:
     ) -> None:
         self._action, self._motion, self._names, self._limits = action, motion, names, limits
         self._times = times
-        # Times in feedback count from the begin of the points, which a stamp may set.
+        # Times in feedback count from the beginning of the points, which a stamp may set.
         self._begin = motion.end - (times[-1] if times else 0.0)
         self._outcome: ActionOutcome | None = None
         self._changed = anyio.Event()
-        self._played = math.inf  # when the hand was first seen to
-        self._passed = False  # its end has been looked at
+        self._played = math.inf  # when the hand was first seen to play it
+        self._passed = False  # its end has been checked
         self._play = Play(
             motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
         )

@@ -147,14 +147,14 @@ async def run_hands(
                 hand.loop.add_observer(service.watch(hand.loop.name))
         # The CPUs before this thread is pinned: companions would inherit the pinned ones.
         cpus = affinity()
-        # Now that all threads of the hands run, which it gives precedence, too.
+        # Only now, since it also gives precedence to the hands' threads, which all run.
         for warning in set_up(realtime):
             log.warning("%s", warning)
         stack.enter_context(favoured_session(realtime))
         stack.callback(sys.setswitchinterval, share_the_interpreter())
         collector.start()
         stack.callback(collector.stop)
-        if not realtime.enabled:  # a real-time tick must not wait for a returned page
+        if not realtime.enabled:  # a real-time tick must not wait for pages returned to the system
             give_memory_back()
         try:
             loops = [hand.loop for hand in hands]

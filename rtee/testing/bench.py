@@ -126,7 +126,7 @@ def main(words: Sequence[str]) -> int:
     options = RunOptions(
         driver=driver or "devices",
         emulated=not driver,
-        # An application's tests compare numbers, and must not fail on a computer for their noise.
+        # Without wear and noise, since the tests of an application compare numbers.
         ideal=not driver,
         home=not driver,
         log=Path(folder),

@@ -147,7 +147,7 @@ class Places:
         curl = self._tips(0.4).mean(axis=0) - self._tips(0.0).mean(axis=0)
         curl = curl - (curl @ outward) * outward
         length = float(np.linalg.norm(curl))
-        # Without a direction, places to the side fall together and are found to be one.
+        # Without a direction, places to the side coincide and count as one.
         unit: FloatArray = curl / length if length > 1e-3 else np.zeros(3)
         return unit
 

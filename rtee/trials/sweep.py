@@ -106,7 +106,7 @@ class Local:
             done.set_result(perform(hand, to_text(task)))
             return done
         # Ctrl-C, which a terminal sends to all processes, is left to this one: the others, which
-        # the pool starts as it needs them, are born with it blocked.
+        # the pool starts as it needs them, start with it blocked.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             with child.spawning():

@@ -190,7 +190,7 @@ def play(trial: TaskTrial, scene: TrialScene) -> TaskResult:
         end = End(scene.play((*grasp, *disturbance, _kept)) or End.HELD)
     except SimulationUnstable:
         return TaskResult(End.UNSTABLE, round(scene.peak, 3))
-    # Whatever else it came to: an egg may be broken and still be held.
+    # Independent of the other outcome: an egg may be broken and still be held.
     if trial.task is Task.EGG and scene.peak > BREAKS:
         end = End.BROKEN
     return TaskResult(end, round(scene.peak, 3))
@@ -204,7 +204,7 @@ def present(ready: TrialBench, trial: TaskTrial, number: int) -> TrialScene:
     mass = trial.task.mass if trial.mass is None else trial.mass
     options = SimOptions(
         object=trial.object,
-        support="floating",  # let go of when the hand says that it has it
+        support="floating",  # let go when the hand reports that it holds it
         object_mass=mass * varied.uniform(*_MASS),
         friction=varied.uniform(*_FRICTION),
     )

@@ -115,7 +115,7 @@ def run_trial(
         ModelError: if the hand cannot be simulated.
     """
     action = library.find(trial.action, trial.elements)
-    # Built once: the variations differ in the object and in friction alone.
+    # Built once: the variations differ only in the object and the friction.
     built = build_hand(hand, SimOptions())
     simulation = _simulation(hand, settings, trial, built=built)
     thing = read_object(trial.object, trial.mass)

@@ -340,7 +340,7 @@ class AbilityHandDriver(Driver):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            # In the cycle's deadline: an answer that is lost must not use up a stop's time.
+            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
             await patiently(self._hold)
 
     async def _hold(self) -> None:

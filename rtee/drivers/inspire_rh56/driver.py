@@ -426,7 +426,7 @@ class InspireRh56Driver(Driver):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            # In the cycle's deadline: an answer that is lost must not use up a stop's time.
+            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
             report = await patiently(self._measured)
             both = tuple(zip(self._motors, self._scales, strict=True))
             here = [scale.position.within(report.angles[motor]) for motor, scale in both]

@@ -342,7 +342,7 @@ class LinkerHandDriver(Driver):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            # In the cycle's deadline: an answer that is lost must not use up a stop's time.
+            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
             await patiently(lambda: self._hold(self._motors, self.standstill.instead))
 
     async def _hold(

@@ -151,7 +151,7 @@ class Surroundings:
             over = force - math.copysign(most, force if abs(force) > most else gave)
             step = _YIELDS * over / float(self._model.actuator_gainprm[motor, 0])
             after = gave + step
-            # It comes back to where it is to be, and no farther.
+            # It returns to its set-point, and no farther.
             self._yielded[axis] = after if abs(force) > most or after * gave > 0.0 else 0.0
             self._control[motor] = self._wanted[axis] + self._yielded[axis]
 

@@ -249,7 +249,7 @@ class QbSoftHandDriver(Driver):
             if lower >= 0:
                 lower = factory.lower
             if options.closure_ticks is not None:
-                # Such that the common travel, upper + lower, is the given one.
+                # Chosen so that the common travel, upper + lower, is the given one.
                 upper = options.closure_ticks - lower
             self.mapping = TwoMotorHand(lower, upper)
 
