@@ -51,7 +51,7 @@ class Writer:
     """Builds the bytes of one message.
 
     Args:
-        begin: Begin of the message, including the encapsulation header.
+        begin: Beginning of the message, including the encapsulation header.
     """
 
     __slots__ = ("_buffer",)

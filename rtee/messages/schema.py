@@ -177,7 +177,7 @@ class MessageType:
     Attributes:
         name: Full name, such as ``sensor_msgs/msg/JointState``.
         fields: The fields, in order.
-        summary: Comment at the begin of the definition.
+        summary: Comment at the beginning of the definition.
         constants: The constants, by name.
         makes: Makes the class of messages, whose ``filled`` makes one of its fields by name.
         message: That class; ``None``: messages are dictionaries.

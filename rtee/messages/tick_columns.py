@@ -1,4 +1,4 @@
-"""Ticks column by column, in a fifth of the room that their messages take.
+"""Ticks column by column, in a fifth of the space that their messages take.
 
 The records of the messages of a tick have one layout. Where they change from tick to tick, they do
 by numbers of eight bytes, mostly smoothly: the differences of such numbers, taken as integers and

@@ -30,10 +30,10 @@ class PoseCandidate:
 
     Attributes:
         pose: Pose of the object ``(4, 4)`` in the base frame.
-        approach_from: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
+        approach_from: Start of its approach, relative to the hand ``(3,)`` [m]; free of contact.
         width: Its width between the fingers [m].
         opening: How far apart they are at rest [m].
-        start: Step of the action's path at which the hand comes, and from which it closes.
+        start: Step of the action's path at which the hand approaches, and from which it closes.
         raised: It was moved once already, so that the closing hand clears the table.
     """
 
@@ -52,8 +52,9 @@ class Approach:
     Attributes:
         pose: Pose of the object at depth 0 ``(4, 4)``.
         direction: From where it comes, a unit vector ``(3,)``.
-        frames: Poses of the hand's bodies as it comes ``(m + 1, 4, 4)``.
-        depth: How far before the pose it stops [m]; negative beyond it; ``None`` if it can't come.
+        frames: Poses of the hand's bodies during the approach ``(m + 1, 4, 4)``.
+        depth: How far before the pose it stops [m]; negative beyond it; ``None`` if the path is
+            blocked.
     """
 
     pose: FloatArray
@@ -107,7 +108,7 @@ def near_side(
 
 
 def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:
-    """Yield at most so many candidates, with the approaches before them."""
+    """Yield a limited number of candidates, with the approaches before them."""
     while most:
         item = next(found, None)
         if item is None:
@@ -117,7 +118,7 @@ def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:
 
 
 def interleaved(first: Iterator[Found], second: Iterator[Found]) -> Iterator[Found]:
-    """Yield candidates from two iterators by turns, with the approaches before them."""
+    """Yield candidates from two iterators alternately, with the approaches before them."""
     left = [first, second]
     while left:
         for found in list(left):

@@ -169,7 +169,7 @@ class HandClosing:
         path: The action's path.
         friction: Coefficient of friction between the hand and the object.
         grid: Intensities of the table ``(STEPS + 1,)``.
-        table: Where the hand is at these.
+        table: Poses of the hand at these.
         frames: Poses of the bodies at `TICKS` intensities and rest ``(TICKS + 1, m + 1, 4, 4)``.
         speed: How fast each shape moves at most ``(shapes,)`` [m per unit of intensity].
         drives: Which moving actuators move each shape ``(shapes, n)``.
@@ -202,8 +202,8 @@ def close_all(asked: Sequence[tuple[HandClosing, FloatArray, int]]) -> list[Clos
     """Close hands on an object, each by an action; together, it takes a fraction of the time.
 
     Args:
-        asked: Actions of one scene, where the object is at first ``(4, 4)``, free of the hand, and
-            the step of the table from which the hand closes.
+        asked: Actions of one scene, each with the initial pose of the object ``(4, 4)``, free of
+            the hand, and the step of the table from which the hand closes.
 
     Returns:
         The closed hands; ``None`` where one never holds the object from two sides.
@@ -330,7 +330,7 @@ class _HandBatch:
         return balanced(cones(normals, self._friction).reshape(-1, 3))
 
     def _rest_closed(self, rows: Slots) -> list[Closure]:
-        """Let the actuators go on that are not blocked, where contacts oppose each other."""
+        """Move the actuators on that are not blocked, where contacts oppose each other."""
         paths = [self._closings[row].path for row in rows.tolist()]
         drives = np.array([self._closings[row].drives for row in rows.tolist()])
         touches = [self._touches[row] for row in rows.tolist()]

@@ -1,8 +1,8 @@
-"""An action composed for an object where no single one is good: scaled primitives, together.
+"""Compose an action of scaled primitives for an object that no single action grasps well.
 
 As in the paper, an action is composed of others, each scaled from rest. Fingers that close alone
-(Trig) are combined, and pinches with the fingers that they leave out. How far each part goes is
-read off from where its links stop at the object.
+(Trig) are combined, and pinches with the fingers that they leave out. The scale of each part
+follows from where its links stop at the object.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def action_of(library: ActionLibrary, name: str, plan: GraspPlan, description: s
         description: One sentence for people.
 
     Raises:
-        ActionError: if the name is not good, or the plan's action is timed.
+        ActionError: if the name is invalid, or the plan's action is timed.
     """
     parts = plan.parts or (ActionReference(plan.action, plan.elements),)
     scaled = [dataclasses.replace(p, scale=round(p.scale * plan.intensity, 3)) for p in parts]

@@ -40,8 +40,8 @@ class Placed(Protocol):
 class DistanceBounds:
     """Lower bounds of the distances between the shapes of hands and the pieces of an object.
 
-    Each row is a hand with the object. The caller says by `pushed` and `closed` how they have moved
-    since, and what it hands over as ``at`` is where the hands are then. The object does not turn.
+    Each row is a hand with the object. The caller reports motions by `pushed` and `closed`, and
+    passes the new poses of the hands as ``at``. The object does not turn.
 
     Args:
         scene: The hand and the object.
@@ -143,14 +143,14 @@ class DistanceBounds:
 
         Args:
             at: Where the hands are.
-            enough: More than this need not be exact; then it is what is returned. One for all, or
-                one for each row.
+            enough: Larger results need not be exact; this value is then returned. One for all rows,
+                or one for each.
             rows: Which rows are checked; all unless given.
             paces: How fast the shapes may come nearer ``(len(rows), shapes)`` [m per unit of time];
                 without them, distances are returned [m].
             among: Which shapes count ``(len(rows), shapes)``; all unless given.
             until: The distance that is a contact [m].
-            below: Less than this need not be exact, only below it.
+            below: Smaller results need not be exact, only smaller than this.
         """
         rows, bounds = self._of(rows)
         free = bounds - until if paces is None else (bounds - until) / paces[:, :, None]
@@ -212,7 +212,7 @@ class DistanceBounds:
         return rows[which] * (self._shapes * self._pieces) + inner, which
 
     def _refined(self, pairs: Slots, at: Placed) -> FloatArray:
-        """Return the bounds of some pairs after another look at where they are ``(k,)`` [m]."""
+        """Return the bounds of some pairs, renewed from their present poses ``(k,)`` [m]."""
         slots, normals = pairs // self._pieces, self._normals[pairs]
         turns, middles = at.carried(slots)
         # The farthest point of a shape along a normal moves with the shape's middle, and by no more
@@ -248,7 +248,7 @@ class DistanceBounds:
         return found
 
     def _note(self, measured: Sequence[int], at: Placed) -> None:
-        """Note where the planes of pairs are whose distances are known."""
+        """Store the planes of pairs whose distances are known."""
         if not measured:
             return
         pairs = np.array(measured)

@@ -77,18 +77,18 @@ class GraspSolution(Value):
         pre_grasp: The same before it, with room between the fingers and the object.
         palm_pose: Pose ``(4, 4)`` of the hand's base link for it, row by row, in the planner's
             frame.
-        pre_palm_pose: Where the palm comes from along the approach.
-        flange_pose: The pose of the arm's flange for it, in the planner's frame; ``None`` where
-            hand.yaml does not say where the hand sits.
-        pre_flange_pose: Where the flange comes from.
+        pre_palm_pose: Pose of the palm before the approach.
+        flange_pose: The pose of the arm's flange for it, in the planner's frame; ``None`` if
+            hand.yaml has no ``flange``.
+        pre_flange_pose: Pose of the flange before the approach.
         residuals: One for each contact that was wanted.
-        action: The action, where a width was wanted; empty for contacts.
+        action: The action, for a width; empty for contacts.
         elements: Its elements.
         intensity: Its intensity at the width.
         pre_intensity: Its intensity before, with the margin.
         width: The width that was wanted [m]; 0 for contacts.
-        collisions: Where links of the hand meet each other, or the object where one was given, in
-            the posture and before it, the deepest first. The path in between is not checked.
+        collisions: Collisions of links with one another, or with the object if one was given, in
+            the posture and the pre-grasp, the deepest first. The path in between is not checked.
     """
 
     hand: str

@@ -188,22 +188,22 @@ def reach_gripper_pose(
 ) -> GraspSolution:
     """Return the action, the posture and the palm's pose by which a hand takes a gripper's grasp.
 
-    The middle between the fingertips, at the opening of the object's width, comes to where the
-    gripper's is; the direction in which the tips close, to the gripper's. The tips reach as far
-    along the approach as the gripper's fingers.
+    The midpoint between the fingertips, at the opening of the object's width, is placed at that of
+    the gripper, with the same direction of closing. The tips reach as far along the approach as the
+    gripper's fingers.
 
     Args:
         hand: The hand.
         actions: Its actions with their openings.
         grasp: The gripper's grasp.
         fingers: The fingers to grasp with; whichever suit best unless given.
-        approach: Direction in which the palm comes, in the planner's frame; the gripper's unless
-            given.
-        retreat: How far back along it the palm is before [m].
+        approach: Direction in which the palm approaches, in the planner's frame; the gripper's
+            unless given.
+        retreat: Distance of the palm along it before the approach [m].
         margin: How much wider the hand opens before it closes [m].
         tips: The fingertips, where their geometry was read already.
-        obj: The object, or what else must not be met, to look for collisions with it; without
-            one, the hand's own collisions are checked.
+        obj: The object, or another obstacle, to check for collisions; without one, only those of
+            the hand with itself are checked.
         object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
 
     Raises:

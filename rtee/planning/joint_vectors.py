@@ -28,7 +28,7 @@ class FittedJoints:
 
     Attributes:
         posture: Positions of the actuators that move given joints [rad | m].
-        residuals: What each given joint is off there, given minus reached [rad | m].
+        residuals: Error of each given joint there, given minus reached [rad | m].
     """
 
     posture: Mapping[str, float]
@@ -41,7 +41,7 @@ def fit_joints(
     """Return the actuator positions whose joints come nearest to given ones.
 
     Each joint follows one actuator, so the squares of the joints' errors are least actuator by
-    actuator. Joints that no actuator moves count in the residuals alone.
+    actuator. Joints that no actuator moves appear only in the residuals.
 
     Args:
         hand: The hand.

@@ -1,4 +1,4 @@
-"""Poses near that at which an action holds an object, as arms and cameras place it."""
+"""Poses near the one at which an action holds an object, since arms and cameras are inexact."""
 
 from __future__ import annotations
 

@@ -57,7 +57,8 @@ class Piece:
         size: Edge lengths; radius and length, a capsule's with its caps; or radius [m]; nothing for
             a mesh.
         shape: The piece for distances, in the object's frame.
-        points: Points ``(k, 3)`` in the object's frame whose hull, thickened by ``radius``, it is.
+        points: Points ``(k, 3)`` in the object's frame; the piece is their hull, thickened by
+            ``radius``.
         radius: That thickness [m].
     """
 
@@ -78,7 +79,7 @@ class GraspObject:
     """An object to be grasped.
 
     Attributes:
-        name: How it is written on the command line.
+        name: The object, as written on the command line.
         pieces: Its convex pieces.
         mass: Its mass [kg].
         notes: Assumptions about it, one sentence each.
@@ -107,7 +108,7 @@ class GraspObject:
 
     @cached_property
     def centre(self) -> FloatArray:
-        """Centre of mass ``(3,)`` [m], of even density, where pieces overlap counted twice."""
+        """Centre of mass ``(3,)`` [m], of uniform density; where pieces overlap counts twice."""
         volumes = np.array([piece.shape.computeVolume() for piece in self.pieces])
         centres = np.array([piece.shape.computeCOM() for piece in self.pieces])
         found: FloatArray = volumes @ centres / volumes.sum()

@@ -37,7 +37,7 @@ def grasp_plan(
         object: The object: as on the command line, or one that was read.
         mass: Mass of an object that is given as text [kg].
         friction: Coefficient of friction between hand and object.
-        weight_axis: Where the object's weight pulls, a vector of the hand's base frame.
+        weight_axis: Direction of the object's weight, a vector in the hand's base frame.
         table: The table on which the object stands.
 
     Raises:
@@ -62,15 +62,15 @@ def plan_grasps(
 ) -> Ranking:
     """Rank the actions of a hand for an object.
 
-    The same arguments give the same ranking, on whichever day.
+    The result is deterministic.
 
     Args:
         hand: The hand.
         library: Its actions.
         obj: The object.
         friction: Coefficient of friction between hand and object.
-        weight_axis: Where the object's weight pulls, a vector of the hand's base frame; along its
-            reach, as of a hand that reaches down, unless given.
+        weight_axis: Direction of the object's weight, a vector in the hand's base frame; along its
+            reach, as of a hand that points down, unless given.
         table: The table on which the object stands: the hand keeps clear of it on its way, and as
             it closes and opens. What can't be grasped there has to stand out over its edge.
         compose: Compose an action of primitives where no single one is good.

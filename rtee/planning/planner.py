@@ -111,8 +111,8 @@ class GraspTask:
 
     Attributes:
         friction: Coefficient of friction between hand and object.
-        weight_axis: Where the weight pulls, a unit vector ``(3,)`` of the hand's base frame; on a
-            table with a normal of its own, against that.
+        weight_axis: Direction of the weight, a unit vector ``(3,)`` in the hand's base frame; with
+            a table that has a normal, the weight acts against that instead.
     """
 
     friction: float
@@ -286,7 +286,7 @@ class Planner:
         return best if best.load > 0.0 else "it can't carry the weight along this axis"
 
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
-        """Return the hand as it has closed by an action where a plan says."""
+        """Return the hand closed by an action at a plan's pose."""
         closing = HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
         return closing.close(np.array(plan.pose), round(plan.preshape * STEPS))
 
@@ -311,7 +311,7 @@ class Planner:
     def _efforts(
         self, closure: Closure, contacts: Sequence[Contact], found: FloatArray
     ) -> FloatArray:
-        """Return the efforts that wrenches take of the actuators, as shares of their limits."""
+        """Return the efforts that wrenches need from the actuators, as shares of their limits."""
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
         # An actuator without a known limit does not limit the load; the notes say so.
         limited: BoolArray = np.isfinite(limits)

@@ -366,7 +366,7 @@ class Poses:
             yield from at_most(placed, _share(most, len(fitting)))
 
     def _ways(self, step: int, turn: FloatArray) -> Iterator[tuple[bool, Way]]:
-        """Yield how the object may come, turned, and whether from the side above a table.
+        """Yield the ways in which the object may approach, and whether from the side above a table.
 
         Fingers that curl and oppose a thumb along the reach approach a standing object at a tilt.
         """
@@ -490,7 +490,7 @@ class Poses:
     def _stands(
         self, begin: FloatArray, direction: FloatArray, width: float
     ) -> list[tuple[int, float, FloatArray]]:
-        """Return steps at which the hand may come, the one to try first first.
+        """Return steps at which the hand may approach, in the order of trial.
 
         With each the least depth at which it stays clear of the table as it closes [m], and the
         pose of the object at depth 0: a hand that comes from the side is raised as far as it has to

@@ -47,7 +47,7 @@ class Question:
         mass: Its mass [kg].
         friction: Coefficient of friction.
         scale: Brings the mesh to metres.
-        weight_axis: Where its weight pulls, in the hand's base frame; empty: along its reach.
+        weight_axis: Direction of its weight in the hand's base frame; empty: along its reach.
         top: How many grasps are wanted.
         table: The table on which it stands.
     """
@@ -96,8 +96,8 @@ class ReachQuestion:
         fingers: The finger for each contact, or none; for a pose, the fingers to grasp with.
         width: Width of the object, for a pose [m].
         pose: 16 numbers, row by row: of the gripper, or of the palm for contacts; or none.
-        approach: Direction in which the palm comes; or none.
-        retreat: How far back along it the palm is before [m].
+        approach: Direction in which the palm approaches; or none.
+        retreat: Distance of the palm along it before the approach [m].
         tolerance: Farthest that a fingertip may be from its contact [m].
         object: Shape of the object, to look for collisions with it; or empty.
         object_pose: 16 numbers, row by row: its pose; or none.

@@ -1,4 +1,4 @@
-"""A posture for contacts that a planner wants: the fingertips' surfaces are brought to them.
+"""Find the posture in which fingertips touch the contacts that a planner asks for.
 
 Each wanted contact is a point and a normal into the object. A damped least-squares search
 (Levenberg 1944, Marquardt 1963) over the actuators brings the surface of one fingertip to each
@@ -111,7 +111,7 @@ def reach_contacts(
     obj: GraspObject | None = None,
     object_pose: FloatArray | None = None,
 ) -> GraspSolution:
-    """Return the posture in which fingertips touch where a planner wants it.
+    """Return the posture in which fingertips touch the wanted contacts.
 
     Args:
         hand: The hand.
@@ -119,13 +119,13 @@ def reach_contacts(
         contacts: The contacts: two or more.
         palm_pose: Pose of the hand's base link ``(4, 4)`` in the frame of the contacts; that frame
             is the base link's unless given.
-        approach: Direction in which the palm comes, in the frame of the contacts; from the palm to
-            the middle of the contacts unless given.
-        retreat: How far back along it the palm is before [m].
+        approach: Direction in which the palm approaches, in the frame of the contacts; from the
+            palm to the middle of the contacts unless given.
+        retreat: Distance of the palm along it before the approach [m].
         tolerance: Farthest that a fingertip may be from its contact [m].
         tips: The fingertips, where their geometry was read already.
-        obj: The object, or what else must not be met, to look for collisions with it; without
-            one, the hand's own collisions are checked.
+        obj: The object, or another obstacle, to check for collisions; without one, only those of
+            the hand with itself are checked.
         object_pose: Its pose ``(4, 4)`` in the frame of the contacts; that frame's unless given.
 
     Raises:
@@ -248,7 +248,7 @@ class _PostureSearch:
         """Return the best posture found, and which finger touches where.
 
         Of postures that are within a millimetre and a few degrees of all contacts, the first
-        without collisions is the best. One with collisions is taken only where none is without.
+        without collisions is the best. One with collisions is taken only if all have some.
         """
         good = _GOOD * len(wanted)
         colliding: list[tuple[float, FloatArray, tuple[str, ...]]] = []
@@ -385,7 +385,7 @@ class _PostureSearch:
     ) -> FloatArray:
         """Return the posture on the path from rest in which every tip leaves room at its contact.
 
-        Rest, if that is nowhere so.
+        The rest posture, if there is none.
         """
         rest = np.array(self._hand.rest)
         # From the grasp backwards, so that the fingers open no farther than they need to.

@@ -64,25 +64,25 @@ class GraspPlan(Value):
             in simulation.
         intensity: How far the action goes, 0 to 1, so that it presses.
         touch: Intensity at which the links oppose each other on the object.
-        preshape: Intensity to which the hand closes before the object comes.
+        preshape: Intensity to which the hand closes before the approach.
         opening: How far apart the fingertips are then [m].
         width: The object's width between the fingers [m].
         effort: Share of the effort limits that carries three times the weight, at most 1; 20 times
             where three fingers or more take the object from a table.
-        load: How many times its weight the object can have, at full effort.
+        load: Largest load at full effort, as a multiple of the object's weight.
         quality: Radius of the largest ball of wrenches that is resisted, per newton of normal
             force (Ferrari and Canny).
         clearance: Least distance between hand and object before it closes [m].
         pose: Pose of the object ``(4, 4)`` in the hand's base frame before the hand closes, row by
             row [m].
         held_pose: The same after it has closed: the fingers may push the object.
-        approach_from: From where the object comes, relative to the hand ``(3,)`` [m].
+        approach_from: Start of the object's approach, relative to the hand ``(3,)`` [m].
         contacts: Where the hand touches.
         reasons: Why it has its rank, one sentence each.
-        check: How it ended in dynamics, if it was tried there.
+        check: Result in the simulation, if it was tried there.
         flange_pose: Pose of the arm's flange ``(4, 4)`` in the object's frame before the hand
-            closes, row by row [m]; ``None`` where hand.yaml does not say where the hand sits.
-        pre_flange_pose: Where the flange comes from, likewise.
+            closes, row by row [m]; ``None`` if hand.yaml has no ``flange``.
+        pre_flange_pose: Pose of the flange before the approach, likewise.
         tcp: The middle of the contacts ``(3,)`` in the flange's frame [m], likewise.
         table: Pose of the table's top ``(4, 4)`` in the object's frame, row by row [m], z up; its
             origin is below the object, or on the edge over which this stands out, along x.
@@ -138,12 +138,12 @@ class Ranking(Value):
         object: The object, as on the command line.
         mass: Its mass [kg].
         friction: Coefficient of friction.
-        weight_axis: Where its weight pulls, a unit vector of the hand's base frame; with a table of
-            its own normal, that is against z of each plan's `table` instead.
+        weight_axis: Direction of its weight, a unit vector in the hand's base frame; with a table
+            that has a normal, the weight acts against z of each plan's `table` instead.
         plans: The grasps, one for each action that can hold the object.
-        rejected: The other actions, and why not.
+        rejected: The other actions, with the reasons.
         notes: Assumptions, one sentence each.
-        flange: The frame of the arm's flange; empty where hand.yaml does not say.
+        flange: The frame of the arm's flange; empty if hand.yaml has none.
     """
 
     hand: str

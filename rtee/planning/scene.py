@@ -53,7 +53,7 @@ class GraspScene:
         hand: The hand.
         object: The object.
         geometry: The hand's geometry.
-        postures: Where its shapes are.
+        postures: Poses of its shapes.
         finger: Per shape, the finger that alone has its link; empty for the palm and linkages.
     """
 

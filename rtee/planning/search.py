@@ -1,7 +1,7 @@
 """Searches for poses at which actions hold an object, for many actions at the same time.
 
-Both what brings the object into the open hand and what closes the hand work on many hands together,
-so searches go on in rounds: all that are asked for next is found at once.
+The approach of the object and the closing of the hand are computed for many hands together, so
+searches proceed in rounds: the next requests of all of them are answered at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Search:
 
     Attributes:
         action: The action.
-        closing: What closes the hand by it.
+        closing: Closes the hand by it.
         poses: Finds poses of the object; ``None`` if the action moves nothing.
         candidates: The poses that are left to try, and the approaches on which they depend.
         enough: Grasps after which no other poses are tried.

@@ -1,8 +1,8 @@
 """The table under the object, from which a hand keeps clear as it approaches, closes and opens.
 
 The table goes with the object, so that it is elsewhere in the hand's base frame for each pose of
-the object. It fills all that is below its top; where a grasp needs room below the object, up to an
-edge over which the object stands out on the hand's side.
+the object. It fills everything below its top. Where a grasp needs room below the object, the table
+ends at an edge, over which the object stands out on the hand's side.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ degrees and friction varied: by two jaws, and by more fingers (docs/benchmarks/i
 
 
 def share_held(fingers: int, score: float) -> float:
-    """Return which share of the grasps from a table holds, for a score of geometry and forces."""
+    """Return the share of grasps from a table that hold, for a score of geometry and forces."""
     return round(float(np.interp(score, *(_JAWS_HELD if fingers <= 2 else _FINGERS_HELD))), 4)
 
 
@@ -104,8 +104,8 @@ class Ground:
         Args:
             scene: The hand and the object.
             table: The table.
-            weight_axis: Where the weight pulls unless the table says it ``(3,)``, in the base
-                frame.
+            weight_axis: Direction of the weight ``(3,)`` in the base frame, unless the table gives
+                it.
             edge: The object stands out over the table's edge.
         """
         self._scene, self._table, self._axis, self.edge = scene, table, weight_axis, edge
@@ -181,7 +181,7 @@ class Ground:
         """Return how much farther an object has to be for the closing hand to clear the table.
 
         Args:
-            closing: What closes the hand.
+            closing: Closes the hand.
             steps: Steps of its table until it touches the object.
             begin: Pose of the object ``(4, 4)``.
             direction: From where it comes, a unit vector.

@@ -214,7 +214,7 @@ def quality(found: FloatArray, least: float = 0.0) -> float:
 
     Args:
         found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
-        least: A radius below this need not be exact, only below it [N].
+        least: A smaller radius need not be exact, only smaller than this [N].
 
     Returns:
         The radius [N]; 0 where some wrench is not resisted at all.
@@ -323,7 +323,7 @@ def load(
         torques: Effort that each takes of each actuator with an effort limit, as a fraction of
             that limit ``(k, a)``.
         weights: Wrenches of the object's weight ``(6,)`` or ``(p, 6)`` [N].
-        least: A multiple below this need not be exact, only below it.
+        least: A smaller multiple need not be exact, only smaller than this.
 
     Returns:
         The multiple, from 0 to `MOST_LOAD`.

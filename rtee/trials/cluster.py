@@ -83,7 +83,7 @@ class Cluster:
         self.look()
 
     def _upload(self, hands: Mapping[str, Path]) -> None:
-        """Give all workers, also those that come later, one archive of all that is read."""
+        """Send all workers, also later ones, one archive of all files that are read."""
         with TemporaryDirectory() as folder:
             archive = Path(folder) / "all.zip"
             with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
@@ -108,7 +108,7 @@ class Cluster:
 
     @property
     def capacity(self) -> int:
-        """How many tasks are given at once: each worker has one at hand when it ends another."""
+        """Number of tasks submitted at once, so that each worker has one waiting."""
         return max(2, 2 * len(self._workers()))
 
     def _workers(self) -> dict[str, Any]:

@@ -46,11 +46,11 @@ class SimulationRenderer:
         Args:
             simulation: The simulation in view.
             hand: The hand in it.
-            reach: Ways ``(k, 3)`` [m] from its present place that the hand will go and that must
-                fit into the picture.
+            reach: Displacements ``(k, 3)`` [m] that the hand will make from its present place and
+                that must fit into the picture.
             size: Width and height [pixels].
-            back: Vector ``(3,)`` in the world from the scene towards the camera; where the
-                hand's closing is seen well, from above, unless given.
+            back: Vector ``(3,)`` in the world from the scene towards the camera; by default from
+                above, where the closing is seen well.
 
         Raises:
             MissingExtra: if the extra ``plot`` is not installed.
@@ -113,7 +113,7 @@ class SimulationRenderer:
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
-    """Return the triangles of a geom in its own orthonormal_basis."""
+    """Return the triangles of a geom in its own frame."""
     size = model.geom_size[geom]
     match int(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
@@ -130,9 +130,9 @@ def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
 
 
 class Stills:
-    """Pictures of the moments of a trial; give it as what watches.
+    """Pictures of the moments of a trial; pass it as ``watch``.
 
-    Another try takes the place of the one before. All pictures of one try show the same section.
+    A further try replaces the previous one. All pictures of one try show the same section.
 
     Attributes:
         taken: The moments' names and PNG pictures.
@@ -143,7 +143,7 @@ class Stills:
 
         Args:
             hand: The hand.
-            reach: Ways ``(k, 3)`` [m] from its first place that the hand will go.
+            reach: Displacements ``(k, 3)`` [m] that the hand will make from its first place.
             back: Vector ``(3,)`` in the world towards the camera; see `SimulationRenderer`.
         """
         self.taken: list[tuple[str, bytes]] = []

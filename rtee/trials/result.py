@@ -49,7 +49,7 @@ class Trial:
         friction: Friction between hand and object; ``None``: that of the simulation.
         variations: How often it is tried with variations of object, place and friction.
         seed: Seed of the variations.
-        choosing: By how many tries with variation a place is chosen.
+        choosing: Number of tries with variation by which a place is chosen.
         wanted: The rate of success that is asked for: variations are left out once the interval of
             the rate lies to one side of it; ``None``: all are tried.
     """

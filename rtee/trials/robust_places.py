@@ -1,4 +1,4 @@
-"""Places for an object in simulation: those that an action holds though the object is moved."""
+"""Places for an object in simulation: those that an action holds even if the object is moved."""
 
 from __future__ import annotations
 

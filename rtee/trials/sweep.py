@@ -74,7 +74,7 @@ class Workers(Protocol):
         """Schedule a failed task for another attempt, or raise the reason why there is none."""
 
     def refuse(self, worker: str, why: str) -> None:
-        """Give a worker no further tasks, or raise where that ends all."""
+        """Give a worker no further tasks; raise if no worker remains."""
 
     def close(self) -> None:
         """End, and give up the tasks that are not done."""
@@ -118,7 +118,7 @@ class Local:
         """Do nothing: its task reports a lost process."""
 
     def failed(self, error: BaseException) -> None:
-        """Raise why."""
+        """Raise the reason."""
         if isinstance(error, BrokenProcessPool):
             raise WorkerLost(
                 "a process with trials was killed, perhaps for lack of memory"
@@ -152,8 +152,8 @@ class Sweep:
         """Start without tasks.
 
         Args:
-            workers: Who does them.
-            known: Answers of before; new ones are added.
+            workers: The workers.
+            known: Earlier answers; new ones are added.
             again: Repeat tasks that have an answer.
         """
         self.ended = 0

@@ -97,8 +97,8 @@ def run_trial(
         library: Its actions.
         settings: Its loop's settings.
         trial: The trial to run.
-        observers: Told of every tick, as in the loop.
-        watch: Told of the moments of the trial.
+        observers: Observers of every tick, as in the loop.
+        watch: Called at the moments of the trial.
         skip: Places to leave out, because they are known to fail.
         progress: Called with how many variations of a place were tried, and of how many.
 

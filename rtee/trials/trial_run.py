@@ -71,8 +71,8 @@ class TrialRun:
             headless: The hand, on an arm, with the object at its place.
             trial: The trial to run.
             place: The object's place in the hand.
-            number: How many places were tried, with this one.
-            watch: Told of the moments of the trial.
+            number: Number of places tried, including this one.
+            watch: Called at the moments of the trial.
         """
         self.scene, self._trial, self._place = TrialScene(headless, watch), trial, place
         self._number = number

@@ -52,7 +52,7 @@ _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True, slots=True)
 class Planning:
-    """The planner is asked which actions hold an object; see `plan_grasps`."""
+    """A request to the planner: which actions hold an object; see `plan_grasps`."""
 
     object: str
     mass: float = 0.1
@@ -69,7 +69,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class Portrait:
-    """A picture is asked for of a trial's hand that has lifted its object.
+    """A request for a picture of a trial's hand that has lifted its object.
 
     Attributes:
         trial: The trial, without variations.
@@ -136,7 +136,7 @@ def object_of(task: Task) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MadeWith:
-    """What an answer was made with; equal tasks made with the same have equal answers.
+    """The versions that an answer depends on: equal tasks with equal versions have equal answers.
 
     Attributes:
         model: Fingerprint of the hand's model, configuration and meshes.
@@ -254,7 +254,7 @@ def _freeze_loaded(name: str) -> None:
 
 
 def perform(name: str, text: str) -> str:
-    """Do a task of a hand, by name or folder; return as JSON the answer and who made it with what.
+    """Do a task of a hand, by name or folder; return its answer and versions as JSON.
 
     Raises:
         UserError: for every mistake in the hand's files.
