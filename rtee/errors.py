@@ -468,7 +468,7 @@ class SimulationUnstable(RteeError):
     """The equations of a simulation diverged, and it was restarted: its earlier states are void."""
 
     def __init__(self) -> None:
-        super().__init__("the simulation became unstable and began anew")
+        super().__init__("the simulation became unstable and was restarted")
 
 
 class LoopError(RteeError):

@@ -268,7 +268,7 @@ def _all_in_file(
     if old:
         print(
             f"rtee: the {len(old)} results in {path} are outdated, made with other files of this "
-            "hand or by an earlier method; they are made anew, and replaced at the end",
+            "hand or by an earlier method; they are replaced once the new ones are ready",
             file=sys.stderr,
         )
         # An earlier command may have been interrupted while it replaced them.

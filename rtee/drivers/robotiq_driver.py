@@ -276,7 +276,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
     def _refuse(self, status: S) -> None:
         """Raise the fault that the gripper reports, unless it is only a warning."""
         fault = self.FAULTS.get(status.fault)
-        # Code 7 must not keep callers from activating it; they see by `ready` that it is needed.
+        # Code 7, not activated, must not keep callers from activating it; `ready` tells them.
         if fault is not None and not fault.warning and status.fault != NOT_ACTIVATED:
             raise self._gripper_fault(status.fault)
 

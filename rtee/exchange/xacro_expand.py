@@ -67,7 +67,7 @@ def expand(
 
     Raises:
         MissingExtra: if the extra ``xacro`` is not installed.
-        ModelError: xacro refuses the file, or the expansion exceeds a limit.
+        ModelError: if xacro refuses the file, or the expansion exceeds a limit.
     """
     with needing_extra("expanding xacro files", "xacro"):
         import xacro  # noqa: F401 - only the other process uses it

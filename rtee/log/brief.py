@@ -28,7 +28,7 @@ SECOND = 1_000_000_000
 
 _FIRST = 65536  # bytes in which the metadata are, behind the header alone
 _HEAD = struct.Struct("<BQ")  # opcode and length of a record
-_FOOTER = struct.Struct("<BQQQI")  # its head, begin of the summary, of its offsets, checksum
+_FOOTER = struct.Struct("<BQQQI")  # its head, beginning of the summary, of its offsets, checksum
 _OFFSET = struct.Struct("<BQBQQ")  # head of an offset, opcode of its group, begin, length
 _ATTACHED = struct.Struct("<BQQQ")  # head of an attachment's index, its offset, its length
 _TAIL = len(MAGIC) + _FOOTER.size

@@ -406,7 +406,7 @@ class _Told:
 
     def add(self, piece: Recording) -> None:
         self.goals.extend(piece.goals)
-        # The action alone: grips are long.
+        # The action alone: the plots do not need legs and grip, which are large.
         self.plans.extend(
             replace(e, value=replace(e.value, legs=(), grip=None)) for e in piece.plans
         )

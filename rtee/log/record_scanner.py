@@ -29,8 +29,8 @@ LATEST = 2**63 - 1
 """Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
 
 _OWN = 0x80  # first opcode of records that other software may define for itself
-_FOOTER = struct.Struct("<BQQQI")  # head, begin of the summary, of its offsets, checksum
-_CHUNK = struct.Struct("<QQQI")  # begin of a chunk's content: start, end, size, checksum
+_FOOTER = struct.Struct("<BQQQI")  # head, beginning of the summary, of its offsets, checksum
+_CHUNK = struct.Struct("<QQQI")  # beginning of a chunk's content: start, end, size, checksum
 _REACH = HEAD.size + _CHUNK.size + 8  # bytes that the pattern of a chunk looks at, at most
 _FIRST_BLOCK = 4096  # bytes searched first: most damage is short
 _LARGEST_BLOCK = 1 << 20  # most bytes searched at once, which bounds the memory
@@ -39,7 +39,7 @@ _PREFIXES = {4: struct.Struct("<I"), 8: struct.Struct("<Q")}
 _BEGIN = re.compile(
     rb"\x06(?=.{%d}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0))" % (8 + _CHUNK.size), re.S
 )
-"""The begin of a chunk: its opcode, and the name of a compression with its length in its place."""
+"""The beginning of a chunk: opcode, and a compression's name with its length in its place."""
 
 
 class _RecordLayout(NamedTuple):

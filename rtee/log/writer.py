@@ -53,7 +53,7 @@ _TIMES = struct.Struct("<IQQ")
 """Layout of the end of a message record's head: sequence, log time and publish time [ns]."""
 
 _HEAD = MESSAGE.size - _TIMES.size
-"""Length of the constant begin of that head [bytes]."""
+"""Length of the constant beginning of that head [bytes]."""
 
 _STEPS = float(2**36)
 """Number of steps per unit to which transforms are rounded: steps of 1.5e-11 [m | 1] are far below

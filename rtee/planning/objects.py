@@ -270,7 +270,7 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
     except (ValueError, RuntimeError) as error:
         # Coal names its own source file and line first, then the mesh; the next line is Assimp's.
         _, _, said = str(error).partition("Could not load resource")
-        lines = said.splitlines()[1:] or [f"it is no {path.suffix[1:].upper()} file"]
+        lines = said.splitlines()[1:] or [f"it is not a valid {path.suffix[1:].upper()} file"]
         raise ModelError(f"the mesh cannot be read: {lines[0].strip()}", path=path) from None
     if mesh.num_tris > _MOST_TRIANGLES:
         raise ModelError(

@@ -155,7 +155,7 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
         except* UserError:
             raise
         except* Exception:  # an error here must not end the nodes of other hands
-            log.exception("the node of %s has failed; it is made anew", hand.name)
+            log.exception("the node of %s has failed; it is started again", hand.name)
             await anyio.sleep(_AFTER_FAILURE)
         await anyio.sleep(_AGAIN)
 

@@ -64,7 +64,7 @@ class Answers:
                 raise ConfigError(f"not the results of a sweep: {error}", path=path) from None
 
     def find(self, task: Task, made_with: MadeWith) -> Answer | None:
-        """Return the answer of a task that was made with the same."""
+        """Return the stored answer of a task, if it was made with the same files."""
         found = self._found.get((to_text(task), made_with))
         return None if found is None else answer_of(task, json.loads(found))
 

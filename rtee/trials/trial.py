@@ -359,8 +359,8 @@ class _Varied:
         It is tried no further once it cannot rank above ``best``, or, ``until_good``, once it is
         good enough whatever the others show.
         """
-        # No more than are wanted afterwards: two variations are asked for to be quick. A scan
-        # compares neighbours, for which as few would say nothing.
+        # Whoever asks for two variations wants a quick answer, so no more are tried here. A scan
+        # compares neighbouring places, for which so few would be meaningless.
         enough = count if count >= _SCANNED_FROM else self._trial.variations
         most = min(count, enough) if here.result.held else 0
         for number in range(len(here.held), most):

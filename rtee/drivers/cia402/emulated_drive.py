@@ -411,7 +411,7 @@ def way_home(
     """
 
     def pulse(start: float, direction: int) -> HomingLeg:
-        # The next pulse ahead, even if it starts on one.
+        # A search that starts on a pulse ends at the next one.
         return HomingLeg((math.floor(direction * start / turn) + 1) * turn * direction, slow)
 
     return {

@@ -144,7 +144,7 @@ class ContactGuide:
                 number = float(answer.replace(",", "."))
                 if math.isfinite(number):
                     return number
-            text = f"'{answer}' is no number; a number in {unit}, or Enter to leave it out"
+            text = f"'{answer}' is not a number; give a number in {unit}, or Enter to leave it out"
 
     def _find(self, topic: Topic, confirmed: bool | None, text: str, actuator: str = "") -> None:
         verdict = {True: Conclusion.CONFIRMED, False: Conclusion.REFUTED, None: Conclusion.OPEN}[
@@ -228,7 +228,7 @@ class ContactGuide:
             )
         holding = [state for state in states if any(state.grasped or ())]
         if holding:
-            self._find(Topic.REST, False, "it tells that it holds something, though nothing does")
+            self._find(Topic.REST, False, "it reports that it holds something, though it is empty")
         touch = [state.touch.values for state in states if state.touch is not None]
         if touch:
             # A driver may take its rest values from the first readings.

@@ -41,7 +41,7 @@ async def _network(address: str) -> Check:
     except socket.gaierror:
         return wrong("address", f"nobody knows the name '{host}'", "use its IP address")
     except UnicodeError:  # a part of the name is empty or too long
-        return wrong("address", f"'{host}' is no name of a host", "correct the address")
+        return wrong("address", f"'{host}' is not a host name", "correct the address")
     except OSError as error:
         refused = error.errno == errno.ECONNREFUSED
         text = f"{host} refuses port {port}" if refused else f"{host} cannot be reached: {error}"

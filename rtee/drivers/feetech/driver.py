@@ -169,7 +169,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         link, n, size = self.connection.link, len(self.ids), self.family.state
         together = link.together and n > 1
         reading = link.read_time(size, n) if together else n * link.read_time(size)
-        # Position, speed and, where it can be limited by its share, torque.
+        # Position, speed and, if the family has such a register, the share of the torque.
         written = 8 if self.family.limits_torque == "share" else 6
         rate = 1.0 / (reading + link.write_time(written, n))
         return rate, "all at once" if together else "one by one"

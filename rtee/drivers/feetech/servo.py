@@ -342,7 +342,7 @@ class EmulatedFeetech(EmulatedServo):
             # So far away that it is never reached, since only the speed counts.
             axis.target = math.copysign(1e9, asked) if asked else axis.position
         elif self._turns and self._family.offset is None:
-            axis.target = axis.position  # it turns without end; nothing here asks it to
+            axis.target = axis.position  # a wheel without a target stands still
         else:
             goal = self.get(table.GOAL_POSITION)
             low, high = self.get(table.MIN_ANGLE), self.get(table.MAX_ANGLE)

@@ -369,7 +369,7 @@ class InspireRh56Driver(Driver):
         self._forces, self._speeds = list(found.forces), list(found.speeds)
         pairs = zip(self._angles, found.angles, strict=True)
         # KEEP means unknown here, so that the next reference writes the set-point again. A hand
-        # that was started anew reports the same of each motor that has no set-point yet.
+        # that was restarted reports the same of each motor that has no set-point yet.
         self._angles = [sent if here == sent else codec.KEEP for sent, here in pairs]
 
     async def move(self, reference: Reference) -> None:

@@ -86,8 +86,7 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         unit = self.options.unit
         [product] = await bus.read(unit, PRODUCT, 1, deadline=CONNECTING)
         model = PRODUCTS.get(product)
-        # Older lists number the models otherwise; a code that is in neither list is left to the
-        # option.
+        # Older lists use other codes; if a code is in neither list, the option is believed.
         if model is not None and model != self._model.name:
             ours = model.lower() in codec.MODELS
             raise self.stranger(

@@ -157,7 +157,7 @@ ERRORS: dict[int, str] = {
     0x73: "supply of the electronics too high",
     0x74: "supply of the motor too low",
     0x75: "supply of the motor too high",
-    0x7C: "it must be started anew",
+    0x7C: "it must be restarted",
     0x7E: "power stage",
     0xBA: "position not held",
     0xBB: "position not held",

@@ -202,8 +202,8 @@ class ControllerState(Fields):
     """
 
     WHAT = "the controller state"
-    CLEAR: ClassVar[int] = 0x1F  # clears all latched bits
-    SUPPLY: ClassVar[int] = 0x0200  # bit of the 12 V supply in both PWM words
+    CLEAR: ClassVar[int] = 0x1F  # clears all latched bits of a word
+    SUPPLY: ClassVar[int] = 0x0200  # the 12 V supply, in both words above
 
     pwm_fault: int = part("H", default=0)
     pwm_otw: int = part("H", default=0)

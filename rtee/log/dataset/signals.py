@@ -150,7 +150,8 @@ def sent(recording: Recording) -> Signal:
 def asked(recording: Recording) -> Signal:
     """Return the set-points of streams and jogs, by actuator [rad | m].
 
-    ``NaN`` where nothing was asked for, or a goal ran: the loop planned its path, see `sent`.
+    ``NaN`` where there was no stream or jog. The loop plans the path of a goal itself; `sent` has
+    its references.
     """
     names = recording.reference.names
 

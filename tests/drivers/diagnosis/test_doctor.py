@@ -352,7 +352,7 @@ async def test_more_than_the_wire_gives_is_a_warning() -> None:
     [
         ("tcp://127.0.0.1:1", "127.0.0.1 refuses port 1"),
         ("tcp://no-such-host.invalid", "nobody knows the name 'no-such-host.invalid'"),
-        ("tcp://192.168..5", "'192.168..5' is no name of a host"),
+        ("tcp://192.168..5", "'192.168..5' is not a host name"),
     ],
 )
 async def test_network_addresses(address: str, text: str) -> None:
@@ -420,7 +420,7 @@ async def test_an_address_that_is_mistyped_is_named() -> None:
     spec = gripper(options={"port": "tcp://192.168..5"})
     async with BusPool() as pool:
         check = wrong(await check_device(spec, pool))
-    assert check.text == "'192.168..5' is no name of a host"
+    assert check.text == "'192.168..5' is not a host name"
 
 
 def drive(channel: str, **options: Any) -> DeviceSpec:

@@ -182,7 +182,7 @@ async def test_what_is_no_number_is_asked_again() -> None:
         person = Clumsy(spec, pool, closed)
         report = await ContactGuide(driver, person, unplug=lambda off: None).run()
     asked = [question.text for question, _ in report.answers if question.topic is Topic.SCALE]
-    assert asked[1].startswith("'about two' is no number")
+    assert asked[1].startswith("'about two' is not a number")
     assert Topic.SCALE in refuted(report)
 
 
