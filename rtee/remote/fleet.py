@@ -53,7 +53,7 @@ class Look:
     """A hand's answer to a status request.
 
     Attributes:
-        place: The hand; one without a name stands for all hands at an endpoint that does not answer.
+        place: The hand; without a name, all hands at an endpoint that does not answer.
         status: Its status; ``None`` if it did not answer.
         state: Its state; ``None`` if it did not answer.
         trouble: Why there is no answer, in a sentence, or an empty string.
