@@ -44,10 +44,11 @@ WebSocket.prototype.send = function (data) {
 _DRAW = """
 async () => {
   window.drawing = true;
-  for (let frame = 0; frame < 3; frame++) await new Promise(window.requestAnimationFrame);
+  await new Promise((go) => setTimeout(go, 100));
+  for (let frame = 0; frame < 2; frame++) await new Promise(window.requestAnimationFrame);
 }
 """
-"""Draws the 3D view as it is now: what was being drawn, then a frame, and what follows it."""
+"""Draws the 3D view as it is now: the frame that was waiting, then one, and what follows it."""
 
 _ROOM = """
 (control) => {
@@ -178,7 +179,13 @@ class Window:
         self.page.wait_for_function(f"[...{close}].map(each => each.click()).length === 0")
 
     def picture(self) -> Picture:
-        """Return what the middle of the 3D view shows ``(h, w, 3)``."""
+        """Return what the middle of the 3D view shows ``(h, w, 3)``, once it shows something."""
+        found = self._picture()
+        while (found == found[0, 0]).all():
+            found = self._picture()
+        return found
+
+    def _picture(self) -> Picture:
         area = {"x": 380.0, "y": 160.0, "width": 160.0, "height": 340.0}
         self.page.evaluate(_DRAW)
         data = self.page.screenshot(clip=area)  # type: ignore[arg-type]
