@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -271,10 +271,10 @@ def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> floa
     return max((opening.at(at) for at in contacts if at is not None), default=opening.narrowest)
 
 
-def suitability(
-    hand: Hand, action: Action, opening: Opening, width: float, margin: float = MARGIN
-) -> tuple[float, ...]:
-    """Return a key that sorts actions by suitability for an object of a width, the best first.
+def best_for(
+    hand: Hand, actions: Sequence[tuple[Action, Opening]], width: float, margin: float = MARGIN
+) -> tuple[Action, Opening]:
+    """Return the action that suits an object of a width best, and its opening; the first of equals.
 
     The criteria, in order: collision-free and in force closure; opens by the whole margin; fingers
     of one side clear of one another; those of one side not astride of the object; force in the
@@ -283,28 +283,35 @@ def suitability(
 
     Args:
         hand: The hand.
-        action: The action.
-        opening: Its opening.
-        width: Width of the object [m], inside the opening's range.
+        actions: Actions with their openings, one at least.
+        width: Width of the object [m], inside the range of each opening.
         margin: Excess of the opening over the width before the hand closes [m].
     """
-    at = opening.intensity_at(width)
-    angle = opening.angle_at(at)
-    # A tip that moves at more than a right angle to the line of closing does not press.
-    force = opening.strongest(hand, at) * math.cos(min(angle, math.pi / 2.0))
-    force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
-    # By the logarithm, so that a class is a ratio of forces, for weak and strong ones alike.
-    strength = math.log(force) / math.log(_STRONGER)
-    return (
-        doubtful(action),
-        width + margin > opening.widest,
-        crowded(action, opening),
-        max(round((astride(hand, action, opening, at) - width) / _ASTRIDE), 0),
-        -round(strength),
-        round(angle / _SQUARE),
-        len(opening.actuators),
-        -len(action.fingers),
-    )
+
+    def quick(pair: tuple[Action, Opening]) -> tuple[bool, ...]:
+        action, opening = pair
+        return doubtful(action), width + margin > opening.widest, crowded(action, opening)
+
+    def thorough(pair: tuple[Action, Opening]) -> tuple[float, ...]:
+        action, opening = pair
+        at = opening.intensity_at(width)
+        angle = opening.angle_at(at)
+        # A tip that moves at more than a right angle to the line of closing does not press.
+        force = opening.strongest(hand, at) * math.cos(min(angle, math.pi / 2.0))
+        force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
+        # By the logarithm, so that a class is a ratio of forces, for weak and strong ones alike.
+        strength = math.log(force) / math.log(_STRONGER)
+        return (
+            max(round((astride(hand, action, opening, at) - width) / _ASTRIDE), 0),
+            -round(strength),
+            round(angle / _SQUARE),
+            len(opening.actuators),
+            -len(action.fingers),
+        )
+
+    least = min(map(quick, actions))
+    # The rest takes milliseconds, and decides among these alone.
+    return min((pair for pair in actions if quick(pair) == least), key=thorough)
 
 
 def fingerprint_of(hand: Hand, action: Action) -> str:
@@ -343,7 +350,7 @@ class Openings:
     outdated: bool = False
 
     @cached_property
-    def _found(self) -> dict[int, tuple[Opening | str, Action]]:
+    def _known(self) -> dict[int, tuple[Opening | str, Mapping[str, float] | None, Action]]:
         return {}
 
     @cached_property
@@ -362,13 +369,25 @@ class Openings:
         return found
 
     def find(self, action: Action) -> Opening | str:
-        """Return the opening of an action, or why it has none; looked up once for each action."""
-        found, of = self._found.get(id(action), ("", None))
-        if of is not action:
-            found = self._find(action)
+        """Return the opening of an action, or why it has none."""
+        return self._looked_up(action)[0]
+
+    def meeting(self, action: Action) -> Mapping[str, float] | None:
+        """Return where the empty hand meets itself on the path of an action; see `Meeting.at`.
+
+        ``None``: not known, or not for its present posture and model.
+        """
+        return self._looked_up(action)[1]
+
+    def _looked_up(
+        self, action: Action
+    ) -> tuple[Opening | str, Mapping[str, float] | None, Action]:
+        """Return opening and meeting of an action, which are looked up once."""
+        known = self._known.get(id(action))
+        if known is None or known[2] is not action:
             # With the action, so that no other one gets its number.
-            self._found[id(action)] = found, action
-        return found
+            known = self._known[id(action)] = self._find(action), self._meeting(action), action
+        return known
 
     def _find(self, action: Action) -> Opening | str:
         name = label(action.name, action.elements)
@@ -395,11 +414,7 @@ class Openings:
         except ActionError as error:
             return error.message
 
-    def meeting(self, action: Action) -> Mapping[str, float] | None:
-        """Return where the empty hand meets itself on the path of an action; see `Meeting.at`.
-
-        ``None``: not known, or not for its present posture and model.
-        """
+    def _meeting(self, action: Action) -> Mapping[str, float] | None:
         wanted = _key(action.name, action.elements)
         for each in () if self.outdated else self.meetings:
             if _key(each.action, each.elements) == wanted:

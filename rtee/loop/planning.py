@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import TYPE_CHECKING, Final
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, doubtful, meeting, suitability
+from rtee.actions.openings import MARGIN, Opening, Openings, best_for, doubtful, meeting
 from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
 from rtee.errors import ActionError, GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
@@ -54,7 +55,7 @@ class OpposingTips:
 
 
 def choose(
-    goal: Goal, hand: Hand, library: ActionLibrary, devices: DeviceForces
+    goal: Goal, hand: Hand, library: ActionLibrary, openings: Openings, devices: DeviceForces
 ) -> tuple[Action, OpposingTips | None]:
     """Return the action that a goal means, and its tips, if they oppose each other.
 
@@ -75,7 +76,7 @@ def choose(
         if isinstance(to, ToOpening | Around):
             return _best(goal.what.elements, to, goal.force, hand, library, devices)
         action = _touching(goal.what.elements, hand, library)
-    opening = library.openings.find(action)
+    opening = openings.find(action)
     if isinstance(opening, str):
         if isinstance(to, Intensity | FirstContact):
             return action, None
@@ -128,22 +129,20 @@ def _best(
 ) -> tuple[Action, OpposingTips]:
     """Return the action of some fingers, or of any, that suits a width and a force best.
 
-    Actions that can exert the force come first, then they are ordered by `suitability`.
+    Actions that can exert the force come first, then `best_for` decides.
     """
     openings = _openings(library, fingers)
     narrower = to.narrower if isinstance(to, Around) else 0.0
-    candidates: list[tuple[tuple[float, ...], tuple[Action, OpposingTips]]] = []
-    for order, (action, opening) in enumerate(openings):
-        # At its widest opening, an action cannot get around the object.
-        if not opening.narrowest - narrower <= to.width < opening.widest:
-            continue
-        tips = _tips(action, opening, hand, library, devices)
-        weak = force is not None and not _exerts(force.value, to.width, tips, hand, devices)
-        key = (weak, *suitability(hand, action, opening, to.width), order)
-        candidates.append((key, (action, tips)))
-    if not candidates:
+    # At its widest opening, an action cannot get around the object.
+    able = [each for each in openings if each[1].narrowest - narrower <= to.width < each[1].widest]
+    if not able:
         raise GoalRejected(_no_action(fingers, to, hand, [opening for _, opening in openings]))
-    return min(candidates, key=lambda each: each[0])[1]
+    if force is not None:
+        tips = [_tips(*each, hand, library, devices) for each in able]
+        strong = [_exerts(force.value, to.width, each, hand, devices) for each in tips]
+        able = list(compress(able, strong)) or able
+    action, opening = best_for(hand, able, to.width)
+    return action, _tips(action, opening, hand, library, devices)
 
 
 def _exerts(
@@ -257,7 +256,8 @@ def make_plan(
             raise GoalRejected(
                 f"on_contact of an unknown finger '{name}'; {suggestion(name, hand.finger_names)}"
             )
-    action, tips = choose(goal, hand, library, devices)
+    openings = library.openings
+    action, tips = choose(goal, hand, library, openings, devices)
     legs = _legs(goal.to, action, tips, hand)
     effort = _efforts(goal, hand, tips, devices)
     speed = _speed(goal, action, tips, hand)
@@ -282,13 +282,13 @@ def make_plan(
         on_contact=goal.on_contact,
         timed=isinstance(action, Timed),
         grip=None if tips is None else tips.grip,
-        meets=_meets(action, hand, library),
+        meets=_meets(action, hand, openings),
     )
 
 
-def _meets(action: Action, hand: Hand, library: ActionLibrary) -> Mapping[int, float]:
+def _meets(action: Action, hand: Hand, openings: Openings) -> Mapping[int, float]:
     """Return the positions from which on the empty hand meets itself, by index [rad | m]."""
-    known = None if isinstance(action, Timed) else library.openings.meeting(action)
+    known = None if isinstance(action, Timed) else openings.meeting(action)
     if known is None:
         return {}
     rest, names = hand.rest, hand.actuator_names

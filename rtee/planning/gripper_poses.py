@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, suitability
+from rtee.actions.openings import MARGIN, Opening, best_for
 from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
@@ -272,19 +272,13 @@ def _best(
     margin: float,
     hand: Hand,
 ) -> tuple[Action, Opening]:
-    """Return the action that suits a width best; see `suitability`."""
+    """Return the action that suits a width best; see `best_for`."""
     able = [pair for pair in actions if not fingers or set(fingers) == set(pair[1].fingers)]
     if not able:
         raise ConfigError(f"no action of '{hand.name}' opposes just {', '.join(fingers)}")
-    # The order is last and unique, so that a tie never compares actions.
-    fits = [
-        ((*suitability(hand, action, opening, width, margin), order), action, opening)
-        for order, (action, opening) in enumerate(able)
-        if opening.narrowest <= width < opening.widest
-    ]
+    fits = [pair for pair in able if pair[1].narrowest <= width < pair[1].widest]
     if fits:
-        _, action, opening = min(fits, key=lambda each: each[0])
-        return action, opening
+        return best_for(hand, fits, width, margin)
     action, opening = min(
         able, key=lambda pair: max(pair[1].narrowest - width, width - pair[1].widest)
     )
