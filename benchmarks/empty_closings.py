@@ -53,12 +53,12 @@ def empty(hands: Sequence[str]) -> None:
 
 def objects(hands: Sequence[str]) -> None:
     """Close hands on objects by their pinches, and print the table."""
-    table = Table(
-        "hand", *(f"{true}: {o}" for true in ("stays", "falls") for o in ("tries", *SAID))
-    )
+    told = (*SAID, None)  # None: held, and later told to be lost
+    words = [o or "told lost" for o in told]
+    table = Table("hand", "stays", *words, "falls", *words)
     for hand in hands:
         ready = bench(str(CONFIG / hand), RATE)
-        said: Counter[tuple[bool, Outcome]] = Counter()
+        said: Counter[tuple[bool, Outcome | None]] = Counter()
         pinches = [a for a in ready.library if isinstance(a, Primitive) and a.kind in PINCHES]
         for action in pinches[::2]:
             for thing, width in THINGS:
@@ -70,17 +70,11 @@ def objects(hands: Sequence[str]) -> None:
                     truth = try_case(ready, case)
                 except Unfit:
                     continue
-                said[truth.held, truth.result.outcome] += 1
+                said[truth.held, None if truth.lost else truth.result.outcome] += 1
         if said:
-            counts = [
-                count
-                for true in (True, False)
-                for count in (
-                    sum(n for (held, _), n in said.items() if held is true),
-                    *(said[true, o] for o in SAID),
-                )
-            ]
-            table.row(hand, *counts)
+            tries = Counter(held for held, _ in said.elements())
+            counts = [(tries[held], *(said[held, o] for o in told)) for held in (True, False)]
+            table.row(hand, *counts[0], *counts[1])
 
 
 def main() -> None:
