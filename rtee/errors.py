@@ -229,7 +229,7 @@ def _interruptible() -> Iterator[None]:
         raise KeyboardInterrupt
 
     main = threading.current_thread() is threading.main_thread()
-    # Whoever has a handler of their own, as asyncio has, is told by that.
+    # A program with its own handler, such as asyncio's, is told by that.
     if not main or signal.getsignal(signal.SIGINT) is not default:
         yield
         return

@@ -39,7 +39,7 @@ class Value:
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     def __init_subclass__(cls) -> None:
-        # Found by `dataclass` in the class itself, these stay; inherited ones, it would replace.
+        # `dataclass` keeps methods of the class itself, but would replace inherited ones.
         for name in ("__eq__", "__repr__"):
             if name not in vars(cls):
                 setattr(cls, name, vars(Value)[name])

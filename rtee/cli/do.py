@@ -296,7 +296,7 @@ def touch(
         print(result_json(result))
     else:
         print(sentence(result, result.elements))
-        # A goal that was ended has an outcome of its own, and touched nothing all the same.
+        # A goal that was cancelled or stopped has its own outcome, but may have touched nothing.
         if not result.touched and result.outcome not in (Outcome.EMPTY, Outcome.UNKNOWN):
             print("nothing was touched")
     raise typer.Exit(0 if result.succeeded else 1)

@@ -332,7 +332,7 @@ def _telling(pieces: Iterable[Recording]) -> Iterator[Recording]:
     """Yield pieces of a recording, and print their notes."""
     told: set[str] = set()
     for piece in pieces:
-        # "The same" is said of what can be read only; in JSON, `rtee log info` has the notes.
+        # Two recordings count as the same by what could be read of them; the notes name the rest.
         for note in piece.notes:
             if note not in told:
                 print(f"note: {note}", file=sys.stderr)

@@ -73,7 +73,7 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
         try:
             valid.append(tables.of(action))
         except ActionError as error:
-            # Timed actions never have an opening, so that nothing is wrong with those.
+            # Timed actions never have an opening, so nothing is wrong with those.
             if action.action_kind != "timed":
                 notes[str(error)] = None
     if tables.made and not tables.meetings:

@@ -93,7 +93,7 @@ def add_client(
     try:
         authority.write_private(path, text)
     except ConfigError:
-        # The client does not have it, so that it must not stay admitted.
+        # The client never gets this certificate, so it must not stay admitted.
         authority.revoke(folder, person.name)
         raise
     print(f"{person.name}: {role}, until {_date(person.until)}, in {path}")

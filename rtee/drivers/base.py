@@ -93,7 +93,7 @@ class Driver(ABC):
         Raises:
             BusError: if the bus cannot be opened.
         """
-        # Imported only here: drivers without a bus do without.
+        # Imported only here: drivers without a bus do not need it.
         from rtee.drivers.emulators import emulator_of
 
         connection: Connection[L] = self.connection or Connection(self.spec)

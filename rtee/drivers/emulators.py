@@ -10,7 +10,7 @@ from rtee.drivers.lookup import DRIVERS, find_class, known_names
 from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, made_by
 from rtee.types import DeviceSpec
 
-_OF_NONE = ("kinematic", "replay", "mujoco")  # drivers of no device on a wire
+_OF_NONE = ("kinematic", "replay", "mujoco")  # drivers without a device on a wire
 EMULATORS: Mapping[str, str] = {
     name: place.replace(".driver:", ".emulator:").removesuffix("Driver") + "Emulator"
     for name, place in DRIVERS.items()

@@ -21,7 +21,8 @@ def hand_schema() -> dict[str, Any]:
     from rtee.hand import config, config_schema
 
     made = msgspec.json.schema(config.HandConfig, schema_hook=lambda path: {"type": "string"})
-    # Equal bounds are one in Python, so that 0 and 0.0 would change with the order of imports.
+    # Python caches equal types, so without this the order of imports would decide between 0
+    # and 0.0 as a bound.
     made = json.loads(json.dumps(made), object_hook=_with_whole_bounds)
     sections = made["$defs"]
     for module in (config_schema, config):

@@ -26,7 +26,7 @@ __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when first used: who reads needs no recorder, a hand that runs writes no tables.
+    # Imported when first used: a reader needs no recorder, and a running hand writes no tables.
     if name in _HOME:
         return getattr(import_module(f"rtee.log.{_HOME[name]}"), name)
     raise AttributeError(f"module 'rtee.log' has no attribute '{name}'")

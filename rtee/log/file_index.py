@@ -321,7 +321,7 @@ class _Indexer:
     def _lose(self, record: Record) -> None:
         self._damage.gaps.append((record, len(self._chunks)))
         if self._chunks:
-            self._chunks[-1].indexes.clear()  # some of its indexes may be among the damage
+            self._chunks[-1].indexes.clear()  # some of its indexes may be damaged
 
 
 _SHORTEST_CHUNK = 49

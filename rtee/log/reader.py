@@ -225,7 +225,7 @@ class _Collector:
     def _file(
         self, file: FileIndex, channels: Mapping[int, _Topic], places: Sequence[ChunkPlace]
     ) -> None:
-        # Whatever is wanted of it: it is one if it has any topic of a hand.
+        # Any topic of a hand makes it a recording, even if none of the wanted ones is there.
         if not file.values and not any(c.topic in self._names for c in file.channels.values()):
             raise LogError("contains no recording of a hand", path=file.path)
         wanted = [
@@ -249,7 +249,7 @@ class _Collector:
         for number in [k for k in found if channels[k].name == topics.TICKS]:
             for message in found.pop(number).contents():
                 try:
-                    # In place of the few that are there as messages, too.
+                    # They replace the few of these samples that are also in the file as messages.
                     ticks = column_reader.messages_in(*decode_ticks(message))
                 except MessageError:
                     self._damaged += 1

@@ -288,7 +288,7 @@ class Recorder(Observer):
             return self._backlog
         backlog = PackedTicks(record)
         if not backlog.add(record):
-            return record  # its arrays do not fit one another, of which the writer will complain
+            return record  # its arrays do not fit one another, which the writer reports
         self._backlog = backlog
         return backlog
 

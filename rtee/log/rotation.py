@@ -228,10 +228,10 @@ class Retention:
         for file in files:
             if not self._over(size):
                 break
-            # Other hands' recordings make room only for what all share.
+            # Other hands' recordings are removed only for the limits that all hands share.
             if file.hand != self._hand and not self._beyond(size):
                 continue
-            # A file of somebody else may have such a name, so that its content must agree.
+            # Somebody else's file may have such a name, so its content must agree, too.
             if file.owner != file.hand or being_written(file.path):
                 continue
             try:

@@ -217,7 +217,7 @@ _GRIP_PERIOD = 0.02
 _AROUND = 5 * SECOND
 """Time recorded before and after an occurrence [ns]: seconds later, a hand rests."""
 
-_SELDOM = 1 << 30  # one tick in so many, so only the first of each chunk
+_SELDOM = 1 << 30  # a period longer than any chunk: only its first tick
 _FLIGHT_FILES = 20  # most names kept of the flight recorder's files, the newest last
 
 
@@ -378,7 +378,7 @@ class LogWriter:
     def state(self, snapshot: Snapshot, tick: int, stamp: float) -> None:
         """Attach the controller's state after the tick at a time [s] to the file."""
         more = {"library": library_name(), "tick": tick, "wall": self.wall_of(stamp)}
-        with contextlib.suppress(TypeError):  # then this part can be checked with those before only
+        with contextlib.suppress(TypeError):  # this part is then checked with earlier ones
             self.sink.attach(to_bytes(snapshot, **more))
 
     def item(self, item: Item, stamp: float) -> None:

@@ -156,7 +156,7 @@ def mesh_parts(faces: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
         least = label[faces].min(axis=1)
         spread = label.copy()
         np.minimum.at(spread, faces.ravel(), np.repeat(least, 3))
-        spread = spread[spread]  # a label's own label is nearer to the least one
+        spread = spread[spread]  # labels are corners: jump to their labels
         if (spread == label).all():
             break
         label = spread

@@ -29,7 +29,7 @@ from rtee.ros2.participant import Participant
 from rtee.ros2.qos import History, Qos
 from rtee.ros2.types import ServiceType, TopicType
 
-__all__ = ["Client", "Publisher", "Service", "Subscription"]  # the rest is for this room alone
+__all__ = ["Client", "Publisher", "Service", "Subscription"]  # the rest is for `rtee.ros2` only
 
 log = logging.getLogger(__name__)
 

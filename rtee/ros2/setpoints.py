@@ -513,10 +513,10 @@ class _Following:
         if not played:
             # Joints that have not set off yet do not move, either.
             moving = moving or "the hand did not play it"
-        # Without goal tolerances, the goal is reached after the time to settle: measurements may be
-        # older than the end, and a stream that began late than the end's set-point.
+        # Without goal tolerances, the goal is reached only after a time to settle: a measurement
+        # may be older than the end, and a stream that began late may not have played it yet.
         if not (outside or moving) and (limits.goal or now >= max(end, self._played) + SETTLED):
-            # A hand that is slower than the trajectory has been led to the end until now.
+            # The stream went on until now, for a hand that is slower than the trajectory.
             self._play.until = max(now, end + SETTLED)
             self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))
         elif (outside and now > end + limits.time) or (moving and now > end + limits.moving_time):

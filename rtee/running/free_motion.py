@@ -50,7 +50,7 @@ def _kept(hand: str) -> _Stored:
     except FileNotFoundError:
         return _Stored()
     except (OSError, RteeError) as error:
-        # Nothing is lost but a slow closing, which learns it again.
+        # The estimate is learned again by the next slow closing.
         log.warning("%s: free motion is learned again: %s", file, error)
         return _Stored()
 

@@ -62,7 +62,7 @@ class Cluster:
         """
         with needing_extra("a sweep on a cluster", "sweep"):
             distributed: Any = importlib.import_module("distributed")
-        # It reports lost connections in tracebacks; here, one sentence does.
+        # It reports lost connections in tracebacks; here, one sentence is enough.
         for name in ("client", "core", "batched"):
             logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
         self._address, self._tell = address, tell

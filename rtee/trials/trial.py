@@ -148,7 +148,7 @@ def run_trial(
     ranked = sorted(tried, key=lambda here: here.rank, reverse=True)
     if not ranked[0].result.held:
         return ranked[0].result
-    # The last trial left the hand lifted, and moved places would be freed of a hand up there.
+    # The last trial left the hand lifted; places are moved out of contact with a hand at rest.
     simulation.reset()
     free = Places(simulation, hand, action)
     if trial.choosing > CHOOSING:
@@ -156,7 +156,7 @@ def run_trial(
         if trial.choosing >= _SCANNED_FROM:
             best = _scanned(best, varied, free)
         return varied.measured(best)
-    # None is good enough: the best one is as far as the next tries go.
+    # None is good enough: only the best one is tried further.
     best = ranked[0]
     varied.choose(best, trial.choosing)
     # No move raises such a low rate to the required one.
@@ -235,12 +235,12 @@ def _middle(shares: dict[int, float]) -> int:
             shares.get(step + side, min(here, 2.0 * here - shares.get(step - side, here)))
             for side in (-1, 1)
         )
-        return round((before + here + after) / 3.0, 6)  # so that rounding does not part equal ones
+        return round((before + here + after) / 3.0, 6)  # so that equal ones stay equal
 
     largest = max(mean(step) for step in shares)
     tied = sorted((step for step in shares if mean(step) == largest), key=abs)
     amid = sum(tied) / len(tied)
-    # Sorted by how far they are, so that of two that are as near the nearer one is taken.
+    # `min` returns the first of equals, which is nearer to the original place.
     return min(tied, key=lambda step: abs(step - amid))
 
 
@@ -394,11 +394,11 @@ class _Varied:
         return _Tried(place, result)
 
     def shifted(self, place: Place, round_: int) -> tuple[Place, float]:
-        """Return a place amid those around one where an object is held, and the share of those.
+        """Return the mean of the places around one where the object is held, and their share.
 
         ``round_``: how often the place was moved before; each round uses other draws.
         """
-        # The place itself, where the object was held; the mean exists if no other one holds.
+        # The place itself holds, so the mean exists even if no place around it does.
         held = [np.zeros(3)]
         for number, point in enumerate(_AROUND, EXPLORING_FROM + round_ * len(_AROUND)):
             x, y, z = (float(value) for value in point)

@@ -209,7 +209,7 @@ class AbilityHandDriver(Driver):
     def _best_rate(self, bus: SerialBus) -> float:
         count = _SENT + _RECEIVED[self.options.variant]
         once = wire_time(count, bus.line.baudrate) + self.options.turnaround
-        # 1000 Hz is the best that the maker's client does.
+        # 1000 Hz is the highest rate that the maker's client reaches.
         return 1.0 / max(once, 1e-3)
 
     async def activate(self) -> None:

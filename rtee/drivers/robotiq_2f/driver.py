@@ -92,7 +92,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         self.options = read_options(Robotiq2FOptions, spec)
         only_actuator(spec, "a two-finger gripper")
         self._grip = SteadyContact()
-        # Unlike every echo, so the first one counts as that of a new request.
+        # No echo has this value, so the first one counts as that of a new request.
         self._requested = -1
         super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)

@@ -127,7 +127,7 @@ class Execution:
             return
         result = shown.result
         if turn is not shown.turn and turn.goal != result.goal_id:
-            # How a goal failed stays true until another one runs.
+            # The reason of a failure stays valid until another goal runs.
             old = turn.why if turn.goal or result.succeeded else ""
         else:
             old = "no data" if self._truth.stale else ""

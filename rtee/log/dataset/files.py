@@ -260,7 +260,7 @@ def _of_pixels(counts: NDArray[np.float64], images: int) -> Stats:
     shares = counts / counts.sum(axis=1, keepdims=True)
     mean = shares @ levels
     below = np.cumsum(shares, axis=1)
-    # The first level that so many do not exceed; 1e-9 for the rounding of the sum.
+    # The lowest level that a share q of the values does not exceed; 1e-9 for rounding.
     quantiles = [levels[np.argmax(below >= q - 1e-9, axis=1)] for q in _QUANTILES]
     found = {
         "min": levels[np.argmax(counts > 0, axis=1)],
