@@ -29,6 +29,9 @@ def hand_schema() -> dict[str, Any]:
         for section, texts in _descriptions(module).items():
             for field, text in texts.items():
                 sections[section]["properties"][field]["description"] = text
+    for section in sections.values():
+        if "description" in section:  # Python 3.13 and later have removed the indentation already
+            section["description"] = inspect.cleandoc(section["description"])
     root = sections.pop(config.HandConfig.__name__)
     schema = "https://json-schema.org/draft/2020-12/schema"
     return {"$schema": schema, "$defs": sections, **root}
