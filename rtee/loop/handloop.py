@@ -543,12 +543,12 @@ async def drive(
     def at_tick(tick: Tick) -> None:
         nonlocal used
         before, used = used, time.thread_time_ns()
-        if statistics.started:
-            statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
-        statistics.started = True
         # The devices of all hands before any observer, which may wake other threads.
         for loop in loops:
             loop.cycle(tick)
+        if statistics.started:
+            statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
+        statistics.started = True
         for loop in loops:
             loop.notify_observers()
         if idle is not None:
