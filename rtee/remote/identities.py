@@ -13,7 +13,7 @@ import secrets
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Collection
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from rtee.errors import RequestRejected, TooManyRequests, foreign
 from rtee.hand.names import check_name
@@ -45,9 +45,12 @@ Admit = Callable[[str], Admitted | None]
 """Returns the rights of the clients on an access path (see `HELLO`); ``None``: not admitted."""
 
 
+_LOCAL: Final = Admitted(Role.MAINTAINER)
+
+
 def admit_local(access_path: str) -> Admitted | None:
     """Admit clients without a certificate."""
-    return Admitted(Role.MAINTAINER) if access_path in (HERE, PLAIN) else None
+    return _LOCAL if access_path in (HERE, PLAIN) else None
 
 
 class IdentifiedClient:
@@ -259,11 +262,11 @@ class Identities:
                 f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
                 f" the role {admitted.role.name.lower()}"
             )
-        shares = self._together(client.share), client.reserved
-        if not (rates.allow(request.name) and any(s.allow(request.name) for s in shares)):
-            rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
+        name, together, reserved = request.name, self._together(client.share), client.reserved
+        if not (rates.allow(name) and (together.allow(name) or reserved.allow(name))):
+            rates.refuse(f"too many requests '{name}' in a short time", TooManyRequests)
         if request.group == ASK and not (
-            rates.has_bytes() and any(share.has_bytes() for share in shares)
+            rates.has_bytes() and (together.has_bytes() or reserved.has_bytes())
         ):
             rates.refuse("too many long answers in a short time", TooManyRequests)
         return client.name
