@@ -358,10 +358,10 @@ def _opened(visitors: Visitors, access: Access, port: int) -> Iterator[viser.Vis
         # viser takes the next free port, but the proxy would forward to the program on this one.
         if access.behind_proxy and server.get_port() != port:
             raise ConfigError(
-                f"port {port} is not free, and the proxy leads there; give another one with --port,"
-                " and to the proxy, too"
+                f"port {port}, to which the proxy forwards, is not free; choose another one with"
+                " --port and in the proxy"
                 if port
-                else "--behind-proxy needs a --port, to which the proxy leads"
+                else "--behind-proxy needs --port with the port to which the proxy forwards"
             )
         for role, link in access.links(server.get_port()).items():
             _announce(role, link, "rtee:")

@@ -410,7 +410,9 @@ def _question(
             tolerance=quantity(tolerance, LENGTH, "tolerance"),
         )
     if width is not None or len(fingers):
-        raise ConfigError("contacts name their own fingers and take no width")
+        raise ConfigError(
+            "contacts already name their fingers and set the width; leave out fingers and width"
+        )
     wanted = _contacts(contacts)
     normals = [contact.normal for contact in wanted]
     if any(n is None for n in normals) != all(n is None for n in normals):

@@ -152,7 +152,7 @@ class Protection:
         try:
             return credentials.read()
         except ConfigError as error:
-            # Nobody is admitted already: reported once, not every second.
+            # Nobody was admitted before either: this is reported once, not every second.
             if not credentials.people:
                 return False
             log.error("%s: nobody is admitted from the network: %s", self._hand, error)

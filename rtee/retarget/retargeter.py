@@ -114,7 +114,7 @@ class _Problem:
         targets: Where the tips should be ``(k, 3)`` [m].
         follow: Weights of the tips' places ``(k,)`` [1/m].
         stiffness: Weights of positions ``(n,)``.
-        pull: The sum of these times the positions that they pull to ``(n,)``.
+        pull: The sum of these weights times their target positions ``(n,)``.
         wanted: Pairs of fingers, the gap between them [m] and its weight, 0 to 1.
         near: Links that should stay apart.
     """

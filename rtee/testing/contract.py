@@ -300,7 +300,7 @@ class DriverContract:
     ) -> float:
         """Stop a motion; return the time until the device answers again [s].
 
-        ``faults`` ends with the first answer that is lost.
+        The wire has ``faults`` until the first answer is lost.
         """
         for _ in range(5):
             await session.cycle(Reference.at(list(posture)))

@@ -346,9 +346,9 @@ async def test_behind_a_proxy_it_takes_no_other_port() -> None:
     with stdlib_socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
-        with pytest.raises(ConfigError, match="is not free, and the proxy leads there"):
+        with pytest.raises(ConfigError, match="to which the proxy forwards, is not free"):
             await serve(None, access=access, port=other.getsockname()[1])
-    with pytest.raises(ConfigError, match="needs a --port"):
+    with pytest.raises(ConfigError, match="needs --port"):
         await serve(None, access=access, port=0)
 
 
