@@ -487,7 +487,7 @@ class SchunkEguDriver(Driver):
                 await self._write(codec.Output(codec.Control.RUN))
                 continue
             if due < math.inf and last:
-                # If the stop is due between this cycle and the next, the nearer of the two sends it.
+                # If the stop is due between this cycle and the next, the nearer one sends it.
                 if due > end and due - end > later - due:
                     return
                 await asyncio.sleep(max(0.0, min(due, end) - now))
