@@ -129,7 +129,7 @@ def slowed(plan: Plan, hand: Hand) -> str:
     late = f" of fingers that lag {plan.lag:.2g} s behind" if plan.lag else ""
     return (
         f"the fingers meet the object at {1e3 * share * full:.3g} mm/s instead of "
-        f"{1e3 * asked:.3g} mm/s: faster, the blow{late} may exceed the force"
+        f"{1e3 * asked:.3g} mm/s: faster, the impact{late} may exceed the force"
     )
 
 

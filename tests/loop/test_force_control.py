@@ -386,7 +386,7 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     assert 0.0 < estimate.by_efforts(efforts, position, one) < every, "others may speed up"
     assert estimate.by_efforts(efforts, position, list(plan.effort)) == pytest.approx(every)
     text = slowed(replace(plan, lag=1.0), hand)
-    assert "at 3 mm/s instead of 10 mm/s: faster, the blow of fingers that lag 1 s" in text
+    assert "at 3 mm/s instead of 10 mm/s: faster, the impact of fingers that lag 1 s" in text
 
 
 class Stepping(Gripper):
