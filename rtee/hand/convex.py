@@ -34,7 +34,7 @@ _METHOD: Final = {
 of 70 mm becomes 12 pieces, 1.4 mm inside its hole, in a second instead of five."""
 
 _FINE: Final = 10_000
-"""Triangles beyond which the surface is sampled anew first: cuts would take minutes."""
+"""Triangles beyond which the surface is resampled first: cuts would take minutes."""
 
 _PLACES: Final = 6
 """Digits behind the point of corners [m]: readers of files differ by less."""

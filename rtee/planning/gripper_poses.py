@@ -293,7 +293,7 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     """Return the pose ``(4, 4)`` of a hand's grasp in its base frame; axes as in `GripperPose`.
 
     Raises:
-        ConfigError: if the tips meet at the base frame's origin: they reach in no direction.
+        ConfigError: if the tips meet at the base frame's origin, which gives no direction of reach.
     """
     hand = tips.hand
     goal = ActionPath.of(hand, action).end

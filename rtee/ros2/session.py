@@ -65,8 +65,8 @@ _SETTINGS: dict[str, Any] = _COMMON | {
 _PEER: dict[str, Any] = {
     "mode": "peer",
     "listen/endpoints": ["tcp/localhost:0"],
-    # Without a router, a hand goes on and Zenoh keeps trying to connect; where a variable of the
-    # environment makes the session a client, it opens only with one, and must not block until then.
+    # Without a router, a peer opens at once and keeps trying to connect. An environment variable
+    # may make the session a client, which needs a router to open: it gives up after this time.
     "connect/timeout_ms": {"peer": -1, "client": _CONNECT_WITHIN},
     "connect/exit_on_failure": {"peer": False, "client": True},
 }

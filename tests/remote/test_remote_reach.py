@@ -90,7 +90,7 @@ def test_what_cannot_be_reached_is_refused_with_the_reason(remote: BlockingHand)
         remote.grasp_at([[0.5, 0.1, 0.0], [0.5, -0.1, 0.0]])
     with pytest.raises(ConfigError, match="give contacts, or a gripper's pose and a width"):
         remote.reach()
-    with pytest.raises(ConfigError, match="contacts already name fingers"):
+    with pytest.raises(ConfigError, match="contacts already name their fingers"):
         remote.reach([[0, 0, 0], [0, 0, 1]], width=0.1)
     with pytest.raises(ConfigError, match="three numbers each"):
         remote.reach([[0, 0], [0, 1]])

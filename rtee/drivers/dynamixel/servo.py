@@ -54,7 +54,7 @@ class DynamixelMemory:
         return bytes(self._bytes[:address] + data + self._bytes[address + len(data) :])
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes; bytes to windows go where they point."""
+        """Write bytes; those written to indirect data go to the addresses that it refers to."""
         if address >= table.INDIRECT_DATA.start:
             for offset, byte in enumerate(data):
                 self._bytes[self._points_to(address + offset)] = byte
