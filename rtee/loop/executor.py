@@ -307,11 +307,12 @@ class Executor:
         their positions no longer give the width of the object.
         """
         grip = run.plan.grip
-        least = self._settings.grasp.touch
+        least, touch = self._settings.grasp.touch, measured.touch
         # Without sensors, a bending finger has bent before its effort is a half of its limit.
-        met = bool(self._reflexes.touched) and self._bends(run) and not measured.touch
+        met = bool(self._reflexes.touched) and self._bends(run)
         if grip is None or not (
-            met or grip.touches(measured.position, measured.effort, limits, measured.touch, least)
+            (met and math.isnan(grip.tip_force(touch)))
+            or grip.touches(measured.position, measured.effort, limits, touch, least)
         ):
             run.touched = ()
         elif not run.touched:

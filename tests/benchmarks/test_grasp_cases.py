@@ -54,6 +54,12 @@ def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool
     assert truth.result.force == pytest.approx(truth.low, abs=truth.result.force_error)
 
 
+def test_the_width_is_that_where_bending_fingers_met_the_object() -> None:
+    case = Case(CaseObject.SPHERE, 0.04, 20.0, None, True, seed=1, elements=("finger_2", "thumb"))
+    truth = try_case(bench("heri_ii", RATE), case)
+    assert (truth.said, truth.held, truth.result.within) == (True, True, True)
+
+
 def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() -> None:
     # Narrower than the two fingers of one side are apart: they come together.
     truth = try_case(bench("robotiq_3f", RATE), Case(CaseObject.BOX, 0.03, 8.1, None, True, seed=7))
