@@ -27,7 +27,7 @@ def section(driver: str) -> str:
     ]
     found = recorded().get(driver)
     bytes_of = (
-        f"The tests decode {len(found.frames)} published frames ({found.source})."
+        f"Published frames that the tests decode: {len(found.frames)} ({found.source})."
         if found is not None
         else "No public recording of such a device was found: its frames are known from documents "
         "and programs only."
