@@ -15,12 +15,11 @@ TOUCH: Final = 1e-8
 """Distance below which surfaces touch [m]: above the rounding errors of Coal."""
 
 _POLYTOPES: Final = 1e-9
-"""Precision of penetration depths of boxes, hulls and spheres [m]. With Coal's default, 1e-6, the
-last digit decides between two normals whose depths differ by less, and searches end at such
-places. For cylinders, which have no end of faces, the default stays: some would not converge.
-
-Also that of distances of meshes' hulls: with the default, they depend on the order of vertices and
-on earlier measurements, by up to a micrometre."""
+"""Precision of distances and penetration depths of boxes, hulls and spheres [m]. With Coal's
+default, 1e-6, the last digit decides between two normals whose depths differ by less, and searches
+end at such places; distances depend on the frame of the base, the order of vertices and earlier
+measurements. For cylinders, which have no end of faces, the default stays: some would not
+converge."""
 
 _FAILED: Final = -1e6
 """Distance below which Coal has failed to find a depth [m]: no hand penetrates itself so deeply."""
@@ -74,7 +73,7 @@ class DistanceQueries:
             second: Indices of those of the second link.
             bodies: Geometry of each shape, by its index: its convex part, its coarse shape, or its
                 original geometry.
-            coarse: Whether to measure for a search, with more precise depths of polytopes.
+            coarse: Whether to measure for a search, with more precise distances of polytopes.
             slack: Largest excess of the bodies' distance over that of the convex parts [m].
         """
         self.slack = slack
@@ -94,7 +93,7 @@ class DistanceQueries:
             # Flat faces alone have exact depths.
             flat = not any(isinstance(bodies[n], _ENDLESS) for n in couple)
             hull = flat and any(shapes[n].is_mesh for n in couple)
-            self._precise.append((flat and (coarse or hull), hull))
+            self._precise.append(flat and (coarse or hull))
             self.remembers |= not hull and any(
                 isinstance(bodies[n], coal.ConvexBase) and bodies[n].num_points > _CLIMBED
                 for n in couple
@@ -114,11 +113,9 @@ class DistanceQueries:
             self._data.collisionRequests[k] = collision
         # Their elements are Pinocchio's own requests, so that changes below take effect.
         self._distances = list(self._data.distanceRequests)
-        for request, (depth, distance) in zip(self._distances, self._precise, strict=True):
-            if depth:
-                request.epa_tolerance = _POLYTOPES
-            if distance:
-                request.gjk_tolerance = _POLYTOPES
+        for request, precise in zip(self._distances, self._precise, strict=True):
+            if precise:
+                request.epa_tolerance = request.gjk_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)
         self._measured = self._placed = -1

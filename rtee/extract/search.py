@@ -57,7 +57,9 @@ class SearchEffort:
             only as many as the last one has found a deeper minimum.
         kept: Number of distinct ends that are polished.
         polish: Most evaluations of polishing one of them.
-        again: Most further polishings of the deepest end, if the first did not suffice.
+        again: Most further polishings of one of the deepest ends, if the first did not suffice.
+        finalists: Number of these ends.
+        elsewhere: Number of descents that start from further points of the sequence.
     """
 
     screened: int = 192
@@ -67,6 +69,8 @@ class SearchEffort:
     kept: int = 5
     polish: int = 40
     again: int = 3
+    finalists: int = 1
+    elsewhere: int = 0
 
 
 PAIR: Final = SearchEffort()
@@ -82,6 +86,8 @@ SEVERAL: Final = SearchEffort(
     kept=6,
     polish=60,
     again=2,
+    finalists=3,
+    elsewhere=3,
 )
 """Limits for several tips, whose minima are many and shallow."""
 
@@ -90,6 +96,13 @@ _SAME: Final = 0.02
 
 _LITTLE: Final = 0.002
 """Share of the value that a polish must gain for another one to follow."""
+
+_FURTHER: Final = 64
+"""Number of the further points of the low-discrepancy sequence."""
+
+_NEARLY: Final = 0.06
+"""Share of the value by which a minimum may be above the deepest one to be polished, which gains up
+to as much."""
 
 _LAST: Final = 8
 """Evaluations of the last polish, on the full convex parts and with the finest resolution."""
@@ -161,22 +174,57 @@ def minima(
             first += [descend(function, y, evaluations=effort.quick) for y in best]
         if number and distinct(first)[0].value >= before.value:
             break
-    deep = distinct(first)[: effort.kept]
-    done = [_polished(function, m, effort.polish) for m in deep]
-    deepest = min(done, key=lambda m: m.value)
-    for _ in range(effort.again):
-        # A polish that ended by itself is at a minimum, which another one would not change.
-        if deepest.evaluations < effort.polish:
-            break
-        before, deepest = deepest, _polished(function, deepest, effort.polish)
-        done.append(deepest)
-        if before.value - deepest.value < _LITTLE * abs(deepest.value):
-            break
+    done = _deepened(function, distinct(first)[: effort.kept], effort)
+    if effort.elsewhere:
+        others = _elsewhere(function, distinct(first), effort)
+        polished = _deepened(function, others[:1], effort)
+        # Other searches start from these, too, if they have found a deeper one.
+        if any(_gains(m.value, min(m.value for m in done)) for m in polished):
+            first, done = [*first, *others], [*done, *polished]
     deepest = min(done, key=lambda m: m.value)
     # The last steps on the full parts, since coarse shapes are up to 0.1 mm thinner.
     with function.fine():
         done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))
+
+
+def _elsewhere(
+    function: GoalFunction, known: Sequence[Minimum], effort: SearchEffort
+) -> list[Minimum]:
+    """Return other minima than the known ones that may become deeper, the deepest first.
+
+    Combinations of known minima hardly leave their valleys.
+    """
+    points = halton(function.space.size, effort.screened + _FURTHER)[effort.screened :]
+    best = nearest(function, [*points], effort.elsewhere)
+    found = distinct([descend(function, y, evaluations=effort.quick) for y in best])
+    enough = known[0].value + _NEARLY * abs(known[0].value)
+    return [
+        m for m in found if m.value < enough and all(np.abs(m.y - o.y).max() > _SAME for o in known)
+    ]
+
+
+def _deepened(
+    function: GoalFunction, ends: Sequence[Minimum], effort: SearchEffort
+) -> list[Minimum]:
+    """Return polished minima, the deepest of which are polished until they gain little."""
+    done, deepest = [_polished(function, m, effort.polish) for m in ends], np.inf
+    for end in sorted(done, key=lambda m: m.value)[: effort.finalists]:
+        chain = [end]
+        # A polish that ended by itself is at a minimum, which another one would not change.
+        while len(chain) <= effort.again and chain[-1].evaluations >= effort.polish:
+            chain.append(_polished(function, chain[-1], effort.polish))
+            if not _gains(chain[-1].value, chain[-2].value):
+                break
+        if _gains(chain[-1].value, deepest):
+            deepest = chain[-1].value
+            done += chain[1:]
+    return done
+
+
+def _gains(value: float, before: float) -> bool:
+    """Return whether a value is less than another one by more than a little."""
+    return before - value >= _LITTLE * abs(value)
 
 
 def _polished(function: GoalFunction, minimum: Minimum, evaluations: int) -> Minimum:

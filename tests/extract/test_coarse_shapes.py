@@ -8,9 +8,11 @@ import coal
 import numpy as np
 import pytest
 
+from extract.models import Model, box
 from rtee.extract.coarse_shapes import SLACK, coarse_shape, least_width, outer, simplified
 from rtee.extract.scene import Scene
 from rtee.hand.geometry import HandGeometry, hull_of
+from rtee.hand.halton import halton
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 
@@ -73,6 +75,35 @@ def test_distances_of_hulls_do_not_depend_on_earlier_ones(shared: Path) -> None:
     # At its last posture, Coal's default precision leaves 80 nm between the two.
     postures = np.random.default_rng(0).uniform(hand.lower, hand.upper, (33, len(hand.lower)))
     assert measured(postures) == pytest.approx(measured(postures[-1:]), abs=1e-12)
+
+
+def test_distances_of_prisms_do_not_depend_on_the_order_of_links(tmp_path: Path) -> None:
+    fingers = {
+        "left": (
+            0.0,
+            (0, 0.6, 0.8),
+            '<geometry><cylinder radius="0.01" length="0.04"/></geometry>',
+        ),
+        "right": (0.05, (0.6, 0.8, 0), box((0.02, 0.03, 0.04))),
+    }
+    found = []
+    for order in (1, -1):
+        model = Model(f"order_{order}")
+        for name in [*fingers][::order]:
+            x, axis, shape = fingers[name]
+            rpy = (0.3 + 9 * x, 0.7 - 20 * x, 30 * x)
+            model.link(name, shape).finger(name, name)
+            model.joint(
+                f"{name}_joint", "base", name, xyz=(x, 0, 0), rpy=rpy, axis=axis, limits=(-2, 2)
+            )
+        scene, distances = Scene(model.load(tmp_path)), []
+        for posture in halton(2, 40):
+            scene.place(posture[::order].copy())
+            distances += scene.distances(list(scene.tips.values()))
+        found.append(distances)
+    assert min(found[0]) > 0.0
+    # Coal's default precision leaves 0.4 µm between the two.
+    assert found[0] == pytest.approx(found[1], abs=1e-12)
 
 
 def test_distances_of_drafts_bound_those_of_the_full_convex_parts(leap: Hand) -> None:

@@ -102,3 +102,11 @@ def test_a_valley_that_no_start_met_is_found_from_the_deepest_minimum(
     effort = SearchEffort(screened=1, starts=0, rounds=rounds)
     found = minima(cast("Any", valleys), [start + 0.02], effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)
+
+
+@pytest.mark.parametrize(("elsewhere", "depth"), [(0, -2.0), (3, -4.0)])
+def test_a_valley_far_from_the_known_minima_is_found(elsewhere: int, depth: float) -> None:
+    valleys = Valleys()
+    effort = SearchEffort(screened=1, starts=0, elsewhere=elsewhere)
+    found = minima(cast("Any", valleys), [valleys.flat], effort, BLOCKS).polished
+    assert found[0].value == pytest.approx(depth, abs=1e-3)
