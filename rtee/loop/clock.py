@@ -18,14 +18,14 @@ from rtee.errors import ConfigError
 from rtee.hand.config_schema import MAX_RATE, MIN_RATE
 from rtee.types import LoopStatistics
 
-_FIRST = 5  # leading bits that a bucket keeps of a duration: 1/32, so that buckets are 3 % wide
+_FIRST = 5  # leading bits of a duration that select its bucket: 1/32, so buckets are 3 % wide
 _SUB = 1 << _FIRST
 
 
 class Histogram:
-    """Counts durations in buckets whose width grows with the value: 3 % wide, of fixed number.
+    """Counts durations in a fixed number of buckets, each 3 % wide.
 
-    Up to 63 ns every value has its own bucket; above, every power of two is cut into 32 buckets
+    Up to 63 ns, every value has its own bucket; above, every power of two is split into 32 buckets
     (the scheme of HdrHistogram). `maximum` is exact.
 
     Args:
@@ -64,12 +64,12 @@ class Histogram:
         return [min(_upper(min(k, self._last)), self.maximum) * 1e-9 for k in buckets]
 
     def at_most(self, bounds: Sequence[float]) -> list[int]:
-        """Return the number of durations up to each bound [s], to the width of a bucket."""
+        """Return how many durations are at most each bound [s], to the resolution of a bucket."""
         seen = list(accumulate(self._counts))
         return [seen[min(_bucket(int(bound * 1e9)), self._last)] for bound in bounds]
 
     def total(self) -> float:
-        """Return the sum of all durations [s], to the width of a bucket."""
+        """Return the sum of all durations [s], to the resolution of a bucket."""
         # A copy, since another thread may be counting.
         return sum(n * _upper(k) for k, n in enumerate(tuple(self._counts)) if n) * 1e-9
 
@@ -119,7 +119,7 @@ class TickStatistics:
             self._window_ns = woken_ns
         self.ticks += 1
         passed = woken_ns - self._window_ns
-        # Once a second [ns]: over less, the figure would jump with the lateness of two ticks.
+        # Once a second [ns]: over a shorter time, one late tick would make the figure jump.
         if passed >= 1_000_000_000:
             self.measured_rate = (self.ticks - 1 - self._window_ticks) * 1e9 / passed
             self._window_ticks = self.ticks - 1
@@ -220,8 +220,8 @@ class _TickTimer(timerfd.Timer):
 class Clock:
     """Ticks at a fixed rate; `drive` calls a function at each tick.
 
-    On Linux a timerfd wakes the event loop within some ten microseconds of the due time. Elsewhere
-    the clock sleeps, as precisely as the event loop can: asyncio rounds to a millisecond.
+    On Linux, a timerfd wakes the event loop within about ten microseconds of the due time.
+    Elsewhere the clock sleeps as precisely as the event loop can: asyncio rounds to a millisecond.
 
     Args:
         rate: Ticks per second [Hz], 1 to 2000.
@@ -286,7 +286,7 @@ class Clock:
 
 
 class ManualClock:
-    """A clock with its time set by the program: for tests and replay, at any speed.
+    """A clock whose time the program sets: for tests and replay, at any speed.
 
     It ticks as fast as the loop takes the ticks; in between, every other task runs until it waits.
 
@@ -294,8 +294,8 @@ class ManualClock:
         rate: Ticks per second of the clock's own time [Hz].
         ticks: Number of ticks after which `drive` returns; ``None``: never.
         start: The clock's time at the beginning [s].
-        turns: Turns of the event loop that the other tasks get between two ticks, at most: on
-            simulated time, until all of them wait.
+        turns: Most turns of the event loop that the other tasks get between two ticks; in
+            simulated time, fewer if all of them wait.
     """
 
     def __init__(

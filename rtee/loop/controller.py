@@ -48,7 +48,7 @@ from rtee.types import Around, Event, Feedback, Result
 
 
 class ReferenceStart:
-    """Starts the references of a hand's actuators; all that sets one to a measurement asks here.
+    """Starts the references of a hand's actuators from measured positions, nowhere else.
 
     Args:
         profile: Moves the reference.
@@ -89,13 +89,13 @@ class ReferenceStart:
         Args:
             i: The actuator.
             stamp: Now [s].
-            touching: Whether it is known to press against an object; else this is judged here.
+            touching: Whether it is known to press against an object; if not, this is estimated.
         """
         touching = touching or self._touches(i)
         return self._plausible.start(i, stamp, self._limiter.position[i], touching=touching)
 
     def _touches(self, i: int) -> bool:
-        """Return whether more than its position shows that an actuator presses on something."""
+        """Return whether effort, touch or the device, not only position, shows a contact."""
         return self._contact.shows(i, self._measured, self._pressing * self._effort[i])
 
     def set(self, positions: Mapping[int, float]) -> None:
@@ -106,9 +106,9 @@ class ReferenceStart:
             self._plausible.started(i, position)
 
     def brake(self, indices: Collection[int]) -> None:
-        """Brake some actuators, unless the next tick finds that they can start where they are.
+        """Brake some actuators, unless the next tick can start them at their measured positions.
 
-        Called before the knowledge of their contacts is dropped.
+        Called before their contacts are forgotten.
         """
         self._frozen.update((i, self._touches(i)) for i in indices)
         self._profile.go({}, brake=[i for i in indices if self._active[i]])
@@ -119,7 +119,7 @@ class ReferenceStart:
         self._plausible.forget((i,))
 
     def step(self, stamp: float, measured: Measured) -> list[int]:
-        """Judge the measurements of a tick, and start the references that wait for them.
+        """Check the measurements of a tick, and start the references that wait for them.
 
         Inactive actuators are followed.
 
@@ -148,7 +148,7 @@ class ReferenceStart:
         return [i for i in start if self._active[i]]
 
     def posture_to_keep(self) -> list[float]:
-        """Return the positions to leave the hand in [rad | m]; blocked fingers keep their grip."""
+        """Return the positions to leave the hand at [rad | m]; blocked fingers keep their grip."""
         return [
             position
             if self._contact.blocked(i) or (measured := self.at(i, self._now)) is None
@@ -256,7 +256,7 @@ class Controller:
         )
 
     def restored(self) -> None:
-        """Go on from a state that was set from outside."""
+        """Recompute derived values after the state was set from outside."""
         self._profile.restored()
 
     # --- goals and commands ------------------------------------------------------------------
@@ -338,10 +338,10 @@ class Controller:
             self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
 
     def _in_place(self, plan: Plan) -> tuple[Plan, dict[int, float]]:
-        """Return a grasp without the path around the object, where that is held already.
+        """Return a grasp, without its approach if the object is held, and the grip's efforts.
 
-        Opening first would drop it. Returned, too, are the effort limits with which it is held, by
-        actuator [N·m | N], from which the new force is built up.
+        Opening first would drop the object. The new force is built up from the effort limits with
+        which it is held, by actuator [N·m | N].
         """
         held = [i for i in plan.involved if self._contact.grasping(i)]
         if not isinstance(plan.to, Around) or len(plan.legs) < 2 or not held:

@@ -29,7 +29,7 @@ CONFIRM_WITHIN = 0.15
 """Time a device has to confirm a stop [s]: several exchanges on the slowest bus."""
 
 _REPEAT_AFTER = 1.0
-"""Interval between reports of the same refusal [s]: a device may repeat it at every tick."""
+"""Time between reports of the same refusal [s]: a device may repeat it at every tick."""
 
 Steer = Callable[[Command], None]
 """Passes a command to the controller."""
@@ -122,7 +122,7 @@ class Devices:
             if self.state.known(device):
                 self._active[device.name] = True
                 accepts = "max_effort" in device.guarded.capabilities.accepts
-                # Before SetActive, with which the first references go out.
+                # Before `SetActive`, after which the first references are sent.
                 steer(SetAcceptsEffort(dict.fromkeys(names, accepts)))
                 steer(SetActive(dict.fromkeys(names, True)))
             return
@@ -132,11 +132,11 @@ class Devices:
         steer(Abort(text, names))
         steer(SetActive(dict.fromkeys(names, False)))
         if self.any_active:
-            # With no device left there is nothing that could hold, stop or open.
+            # With no device left, nothing can hold, stop or open.
             on_lost(text)
 
     def _refused(self, device: Supervisor, steer: Steer) -> None:
-        """Restart the reference from where a device is, since it refused one."""
+        """Restart the reference at a device's measured positions after it refused one."""
         text, device.connection.rejected = device.connection.rejected, ""
         steer(Abort(text, device.actuators))
         steer(Freeze(text, device.actuators))
@@ -146,11 +146,10 @@ class Devices:
         self._warn("touch_refused", device, text)
 
     def _warn(self, kind: str, device: str, text: str) -> None:
-        """Report a warning, unless the same one was reported a moment ago."""
+        """Report a warning, unless it repeats one of a moment ago."""
         now = self._now()
         if now - self._warned.get(text, -math.inf) >= _REPEAT_AFTER:
-            # Only the last one is kept: a text may contain a value, and a dictionary of all texts
-            # would grow.
+            # Only the last text is kept: texts contain values, so a dictionary would grow.
             self._warned = {text: now}
             self.by_name[device].warn(kind, text)
 
@@ -198,7 +197,7 @@ class Devices:
         max_velocity: list[float],
         unplaced: AbstractSet[int] = frozenset(),
     ) -> None:
-        """Have every device that is due exchange with its part of a tick's reference.
+        """Send every device that is due its part of a tick's reference, and read its state.
 
         Args:
             record: The record of the tick.
@@ -245,7 +244,7 @@ class Devices:
 
         async def one(device: Supervisor) -> None:
             try:
-                # A device that fails must not keep the others from stopping.
+                # A device that fails must not prevent the others from stopping.
                 confirmed[device.name] = await request(device, CONFIRM_WITHIN)
             except Exception:
                 log.exception("device '%s' could not be reached: %s", device.name, reason)

@@ -34,35 +34,35 @@ from rtee.types import (
 )
 
 _RANGE_SHARE = 0.01
-"""The play that may leave an actuator at rest short of its target, as a share of its range [1]. A
+"""How far short of its target play may leave an actuator at rest, as a share of its range [1]. A
 prismatic actuator's error must be below this share as well: the usual tolerance
-of 0.01 is a small angle [rad], but in metres a fifth of the stroke of a typical gripper jaw. By
-position alone, an object thinner than twice this share of the stroke cannot be distinguished from
-nothing."""
+of 0.01 is a small angle [rad], but in metres a fifth of the stroke of a typical gripper jaw.
+Position alone cannot distinguish an object thinner than twice this share of the stroke from an
+empty hand."""
 
 _STEADY = 0.25
-"""How long a grasp must be at rest before its result comes [s]: a blow is over, and what springs
-away is gone."""
+"""How long a grasp must rest before its result is sent [s]: by then the impact is over, and an
+object that springs away is gone."""
 
 _EARLY = 0.03
-"""Share of its way by which an actuator may be stopped before the empty hand meets itself: fingers
-are broader in rubber gloves than in their model."""
+"""Share of its travel by which an actuator may stop before the empty hand touches itself: rubber
+gloves make fingers thicker than their model."""
 
 _UNEVEN = 0.01
-"""Time for each further actuator of its finger, in which one is stopped still earlier [s]: they
-follow their references unevenly, and the others go on. In simulation, one of the four of a quick
-Allegro's thumb stops a tenth of its way before the contact that its model has."""
+"""Further travel by which an actuator may stop early, as a time for each other actuator of its
+finger [s]: they follow their references unevenly, and the others go on. In simulation, one of the
+four in the thumb of a fast Allegro stops a tenth of its travel before the contact in its model."""
 
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
-time [s]: it must not merely pass the target."""
+time [s]: passing the target is not enough."""
 
 
 _BENDS: Final = (Following.TENDON, Following.LINKAGE)
-"""Couplings with which the links of a finger go on when others are blocked."""
+"""Couplings that let some links of a finger go on when others are blocked."""
 
 _DIGITS: Final = 9
-"""Digits of a reported opening [m]: a nanometre, which no device resolves."""
+"""Decimals of a reported opening [m]: a nanometre is finer than any device resolves."""
 
 
 class GripValues(TypedDict, total=False):
@@ -308,7 +308,7 @@ class Executor:
         """
         grip = run.plan.grip
         least, touch = self._settings.grasp.touch, measured.touch
-        # Without sensors, a bending finger has bent before its effort is a half of its limit.
+        # Without sensors: a bending finger bends before its effort reaches half of its limit.
         met = bool(self._reflexes.touched) and self._bends(run)
         if grip is None or not (
             (met and math.isnan(grip.tip_force(touch)))
@@ -319,15 +319,15 @@ class Executor:
             run.touched = tuple(measured.position)
 
     def _bends(self, run: _Run) -> bool:
-        """Return whether the fingers that grasp bend while their actuator goes on."""
+        """Return whether the grasping fingers bend while their actuator goes on."""
         grip = run.plan.grip
         return grip is not None and not self._bending.isdisjoint(grip.indices)
 
     def _may_be_nothing(self, run: _Run, measured: Measured) -> bool:
-        """Return whether the object that seems held or touched may be the hand itself.
+        """Return whether the result cannot state for certain that an object is held.
 
-        Or whether an object that is touched, but not gripped by the tips, may be held: by other
-        parts of the hand that touch it, or by its weight on the fingers.
+        The hand may be touching itself. Or an object is touched, but not gripped by the tips: other
+        parts of the hand, or its weight on the fingers, may hold it.
         """
         plan, contact = run.plan, self._contact
         grasped = any(contact.grasping(i) for i in plan.involved)
@@ -348,9 +348,9 @@ class Executor:
         return last and not grasped and any(contact.touch(i) is not False for i in plan.involved)
 
     def _stopped_closing(self, run: _Run) -> bool:
-        """Return whether an actuator that was stopped in the last leg was closing.
+        """Return whether an actuator was stopped while closing in the last leg.
 
-        Others may have been pushed away before it began, from rest or beyond their target.
+        Others may have been pushed away before the leg began, from rest or beyond their target.
         """
         rest, contact = self._hand.rest, self._contact
         return run.stalled[-1] and any(
@@ -358,7 +358,7 @@ class Executor:
         )
 
     def _alone(self, run: _Run) -> bool:
-        """Return whether every actuator came as far as in the empty hand."""
+        """Return whether every actuator moved as far as in the empty hand."""
         actuators = self._hand.actuators
         ways = {i: target - actuators[i].rest for i, target in run.present.targets.items()}
         # All arrive together with the one that takes longest.
@@ -400,7 +400,7 @@ class Executor:
         # Fingers that touch elsewhere than the levers assume.
         elsewhere = source not in (TIPS, DEVICE) and grasped and within is False
         if felt == felt:
-            # More exact: by finger, and without the share of weight and friction.
+            # More exact: measured per finger, without the effects of weight and friction.
             force, error = felt, doubt
             if elsewhere or doubt != doubt:
                 force, error, source = math.nan, math.nan, ""
@@ -450,7 +450,7 @@ class Executor:
         run.angle = self._tolerance(run.plan)
         run.length = self._length_tolerance(leg.targets, run.angle)
         run.shares = self._shares(run)
-        # After `go`: a stall of before belongs to another motion.
+        # After `go`: an earlier stall belongs to another motion.
         self._contact.begin(leg.targets, run.shares, stamp)
         self._reflexes.begin(run.plan, run.leg, run.shares, measured, stamp)
         # Progress is measured from here.
@@ -469,7 +469,7 @@ class Executor:
     def _judge(self, run: _Run, stamp: float, measured: Measured) -> None:
         error = self._norms(run.present.targets, measured.position)
         if self._reflexes.around and self._reflexes.touched:
-            # The object is wider there than thought: the fingers close on it from here.
+            # The object is wider than assumed: the fingers close on it from here.
             run.reached[run.leg], run.progress[run.leg] = True, 1.0
             run.phase, run.until = Phase.AFTER, stamp + run.present.after
             return
@@ -482,7 +482,7 @@ class Executor:
         if not held and self._settled(run) and self._bears(run, stamp, measured):
             if stamp - run.bears < _STEADY:
                 return
-            # It is thinner than the tolerance of a stall: only the effort shows that it is there.
+            # The object is thinner than the tolerance of a stall: only the effort reveals it.
             held = True
         if not held and not arrived and self._near(run, stamp, measured):
             if stamp - run.near < self._settings.stall.time:
@@ -506,12 +506,12 @@ class Executor:
         run.until = stamp + run.present.after
 
     def _near(self, run: _Run, stamp: float, measured: Measured) -> bool:
-        """Return whether each actuator stays as near to its target as its play may leave it.
+        """Return whether each actuator rests within its play of its target.
 
         At rest, the play and the friction of many actuators add up to more than their tolerance.
         """
         to, actuators = run.plan.to, self._hand.actuators
-        # A goal with a stricter tolerance is stricter here, too; an opening has one of its own.
+        # A goal with a stricter tolerance is stricter here, too; an opening has its own tolerance.
         if near := not (isinstance(to, Opening) or self._profile.moving or self._reflexes.touched):
             usual = Intensity().tolerance
             asked = to.tolerance if isinstance(to, Intensity | FirstContact) else usual
@@ -529,13 +529,13 @@ class Executor:
         return near
 
     def _bears(self, run: _Run, stamp: float, measured: Measured) -> bool:
-        """Return whether the one actuator of a grasp presses on something where it ends."""
+        """Return whether the single actuator of a grasp still presses where it has stopped."""
         targets = run.present.targets
         last = run.leg + 1 == len(run.plan.legs)
         if not (isinstance(run.plan.to, Around) and last and len(targets) == 1):
             return False
         (i,) = targets
-        if i in self._reflexes.busy:  # a reflex has stopped it, and decides
+        if i in self._reflexes.busy:  # a reflex has stopped it, and decides what it does next
             return False
         grip, contact, position = run.plan.grip, self._contact, measured.position
         word = measured.grasped[i] == 1
@@ -553,7 +553,7 @@ class Executor:
 
     def _progress(self, run: _Run, error: tuple[float, float]) -> float:
         left = 0.0
-        # Angles and lengths have tolerances of their own.
+        # Angles and lengths have separate tolerances.
         least = (run.angle, run.length)
         for now, first, tolerance in zip(error, run.first_error, least, strict=True):
             if first > tolerance:
@@ -599,7 +599,7 @@ class Executor:
     def _settled(self, run: _Run) -> bool:
         """Return whether the reference has arrived at the targets, and is not just passing them."""
         profile, targets = self._profile, run.present.targets
-        # The reference is at rest: where the hand is, it stays.
+        # The reference is at rest, so the hand stays where it is.
         if not profile.moving:
             return True
         if not self._within(run, self._norms(targets, profile.position)):

@@ -19,7 +19,7 @@ class DeviceForces:
 
     Attributes:
         refused: Reason why a device takes no effort limit, in words or empty, by actuator index.
-        grips: Forces by the devices' data sheets, by actuator index.
+        grips: Forces in the devices' data sheets, by actuator index.
         unlimited: Actuators whose effort their device cannot limit, though it limits others.
     """
 

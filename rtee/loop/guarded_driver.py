@@ -1,8 +1,8 @@
 """Call a driver so that its faults affect only its own device.
 
-Drivers may be written by anybody. Their states are checked here, where they enter, and not later,
-where a wrong one would end the run of all devices. A driver that blocks the thread instead of
-waiting cannot be guarded against.
+Drivers may be written by anybody. Their states are checked here, on entry: later, an invalid one
+would end the run of all devices. There is no protection against a driver that blocks the thread
+instead of awaiting.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from rtee.types import Reference
 T = TypeVar("T")
 
 _MOST_CHANNELS = 256
-"""Most further channels of a device: each is recorded and published with every state."""
+"""Most additional channels of a device: each is recorded and published with every state."""
 
 _MOST_VALUES = 65_536
-"""Most values of a channel or of touch: a picture of 256 by 256 pixels."""
+"""Most values in a channel or a touch reading: an image of 256 by 256 pixels."""
 
 _MOST_WARNINGS = 20
-"""Most warnings of a state that are read; devices have as many bits in a status word."""
+"""Most warnings read from a state: as many as a status word has bits."""
 
 _LONGEST = 500
-"""Longest text of a driver that is kept [characters]: some lines on a terminal."""
+"""Longest text kept from a driver [characters]: some lines on a terminal."""
 
 _CANCELLATIONS = 3
-"""Cancellations after which a call that goes on all the same is abandoned: the first ones may be
-answered by a clean-up that waits."""
+"""Cancellations after which a call that is still running is abandoned: clean-up code may await, and
+so outlive the first ones."""
 
 
 class GuardedDriver:
-    """Calls a driver's methods; they raise `Exception` only, and only within bounds of time.
+    """Calls a driver's methods so that they end in time and raise nothing but `Exception`.
 
     Args:
         driver: The driver.
@@ -59,11 +59,11 @@ class GuardedDriver:
         self._capabilities = Capabilities()
         self.abandoned = False
 
-    # --- what it says of itself ------------------------------------------------------------------
+    # --- what the driver reports about itself ----------------------------------------------------
 
     @property
     def capabilities(self) -> Capabilities:
-        """The device's capabilities, the last ones that were some."""
+        """The device's capabilities: the last valid ones."""
         found = self._read(lambda: self._driver.capabilities, None)
         if isinstance(found, Capabilities):
             self._capabilities = found
@@ -85,7 +85,7 @@ class GuardedDriver:
         return self._read(lambda: {line(k): int(v) for k, v in self._driver.counters().items()}, {})
 
     def gains(self) -> Mapping[str, float]:
-        """Return the present values of gains, as far as the driver knows them."""
+        """Return the present gains, as far as the driver knows them."""
         return self._read(lambda: {line(k): float(v) for k, v in self._driver.gains().items()}, {})
 
     def _read(self, read: Callable[[], T], default: T) -> T:
@@ -95,7 +95,7 @@ class GuardedDriver:
             return default
 
     def _moved(self) -> None:
-        """Forget the device's last position: the device may be limp, or move by itself."""
+        """Forget the device's last position: the device may go limp, or move by itself."""
         self._read(lambda: self._driver.standstill.forget(), None)
 
     # --- calls -----------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class GuardedDriver:
         await self._call(self._driver.activate)
 
     async def sense(self) -> ActuatorState:
-        """Return a state that is one of the device's actuators; raises `DriverError` otherwise."""
+        """Return a valid state of the device's actuators; raises `DriverError` otherwise."""
         state = await self._call(self._driver.sense)
         self._check(state)
         self._read(lambda: self._driver.standstill.measured(state), None)
@@ -119,7 +119,7 @@ class GuardedDriver:
 
     async def move(self, reference: Reference) -> None:
         """See `Driver.move`."""
-        # Before the call, since a reference may have arrived though the call fails.
+        # Before the call: the reference may reach the device even if the call fails.
         self._read(lambda: self._driver.standstill.asked(reference), None)
         await self._call(lambda: self._driver.move(reference))
 
@@ -174,14 +174,14 @@ class GuardedDriver:
     # --- states ----------------------------------------------------------------------------------
 
     def _check(self, state: ActuatorState) -> None:
-        """Raise `DriverError` unless a state can be used; fast, since it is called at each tick."""
+        """Raise `DriverError` unless a state is valid; fast, since it is called at each tick."""
         n = self._size
         if not isinstance(state, ActuatorState):
             raise self._bug(f"gave {type(state).__name__} instead of a state")
         for values in measured_arrays(state):
             if type(values) is not np.ndarray or values.dtype != np.float64:
                 raise self._bug("gave a state whose quantities are not arrays of float64")
-            # A wrong length would only show much later, as values of another actuator.
+            # A wrong length would only show up much later, as values of another actuator.
             if values.shape != (n,):
                 raise self._bug(f"gave a state that is not one of {n} actuators")
         if not (isinstance(state.stamp, int | float) and math.isfinite(state.stamp)):
@@ -221,12 +221,12 @@ def line(text: object) -> str:
     """Return a text of a driver as one printable line of bounded length."""
     try:
         return foreign(str(text)[:_LONGEST])
-    except BaseException:  # even `str` is code of the driver
+    except BaseException:  # even `str` runs code of the driver
         return type(text).__name__
 
 
 def warnings_of(state: ActuatorState) -> tuple[str, ...]:
-    """Return the warnings of a state as printable lines, a bounded number of them."""
+    """Return the warnings of a state as a bounded number of printable lines."""
     return tuple(map(line, state.warnings[:_MOST_WARNINGS]))
 
 
@@ -240,7 +240,7 @@ def _is_channel(values: object) -> bool:
 
 
 def _plain_fault(device: str, fault: DeviceFault) -> DeviceFault:
-    """Return a fault whose attributes have the types that they should have."""
+    """Return a copy of a fault in which every attribute has the declared type."""
     try:
         code = int(fault.code)
     except BaseException:
@@ -256,7 +256,7 @@ async def _awaited(work: Awaitable[T]) -> T:
 
 @types.coroutine
 def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[Any, Any, T]:
-    """Run a coroutine; abandon it when it goes on although it was cancelled several times."""
+    """Run a coroutine; abandon it if it is still running after several cancellations."""
     cancelled = 0
     try:
         waits_for = work.send(None)
@@ -266,7 +266,7 @@ def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[A
             except asyncio.CancelledError as error:
                 cancelled += 1
                 if driver.abandoned:
-                    # By `Runner`, which has cancelled once more than its timeout takes back.
+                    # `Runner` cancelled the task once more than its timeout will uncancel.
                     task = asyncio.current_task()
                     if task is not None:
                         task.uncancel()
@@ -275,7 +275,7 @@ def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[A
                     raise
                 waits_for = work.throw(error)
             except Exception as error:
-                # A task throws here what a future raises; the work may expect it.
+                # The exception of a future that the coroutine awaits, which it may handle.
                 waits_for = work.throw(error)
             else:
                 waits_for = work.send(None)
@@ -284,5 +284,5 @@ def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[A
     finally:
         try:
             work.close()
-        except BaseException:  # it ignores even this, and is never resumed
+        except BaseException:  # it resists even closing; it is never resumed
             driver.abandoned = False

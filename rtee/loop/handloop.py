@@ -52,14 +52,14 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ITSELF = "rtee"
-"""Name of the client of those goals that the loop submits itself."""
+"""Client name for the goals that the loop submits itself."""
 
 GRIP_EFFORT = "grip_effort"
 """The hand's own gain: effort kept on a held object, as a fraction of the effort limit."""
 
 
 _ROUNDED = 1e-4
-"""A position this far beyond a limit is one that a client has rounded [rad | m]."""
+"""A position at most this far beyond a limit is a rounding error of the client [rad | m]."""
 
 
 class HandLoop:
@@ -127,8 +127,8 @@ class HandLoop:
 
     async def __aenter__(self) -> Self:
         """Start the devices' tasks."""
-        # Before the first tick: reading the file takes as long as many of them. What is wrong with
-        # it, the first goal that needs it says.
+        # Before the first tick: reading the file takes as long as many ticks. The first goal that
+        # needs it reports any error in it.
         with contextlib.suppress(ConfigError):
             _ = self.library.openings
         self._group = anyio.create_task_group()
@@ -155,7 +155,7 @@ class HandLoop:
             for device in self.devices.values():
                 await device.ready()
         finally:
-            # A goal may arrive before the first tick, which would only then find the devices.
+            # A goal may arrive before the first tick, which otherwise detects the active devices.
             self._devices.state.collect()
             self._devices.follow(self._pending.append, self._on_lost)
 

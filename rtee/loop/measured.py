@@ -14,8 +14,8 @@ TIP_FORCE = "contact_force"
 over all links of the finger."""
 
 GRIP_FORCE = "loop/grip_force"
-"""The channel with the force between fingertips that keep their posture, and its error [N]:
-known only to the controller, which has seen what the fingers took before they touched."""
+"""The channel with the force between fingertips at rest, and its error [N]: only the controller
+knows it, since it has seen the efforts of the fingers before they touched."""
 
 
 @dataclass(slots=True)
@@ -47,7 +47,7 @@ class Measured:
         Args:
             sample: The sample.
             before: The previous sample. Arrays that are the same object in both, such as those of
-                quantities that a device does not measure, are not converted again.
+                quantities that a device does not measure, are converted only once.
         """
         # Lists, since indexing numpy arrays one value at a time takes several times as long.
         self.position = sample.position.tolist()

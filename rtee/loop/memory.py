@@ -1,4 +1,4 @@
-"""Lock the memory of the process, or return to the system what only the start needed."""
+"""Lock the memory of the process, or release its start-up memory to the system."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _AREA = re.compile(
 _WRITTEN = re.compile(r"^(?:Anonymous|Swap): +(\d+) kB", re.MULTILINE)
 _MCL_CURRENT = 1  # mlockall: pages that are mapped now (sys/mman.h)
 _MCL_FUTURE = 2  # mlockall: pages that will be mapped
-_MCL_ONFAULT = 4  # mlockall: each of them once it is used (Linux 4.4)
-_M_TRIM_THRESHOLD = -1  # mallopt: more free memory than this is given back (malloc.h)
-_M_MMAP_THRESHOLD = -3  # mallopt: larger blocks are mapped each for itself
-_FREE = 128 * 1024  # of the first of these [byte]: what glibc begins with
-_LARGE = 32 * 1024  # of the second [byte]: half of what Zenoh receives at once, which a flood keeps
+_MCL_ONFAULT = 4  # mlockall: lock each page when it is first used (Linux 4.4)
+_M_TRIM_THRESHOLD = -1  # mallopt: free memory above this is released (malloc.h)
+_M_MMAP_THRESHOLD = -3  # mallopt: larger blocks each get a mapping of their own
+_FREE = 128 * 1024  # for M_TRIM_THRESHOLD [byte]: glibc's initial value
+_LARGE = 32 * 1024  # for M_MMAP_THRESHOLD [byte]: half of Zenoh's receive buffer, kept in a flood
 _MADV_DONTNEED = 4  # madvise: the pages are not needed now (sys/mman.h)
 
 
@@ -30,11 +30,11 @@ def lock_memory() -> list[str]:
     """Keep the process's memory from being swapped out, now and later.
 
     Returns:
-        A sentence if that was not permitted, with what to configure.
+        Empty, or one sentence: why this was not permitted, and what to configure.
     """
     library = ctypes.CDLL(None, use_errno=True)
     everything = _MCL_CURRENT | _MCL_FUTURE
-    # Memory that is reserved and never used, such as most of each stack, is twice the used memory.
+    # On fault, since unused memory, such as most of each stack, is twice the memory in use.
     if library.mlockall(everything | _MCL_ONFAULT) == 0:
         _lock_programs(library)
         return []
@@ -49,27 +49,26 @@ def lock_memory() -> list[str]:
 
 
 def _lock_programs(library: ctypes.CDLL) -> None:
-    """Load and lock all program files in memory: their first use must not wait for a disk."""
+    """Lock all program files in memory, so that no first use waits for a disk."""
     library.mlock.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
     for access, first, size in _files():
-        # Neither shared memory, which is not a program, nor writable memory, which would be copied.
+        # Shared memory holds no program, and locking writable memory would copy it.
         if access.startswith("r-") and access.endswith("p"):
-            # One that cannot be locked now, such as a device's, is locked where it is used.
+            # Failures are ignored: mappings such as a device's are locked when first used.
             library.mlock(first, size)
 
 
 def give_memory_back() -> None:
-    """Return memory to the system that only the start needed, and from now on all freed memory.
+    """Release start-up memory to the system, and from now on all memory that is freed.
 
-    A process that locks its memory must not do this. Linux maps 64 kB of a library around each
-    instruction that runs for the first time, so that a start maps three times the code that runs
-    afterwards. The unmapped pages stay in the system's cache of files; those that are used again
-    are mapped again within microseconds.
+    Not for a process that locks its memory. When an instruction first runs, Linux maps 64 kB of its
+    library around it, so that start-up maps three times as much code as runs later. The unmapped
+    pages stay in the system's page cache, and are mapped again within microseconds when needed.
     """
     if not sys.platform.startswith("linux"):
         return
     library = ctypes.CDLL(None, use_errno=True)
-    if hasattr(library, "malloc_trim"):  # glibc's; other libraries give back by themselves
+    if hasattr(library, "malloc_trim"):  # glibc only; other libraries release memory by themselves
         library.malloc_trim(ctypes.c_size_t(0))
         # By default, glibc raises both thresholds when the first large block is freed, and then
         # keeps up to twice its size.
@@ -81,10 +80,10 @@ def give_memory_back() -> None:
 
 
 def _unchanged_files() -> Iterator[tuple[int, int]]:
-    """Yield address and size [byte] of each read-only mapping of a file: code and constants.
+    """Yield the address and size [byte] of each read-only mapping of a file: code and constants.
 
-    Mappings that were written to are left out, since unmapping them would lose what was written:
-    the loader fills addresses into libraries before it protects them.
+    Mappings that were modified are left out, since unmapping would lose the changes: the loader
+    writes addresses into libraries before it makes them read-only.
     """
     with contextlib.suppress(OSError):  # a kernel without these details
         for first, behind, details in _AREA.findall(_DETAILS.read_text()):
@@ -94,7 +93,7 @@ def _unchanged_files() -> Iterator[tuple[int, int]]:
 
 
 def _files() -> Iterator[tuple[str, int, int]]:
-    """Yield access rights, address and size [byte] of each mapping of a file."""
+    """Yield the access rights, address and size [byte] of each mapping of a file."""
     for line in _MAPS.read_text().splitlines():
         where, access, _, _, _, *rest = line.split(maxsplit=5)
         if "".join(rest).startswith("/"):  # nothing where no file is mapped

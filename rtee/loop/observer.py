@@ -19,7 +19,7 @@ class Observer:
     """Receives everything that happens in one hand's loop.
 
     Subclass it and override the methods you need; the others do nothing. All are called in the
-    loop's thread and must return at once: no I/O, no waiting. An observer that raises is dropped
+    loop's thread and must return at once: no I/O, no waiting. An observer that raises is removed,
     with an event; the hand goes on.
     """
 
@@ -48,11 +48,11 @@ class Observer:
         """Receive an event."""
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Receive the status of devices and clock; called about once a second."""
+        """Receive the status of the devices and the clock; called about once a second."""
 
 
 class Observers:
-    """The observers of one hand. An observer that fails is dropped with an event."""
+    """The observers of one hand. An observer that fails is removed, with an event."""
 
     def __init__(self, now: Callable[[], float] = monotonic.asked) -> None:
         self._now = now
@@ -71,7 +71,7 @@ class Observers:
 
     @property
     def dropped(self) -> int:
-        """Records that observers had to drop."""
+        """Number of records that observers had to drop."""
         return sum(int(getattr(observer, "dropped", 0)) for observer in self._all)
 
     def each(self, call: Callable[[Observer], None]) -> None:

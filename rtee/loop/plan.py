@@ -30,7 +30,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A checked goal as numbers, independent of the hand's actions and files.
+    """A checked goal in numbers, independent of the hand's actions and files.
 
     Attributes:
         goal_id: The goal.
@@ -40,16 +40,16 @@ class Plan:
         involved: Indices of the actuators that move.
         effort: Effort limits of the goal by actuator index [N·m | N].
         timeout: Longest time [s].
-        to: Where the goal leads to, which decides when it is reached.
+        to: The goal's target, which decides when the goal is reached.
         speed: Share of the velocity limits.
         force: The force between the fingertips, if one is asked for.
-        on_contact: Reaction to a contact by finger; "": all others.
+        on_contact: Reaction to a contact, by finger; "": that of all other fingers.
         timed: Whether the legs are inner actions.
         grip: Computes opening and force of the fingertips, for an action that has an opening.
-        meets: Positions of actuators from which on the empty hand may meet itself on the action's
+        meets: Positions of actuators beyond which the empty hand may touch itself on the action's
             path, by index [rad | m]; empty: not known.
-        lag: Time by which its actuators follow their references, where the depth of these makes the
-            force [s]; 0: not known.
+        lag: Delay of its actuators behind their references, where the force depends on how far
+            these lead into the object [s]; 0: not known.
     """
 
     goal_id: str
@@ -78,15 +78,16 @@ class Plan:
 
     @property
     def by_depth(self) -> bool:
-        """Whether the depth of references may make the force, so that lag adds to a blow.
+        """Whether the force depends on how far references lead into the object.
 
-        Where there is one actuator, or a force in a data sheet, effort limits bound it.
+        Lag then adds to the impact. With a single actuator, or a force in a data sheet, effort
+        limits bound the force instead.
         """
         return len(self.effort) > 1 and self.grip is not None and self.grip.sheet is None
 
     @property
     def width(self) -> float | None:
-        """The opening, or the width of the object, that is asked for [m]."""
+        """The requested opening, or the given width of the object [m]."""
         return self.to.width if isinstance(self.to, Opening | Around) else None
 
     def only(self, indices: Collection[int]) -> Plan:

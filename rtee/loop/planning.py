@@ -37,8 +37,8 @@ OPEN: Final = "open"
 """The action that every hand has: go to the rest posture, unless its library defines another."""
 
 _ROUNDING: Final = 5e-5
-"""An opening beyond the table by less than this counts as the one at its end [m]: people read
-openings rounded to 0.1 mm."""
+"""An opening outside the table by less than this is clamped to its end [m]: people read openings
+rounded to 0.1 mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +57,11 @@ class OpposingTips:
 def choose(
     goal: Goal, hand: Hand, library: ActionLibrary, openings: Openings, devices: DeviceForces
 ) -> tuple[Action, OpposingTips | None]:
-    """Return the action that a goal means, and its tips, if they oppose each other.
+    """Return the action that a goal asks for, and its tips if they oppose each other.
 
     Raises:
         UnknownAction: if there is no such action.
-        ActionError: if it doesn't exist with these elements, or has no opening that is asked for.
+        ActionError: if it doesn't exist with these elements, or lacks the requested opening.
         GoalRejected: if no action of the fingers suits the goal; the sentence names the nearest.
     """
     to = goal.to
@@ -109,7 +109,7 @@ def _tips(
 
 
 def _spans(opening: Opening, to: ToOpening | Around) -> bool:
-    """Return whether an action has an opening, or closes on an object of a width."""
+    """Return whether an action can open to a width, or close on an object that wide."""
     least = opening.narrowest - (to.narrower if isinstance(to, Around) else 0.0)
     return least - _ROUNDING <= to.width <= opening.widest + _ROUNDING
 
@@ -148,7 +148,7 @@ def _best(
 def _exerts(
     force: float, width: float, tips: OpposingTips, hand: Hand, devices: DeviceForces
 ) -> bool:
-    """Return whether an action can exert a force at an opening, and its devices limit it."""
+    """Return whether an action can exert a force at an opening, and its devices can limit it."""
     at = tips.opening.intensity_at(width)
     low, high = tips.grip.forces(hand, at)
     return low <= force <= high and not unlimited(hand, tips.opening, tips.grip, at, devices)
@@ -172,7 +172,7 @@ def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Acti
 def _no_action(
     fingers: Sequence[str], to: ToOpening | Around, hand: Hand, openings: Sequence[Opening]
 ) -> str:
-    """Return the sentence that no action suits a width, with the nearest."""
+    """Return an error message: no action suits a width, and which width is nearest."""
     of = f" of {', '.join(fingers)}" if fingers else ""
     if not openings:
         return f"no action of '{hand.name}' has an opening between tips{of}"
@@ -186,9 +186,9 @@ def _no_action(
 def _touching(fingers: Sequence[str], hand: Hand, library: ActionLibrary) -> Action:
     """Return the action that closes some fingers, or the whole hand, to touch something.
 
-    Candidates move the tips of exactly these fingers, in the order: tips that close on each other,
-    actions found clear of collisions, order of the library. Without fingers, all actions with an
-    opening are candidates, and the one with the most fingers is chosen.
+    Candidates move the tips of exactly these fingers. Preferred are tips that close on each other,
+    then actions found free of collisions, then those first in the library. Without fingers, all
+    actions with an opening are candidates, and the one with the most fingers is chosen.
     """
     wanted = set(fingers)
     candidates: list[tuple[tuple[float, ...], Action]] = []
@@ -212,8 +212,8 @@ def _touching(fingers: Sequence[str], hand: Hand, library: ActionLibrary) -> Act
 
 
 _PRE_GRASP_GAP: Final = 0.05
-"""Intensity from the pre-grasp of a pinch to its first contact: more than the tolerance of an
-actuator, and little enough to close quickly."""
+"""Intensity between the pre-grasp of a pinch and its first contact: more than the tolerance of an
+actuator, yet little enough to close quickly."""
 
 _TOUCH_SPEED: Final = 0.01
 """Default speed at which the opening closes until the first contact [m/s]: a loop of 100 Hz then
@@ -247,7 +247,7 @@ def make_plan(
         devices: Which efforts and forces the devices can limit; by default all efforts.
 
     Raises:
-        GoalRejected: if a value of the goal is beyond the hand.
+        GoalRejected: if the hand cannot reach a value of the goal.
         UnknownAction: if there is no such action.
         ActionError: if the action doesn't exist with these elements, or has no opening.
     """
@@ -263,7 +263,7 @@ def make_plan(
     speed = _speed(goal, action, tips, hand)
     timeout = goal.timeout
     if timeout is None:
-        # Waiting times of the action must not use up the time for moving, nor must a low speed.
+        # Waits within the action, or a low speed, must not use up the time allowed for moving.
         margins = sum([leg.before + leg.after for leg in legs])
         timeout = settings.goal_timeout * len(legs) + margins + _slowness(speed, hand, legs)
         if isinstance(goal.to, Around) and tips is not None and goal.force is not None:
@@ -287,7 +287,7 @@ def make_plan(
 
 
 def _meets(action: Action, hand: Hand, openings: Openings) -> Mapping[int, float]:
-    """Return the positions from which on the empty hand meets itself, by index [rad | m]."""
+    """Return the positions beyond which the empty hand may touch itself, by index [rad | m]."""
     known = None if isinstance(action, Timed) else openings.meeting(action)
     if known is None:
         return {}

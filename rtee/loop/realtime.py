@@ -18,21 +18,21 @@ from rtee.hand.config_schema import RealtimeSettings
 from rtee.loop.memory import lock_memory
 
 SWITCH_INTERVAL = 50e-6
-"""Longest time that another thread runs Python while the loop waits [s]: a twentieth of a period at
-1 kHz. If it were much shorter, the threads would spend their time on handing over the
-interpreter."""
+"""Longest time for which another thread may run Python while the loop waits [s]: a twentieth of a
+period at 1 kHz. Were it much shorter, the threads would spend their time passing the interpreter
+to each other."""
 
 HELPERS_NICE = -15
 """Nice value of the loop's helper threads, where permitted: ahead of all ordinary programs, but not
 of the system's own at -20."""
 
-# Stack of a thread [byte]: an old kernel locks all of it in memory; the usual 8 MB are not used.
+# Stack of a thread [byte]: an old kernel locks all of it in memory, and none uses the usual 8 MB.
 _STACK = 2 * 1024 * 1024
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 
 EVENT_LOOP = "RTEE_EVENT_LOOP"
-"""Variable of the environment that names the event loop: ``asyncio`` or ``uvloop``."""
+"""Environment variable that selects the event loop: ``asyncio`` or ``uvloop``."""
 
 
 def backend_options() -> dict[str, bool]:
@@ -46,7 +46,7 @@ def backend_options() -> dict[str, bool]:
     """
     try:
         installed = importlib.util.find_spec("uvloop") is not None
-    except ImportError:  # an import hook refuses it
+    except ImportError:  # refused by an import hook
         installed = False
     match os.environ.get(EVENT_LOOP, ""):
         case "":
@@ -74,7 +74,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
         settings: The settings; unless enabled, only requests that need no permission are made.
 
     Returns:
-        A sentence for each refused request, which says what to configure.
+        For each refused request, one sentence that says what to configure.
     """
     if not settings.enabled:
         ask_for_short_slices()
@@ -94,7 +94,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
 
 
 def _favour_helpers(priority: int) -> list[str]:
-    """Give the threads that run already precedence over other programs.
+    """Give the threads that are running already precedence over other programs.
 
     They share the interpreter with the loop: a thread that is preempted by another program while it
     holds the interpreter delays the loop, whatever the loop's own priority. Without a real-time
@@ -158,9 +158,9 @@ def small_stacks() -> int:
 
 
 def share_the_interpreter() -> float:
-    """Make other threads return the interpreter to the loop within `SWITCH_INTERVAL`, not 5 ms.
+    """Make other threads yield the interpreter to the loop within `SWITCH_INTERVAL`, not 5 ms.
 
-    A thread that waits for the interpreter requests it from its holder after this time.
+    A thread that has waited for the interpreter this long makes its holder release it.
 
     Returns:
         The previous setting [s].
@@ -185,7 +185,7 @@ def _schedule(priority: int) -> list[str]:
 
 
 def affinity() -> frozenset[int]:
-    """Return the CPUs that the calling thread may run on; empty where the system cannot say."""
+    """Return the CPUs that the calling thread may run on; empty if the system does not tell."""
     if not hasattr(os, "sched_getaffinity"):
         return frozenset()
     return frozenset(os.sched_getaffinity(0))
@@ -205,11 +205,11 @@ class Collector:
     """Collects garbage between ticks, never during a tick.
 
     Objects that exist when it starts are exempted (`gc.freeze`). Later it collects young objects
-    often and all objects seldom, when there is time left before the next tick.
+    often and all objects rarely, when there is time left before the next tick.
 
     Args:
-        every: Interval of the collection of each of the three generations [ns]; the defaults keep
-            the young ones small, and repeat the long collection seldom.
+        every: Collection interval of each of the three generations [ns]; the defaults keep the
+            young ones small, and run the long collection rarely.
     """
 
     def __init__(
@@ -244,14 +244,14 @@ class Collector:
         for generation in (2, 1, 0):
             if now < self._due[generation]:
                 continue
-            # Overdue by a whole interval: memory must not grow without bound because the loop is
-            # never idle for long enough.
+            # Overdue by a whole interval: without this, memory would grow without bound in a loop
+            # that is never idle for long enough.
             late = now - self._due[generation] > self._every[generation]
             if now + 2 * self._cost[generation] > until_ns and not late:
                 return
             gc.collect(generation)
             done = monotonic.now_ns()
-            # The cost of a slow collection decays, since it may only have been preempted.
+            # Let the recorded cost of a slow collection decay: it may only have been preempted.
             self._cost[generation] = max(done - now, self._cost[generation] * 7 // 8)
             # Collecting a generation collects the younger ones, too.
             for younger in range(generation + 1):

@@ -14,8 +14,8 @@ from typing import Any
 Work = Coroutine[Any, Any, object]
 
 _ABANDON_AFTER = 1.0
-"""Time after its deadline from which work that goes on all the same is abandoned [s]: a clean-up
-that waits for a bus takes some hundredths."""
+"""Time after its deadline at which work that is still running is abandoned [s]: clean-up that waits
+for a bus takes a few hundredths."""
 
 
 class Runner:
@@ -23,9 +23,9 @@ class Runner:
 
     `start` runs a coroutine inside the call, as a part of the task, until the coroutine has to
     wait; then the task continues it. A coroutine that doesn't wait is done when `start` returns.
-    Waking the task by an `asyncio.Event` instead takes another turn of the event loop, which costs
-    more processor time than the exchange with a device that answers at once. (Python 3.12's eager
-    tasks start in the same way, but would need a new task for each exchange.)
+    Waking the task with an `asyncio.Event` instead would take another turn of the event loop, which
+    costs more processor time than the exchange with a device that answers at once. (Python 3.12's
+    eager tasks start in the same way, but each exchange would need a new task.)
 
     Deadlines are in the time of the hand's loop and checked at its ticks, so that they hold in
     simulated time, too.
@@ -34,8 +34,8 @@ class Runner:
         now: The clock of the hand's loop [s].
 
     Attributes:
-        abandon: Called before work is cancelled that goes on though it was interrupted: it must
-            then raise `TimeoutError`, and take back that cancellation.
+        abandon: Called before work that ignored an interruption is cancelled once more: the work
+            must then uncancel the task and raise `TimeoutError`.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -72,8 +72,8 @@ class Runner:
         try:
             _enter_task(event_loop, task)
             try:
-                # The first step, until the coroutine waits; in the task's own context, for its
-                # context variables.
+                # Run the first step, until the coroutine waits, in the task's own context, for
+                # its context variables.
                 waits_for = idle.context.run(work.send, None)
             except BaseException as error:
                 # Done, or failed at once: the task stays idle.
@@ -103,8 +103,8 @@ class Runner:
             self._check_expired()
 
     def _check_expired(self) -> None:
-        """Raise `TimeoutError` if work was interrupted and has ended in another way."""
-        # The guard must be left, since a timeout acts only once.
+        """Raise `TimeoutError` if work was interrupted but ended without raising it."""
+        # Leave the guard, since a timeout acts only once.
         if self._timeout is not None and self._timeout.expired():
             raise TimeoutError
 
@@ -136,12 +136,12 @@ class Runner:
         if over >= 0.0:
             self.interrupt()
         if over >= _ABANDON_AFTER and self._task is not None and not self.idle:
-            self._until = self._now()  # again after as long, if need be
+            self._until = self._now()  # again after the same time, if need be
             self.abandon()
             self._task.cancel()
 
     def interrupt(self, after: float = 0.0) -> None:
-        """Abandon the present work unless it is done ``after`` seconds of the event loop's time."""
+        """Abandon the present work unless it ends within ``after`` seconds of event-loop time."""
         timeout = self._timeout
         if not self.idle and timeout is not None and not timeout.expired():
             timeout.reschedule(asyncio.get_running_loop().time() + after)
@@ -165,7 +165,7 @@ class _Idle:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def __await__(self) -> Generator[_Idle, None, None]:
-        # Kept for `cancel`: `asyncio.run` cancels what is left when the loop does not run any more.
+        # Kept for `cancel`: `asyncio.run` cancels remaining tasks after the loop has stopped.
         self._loop = asyncio.get_running_loop()
         self._asyncio_future_blocking = True
         yield self
@@ -194,7 +194,7 @@ class _Idle:
 
 @types.coroutine
 def _rest(work: Work, waits_for: object) -> Generator[object, None, None]:
-    """Finish a coroutine that was begun and waits for an object."""
+    """Finish a coroutine that was started and is waiting for an object."""
     while True:
         try:
             yield waits_for

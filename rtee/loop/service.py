@@ -1,4 +1,4 @@
-"""The loop as a systemd service: report the state, and feed the watchdog by the loop's ticks.
+"""The loop as a systemd service: report the state, and feed the watchdog from the loop's ticks.
 
 The protocol is that of sd_notify(3): datagrams of ``NAME=value`` lines to the socket named by
 ``NOTIFY_SOCKET``.
@@ -27,8 +27,8 @@ MAX_STATUS = 1000
 class ServiceReporter:
     """Reports the state of this process's hands to the service manager.
 
-    It has no thread or timer: messages are sent by the ticks of the hands, so that a loop that
-    hangs does not feed the watchdog. With several hands, each must have ticked since the last feed.
+    It has no thread or timer: the hands' ticks send its messages, so that a loop that hangs stops
+    feeding the watchdog. With several hands, each must have ticked since the last feed.
     A message that the manager does not accept at once is dropped, and sent again at a later tick.
 
     Args:
@@ -50,7 +50,7 @@ class ServiceReporter:
 
     @classmethod
     def of(cls, environ: MutableMapping[str, str] = os.environ) -> Self | None:
-        """Return the service that the environment describes; ``None`` outside of a service.
+        """Return the service that the environment describes; ``None`` outside a service.
 
         Removes the variables, since programs started by this process are not the service.
         """
@@ -63,7 +63,7 @@ class ServiceReporter:
         return cls(address, int(timeout) * 1e-6 if watched else 0.0)
 
     def watch(self, name: str) -> Observer:
-        """Return an observer for a hand, to be added as its last.
+        """Return an observer for a hand; add it after all others.
 
         A tick counts only once all other work of the tick is done.
         """

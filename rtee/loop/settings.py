@@ -93,7 +93,7 @@ KINEMATIC = "kinematic"
 """The driver that needs no device."""
 
 DEVICES = "devices"
-"""Stands for the devices of hand.yaml."""
+"""The choice of the devices in hand.yaml."""
 
 
 def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSettings:
@@ -180,7 +180,7 @@ def device_settings(
         # The devices of this driver keep their options; a kinematic driver takes the other
         # actuators.
         chosen = [(n, d) for n, d in config.devices.items() if d.driver == driver]
-    # Drivers have different options: most would be a mistake for one of several devices.
+    # Drivers have different options: most would be wrong for one of several devices.
     if choice.options and len(chosen) > 1:
         raise ConfigError(
             f"--option is for one device, and {hand.name} has {', '.join(n for n, _ in chosen)}; "
@@ -209,8 +209,8 @@ def device_settings(
 
 
 _PATIENT: Final = 0.5
-"""Longest exchange with an ideal emulated device [s]: its numbers are compared by tests, and on a
-busy computer its thread waits for a processor longer than a device takes to answer."""
+"""Longest exchange with an ideal emulated device [s]: tests compare its numbers, and on a busy
+computer its thread waits for a processor longer than a real device takes to answer."""
 
 
 def _free_name(driver: str, taken: Sequence[str]) -> str:

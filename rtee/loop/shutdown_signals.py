@@ -22,8 +22,8 @@ _SIGNALS = [
 ]
 
 _LOOK_EVERY = 0.5
-"""Interval at which a companion checks whether its run still exists [s]: short beside a person's
-patience, and no load."""
+"""Interval at which a companion checks whether its run still exists [s]: too short for a person to
+notice, too long to load the computer."""
 
 Signals = AsyncIterator[signal.Signals] | None
 """Iterator over received signals; ``None`` outside of the main thread, which alone receives
@@ -68,7 +68,7 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
 
 
 _END_WITHIN = 2.0
-"""Time that a companion has to end after SIGTERM [s]: the GUI needs some tenths of a second."""
+"""Time that a companion has to end after SIGTERM [s]: the GUI takes some tenths of a second."""
 
 
 async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:

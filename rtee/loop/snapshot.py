@@ -1,9 +1,9 @@
-"""The state of a controller as data, from which a computation can go on elsewhere.
+"""The state of a controller as data, from which another process can continue.
 
-`capture` copies references only, within the time of a tick; `encode` makes JSON of them later, in
-another thread. `restore` puts them into a new controller of the same hand and settings, bit for
-bit. It makes only objects of the controller's own classes, and runs none of their code but the
-checks of settings.
+`capture` copies references only, quickly enough for a tick; `encode` turns them into JSON later, in
+another thread. `restore` sets a new controller of the same hand and settings to exactly this state.
+It creates only objects of the controller's own classes, and of their code runs only the checks of
+settings.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _MOVED = {
 
 
 class Snapshot(NamedTuple):
-    """A captured state: each object by its identity, with its parts; the controller is the first.
+    """A captured state: each object with its parts, by `id`; the controller comes first.
 
-    The objects are held, so that their identities stay theirs.
+    The snapshot keeps the objects alive, so that no new object can reuse an `id`.
     """
 
     nodes: Mapping[int, tuple[object, list[Any]]]
@@ -95,7 +95,7 @@ def _names(value: object) -> Iterator[str]:
 
 
 def encode(snapshot: Snapshot) -> list[Any]:
-    """Return a state as lists for JSON, one for each object; raises `TypeError` if it cannot."""
+    """Return a state as lists for JSON, one per object; raises `TypeError` for an unknown class."""
     places = {key: place for place, key in enumerate(snapshot.nodes)}
 
     def part(value: Any) -> Any:
@@ -139,8 +139,8 @@ def restore(controller: Controller, nodes: list[Any]) -> None:
 class _Restoring:
     def __init__(self, controller: Controller, nodes: list[Any]) -> None:
         self._given = {"hand": controller.hand, "settings": controller.settings}
-        # What a controller calls back is wired when it is made. A file that has been tampered with
-        # must not have it call anything else.
+        # A controller's callbacks are set at its construction. A file that was tampered with must
+        # not make it call anything else.
         own = (value for value, _ in capture(controller).nodes.values())
         self._wired = {
             (type(each.__self__), each.__name__)
@@ -151,7 +151,7 @@ class _Restoring:
         self._made: dict[int, Any] = {}
 
     def value(self, part: Any, there: Any) -> Any:
-        """Return a part; ``there`` is what a new controller has in its place."""
+        """Return a part; ``there`` is its counterpart in a new controller."""
         if not isinstance(part, list):
             return part
         (place,) = part
@@ -161,7 +161,7 @@ class _Restoring:
 
     def _make(self, place: int, there: Any) -> None:
         kind, *parts = self._nodes[place]
-        made: Any = there  # an object of another library: the new one does as well
+        made: Any = there  # for objects of other libraries, the new controller's own are kept
         if kind == "object" and issubclass(its := _class(parts[0]), Section):
             made = its(**{name: self.value(part, None) for name, part in parts[1].items()})
         elif kind == "object":

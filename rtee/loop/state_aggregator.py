@@ -118,7 +118,7 @@ class TouchGatherer:
         self._on_refused(name, f"device '{name}': {text}")
 
     def outdate(self, now: float) -> list[str]:
-        """Mark states that are stale now; return the devices whose forces became unknown."""
+        """Mark stale states; return the devices whose forces became unknown."""
         if now <= self._next_stale:
             return []
         gone = []
@@ -213,8 +213,8 @@ class StateAggregator:
             state = link.state
             if state is not None and link.states != self._seen[k]:
                 self._seen[k] = link.states
-                # One bit for each device, so that the flags of each combination are made once. A
-                # driver that returns a measurement again may not say so.
+                # One bit per device, so that the flags of each combination are built once. A driver
+                # may return the same measurement again without saying so.
                 new |= (state.fresh and state.stamp != self._stamps[k]) << k
                 self._stamps[k] = state.stamp
                 self._merge(k, state)
@@ -223,7 +223,7 @@ class StateAggregator:
                 forces = self._touch.forces[name]
                 self._keep_extras(name, {**self._extras[name], TIP_FORCE: forces})
         if new != self._new or self._invalid:
-            # Not the same while there are invalid positions: the flags are made for each tick.
+            # Not reused while there are invalid positions: the flags are then built at every tick.
             self._new = -1 if self._invalid else new
             self.fresh, self.measured.fresh = self._flags(new)
             for k, invalid in self._invalid.items():
@@ -296,7 +296,7 @@ class StateAggregator:
     def _keep_extras(self, name: str, extras: Mapping[str, FloatArray]) -> None:
         """Keep the further channels of a device."""
         self.measured.touch = self._felt(name, extras)
-        # After `_felt`, which still needs the other devices' channels only.
+        # After `_felt`, which needs the channels without this device's.
         self._extras[name] = extras
         self.channels = {
             f"{device}/{channel}": values

@@ -37,8 +37,8 @@ from rtee.types import DeviceStatus, Event, Lifecycle, Reference
 log = logging.getLogger(__name__)
 
 BACKOFF = (0.2, 5.0)
-"""First and longest time between attempts to connect [s]: a cable that slipped out is back within a
-second, and a device that is switched off must not fill its bus and the log."""
+"""First and longest time between attempts to connect [s]: a loose cable is back within a second,
+and attempts at a device that is switched off must not fill its bus and the log."""
 
 CONNECT_WITHIN = 20.0
 """Time that connecting and identifying may take [s]; the slowest devices boot for ten seconds."""
@@ -50,15 +50,15 @@ CLOSE_WITHIN = 1.0
 """Time that closing may take [s]: a run ends even if a bus hangs."""
 
 LOST_AFTER = 0.5
-"""A device that has not answered for this long, and three times in a row, is lost [s]: the retries
-of a bus take less, and a person hardly notices it."""
+"""A device that has not answered for this long, and three times in a row, is lost [s]: longer than
+a bus takes to retry, and barely noticeable to a person."""
 
 LEAST_DEADLINE = 0.05
-"""An exchange is given up after two of its periods, but not before this time [s]: a busy computer
+"""An exchange is abandoned after two of its periods, but not before this time [s]: a busy computer
 delays an answer by some ten milliseconds."""
 
 FAULT_LOOK = 0.1
-"""A device in fault is read this often [s]: often enough to see the fault go."""
+"""Interval at which a device in fault is read [s]: short enough to see the fault clear."""
 
 
 @dataclass(slots=True)
@@ -143,7 +143,7 @@ class DeviceConnection:
         self._runner = runner
         self._report = report
         self._now = now
-        # Only the first time: a device that reconnects must not move before somebody recovers it.
+        # Only the first time: a device that reconnects must not move until somebody recovers it.
         self._activate_on_connect = True
         self._linked_before = False
         self._reported = ""
@@ -201,11 +201,11 @@ class DeviceConnection:
         try:
             await self._configure()
             if self._activate_on_connect:
-                # Homing takes longer than connecting: it has a limit of its own.
+                # Homing takes longer than connecting, so it has its own limit.
                 self._runner.begin(ACTIVATE_WITHIN)
                 await self._activate()
         except Exception as error:
-            # Anything else is a bug in the driver, which its author finds by the traceback.
+            # Anything else is a bug in the driver, which its author finds with the traceback.
             if not isinstance(error, RteeError | OSError | EOFError):
                 log.exception("the driver of device '%s' failed", self._spec.name)
             # A device in fault answers: it keeps its link and waits to be recovered.
@@ -213,7 +213,7 @@ class DeviceConnection:
                 self.lifecycle = Lifecycle.UNCONFIGURED
             await self.failed(error)
         # This resets the back-off, so it comes after activation: a device that fails to activate
-        # is retried as seldom as one that fails to connect.
+        # is retried as rarely as one that fails to connect.
         if self.lifecycle is not Lifecycle.UNCONFIGURED:
             self._linked(then)
         self._runner.end()
@@ -230,7 +230,7 @@ class DeviceConnection:
         self.message = ""
 
     def _linked(self, then: str) -> None:
-        """Record that the link is up; ``then`` says in words what the device waits for."""
+        """Record that the link is up; ``then`` describes what the device waits for."""
         self._backoff = BACKOFF[0]
         self._reported = ""
         if self._linked_before:
@@ -239,7 +239,7 @@ class DeviceConnection:
         self._linked_before = True
 
     def _pace(self) -> None:
-        """Choose the number of ticks per exchange and its deadline by the best rate of the wire."""
+        """Choose the ticks per exchange, and its deadline, from the highest rate of the link."""
         rate, best = self._spec.rate, self._driver.capabilities.best_rate
         # Rounding must not halve the rate of a device whose best rate equals that of the loop.
         least = max(1, math.ceil(rate / best - 1e-9)) if best > 0 else 1
@@ -253,7 +253,7 @@ class DeviceConnection:
         # No timeout here: the runner watches over the whole attempt.
         await self._driver.activate()
         self.accept(await self._driver.sense())
-        # From here on, somebody may have touched the hand by the time that a lost link is back.
+        # From here on, somebody may touch the hand while the link is lost.
         self._activate_on_connect = self._settings.reconnect_active
         self.fault = None
         self.message = self.trouble = ""
@@ -303,7 +303,7 @@ class DeviceConnection:
                 self.message = self.rejected = _words(error)
             case _ if self.lifecycle is Lifecycle.UNCONFIGURED:
                 await self._not_connected(error)
-            # These do not pass by themselves: connect again at once, without counting to three.
+            # These errors do not clear by themselves: reconnect at once, without counting to three.
             case BusBroken() | BusClosed() | NotConnected() | HandshakeError():
                 await self._lose(error)
             # One lost answer is normal on a noisy wire.
@@ -331,11 +331,11 @@ class DeviceConnection:
         """Schedule the next attempt to connect; report each reason once."""
         if isinstance(error, UserError):
             self.mistake = error
-        # `ready` raises a mistake of the first attempt: it need not be said twice.
+        # `ready` raises a mistake found in the first attempt; one report is enough.
         told = self.mistake is not None and not self.tried.is_set()
         self.tried.set()
         self._next_at = self._now() + self._backoff
-        # Doubled: quick after a loose plug, quiet with a device that stays off.
+        # Doubled: quick after a loose plug, rarely for a device that stays off.
         self._backoff = min(2 * self._backoff, BACKOFF[1])
         text = _words(error)
         if text != self._reported and not told:
@@ -348,7 +348,7 @@ class DeviceConnection:
         self.counters.errors += 1
         self.counters.in_row += 1
         self.message = _words(error)
-        # Both: at 1 kHz three misses are a hiccup, and a slow device misses one in half a second.
+        # Both: at 1 kHz, three misses are a hiccup; for a slow device, half a second is one.
         if self.counters.in_row >= 3 and self._now() - self._answered >= LOST_AFTER:
             await self._lose(error)
 
@@ -368,7 +368,7 @@ class DeviceConnection:
         # Twice the time: the timeout below fires first, and cancelling takes some time, too.
         self._runner.begin(2 * CLOSE_WITHIN)
         try:
-            # Unlike asyncio's, this timeout cancels a driver repeatedly if it goes on.
+            # Unlike asyncio's, this timeout keeps cancelling a driver that does not end.
             with anyio.fail_after(CLOSE_WITHIN):
                 await self._driver.close()
         except Exception as error:
@@ -380,7 +380,7 @@ def _words(error: BaseException) -> str:
 
 
 _BURST = 10.0
-"""Events of one kind that a device may cause at once: more than any cause of trouble has."""
+"""Events of one kind that a device may cause at once: more than any real trouble causes."""
 
 _EVENT_RATE = 1.0
 """Further events of that kind [1/s]: each is recorded, published and shown to people."""
@@ -401,7 +401,7 @@ class _EventLimit:
         self._left_out = 0
 
     def allow(self, now: float) -> int | None:
-        """Return the number of events suppressed before this one; ``None`` to suppress it, too."""
+        """Return how many events were suppressed before this one; ``None`` to suppress it, too."""
         self._left = min(self._left + (now - self._then) * _EVENT_RATE, _BURST)
         self._then = now
         if self._left < 1.0:
@@ -565,7 +565,7 @@ class Supervisor:
                 runner.begin(link.deadline)
 
     def _report_doing(self, doing: str) -> None:
-        """Report what the driver has begun to do; only the first of several steps is a warning."""
+        """Report a lengthy operation of the driver; only its first step is a warning."""
         before, self._doing = self._doing, doing
         if self._doing:
             self._report("device_busy", f"is {self._doing}", "info" if before else "warning")
@@ -669,7 +669,7 @@ class Supervisor:
         if self.lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.CLOSED):
             return False
         # A running exchange gets a third of the time to end: if it were cut short, its answer would
-        # arrive in the midst of the request.
+        # arrive in the middle of the request.
         self._runner.interrupt(within / 3)
         try:
             async with asyncio.timeout(within):
@@ -689,7 +689,7 @@ class Supervisor:
     ) -> Any:
         """Have the device's task serve a request; return its result or raise its error.
 
-        ``first``: before the requests that wait already.
+        ``first``: before the requests already waiting.
         """
         if self._closed is not None:
             raise self._closed

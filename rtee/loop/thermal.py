@@ -21,7 +21,7 @@ last."""
 _AGAIN = 1.0
 """An actuator that is too hot but still driven is disabled again after this time [s]: its device
 did not answer, or somebody has recovered it. Longer than `_CONFIRM`, so that an actuator that has
-has cooled is left alone."""
+cooled is left alone."""
 
 _HYSTERESIS = 2.0
 """A level ends this far below its threshold [K]: more than the resolution of 1 K of most
@@ -42,7 +42,7 @@ class ThermalLevel(IntEnum):
     INVALID = 4
 
 
-# In words: an actuator's name and the factor on its effort limit.
+# Filled with an actuator's name and the factor on its effort limit.
 _STATUS = {
     ThermalLevel.WARN: "{} is warm",
     ThermalLevel.DERATE: "{} is hot, its effort limited to {:.0%}",
@@ -163,7 +163,7 @@ class Thermal:
         if level in (ThermalLevel.OK, ThermalLevel.WARN):
             return 1.0
         if level is ThermalLevel.INVALID or not PLAUSIBLE[0] <= celsius <= PLAUSIBLE[1]:
-            # Without a temperature, neither more effort nor less is justified.
+            # Without a temperature, there is no reason to change the effort limit.
             return before
         span = self._settings.disable - self._settings.derate
         left = (self._settings.disable - celsius) / span if span > 0 else 0.0

@@ -1,6 +1,6 @@
 """Levers of the actuators on their fingertips: the effort that balances a force at a fingertip.
 
-For actions without an opening, whose fingertips meet no others, so that no table gives the levers.
+For actions without an opening: no table of the fingertips' opening gives their levers.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class TipLevers:
         """Return the lever of an actuator [m/rad | 1]; ``NaN`` if it moves no fingertip.
 
         Of several fingers, the one that moves farthest counts, since its force is the least. At
-        most one lever is computed in a tick, for the sake of the tick's time.
+        most one lever is computed per tick, to keep ticks short.
 
         Args:
             i: The actuator's index.

@@ -9,8 +9,8 @@ from collections.abc import Set as AbstractSet
 from rtee.loop.motion import MotionLimits
 
 _SLOWEST = 1e-9
-"""Least velocity limit; lower ones are raised to it [rad/s | m/s]: no device resolves its motion
-within a day, and times, which are quotients by the limit, must stay finite."""
+"""Lowest velocity limit; lower ones are raised to it [rad/s | m/s]: so slow that no device resolves
+the motion of a day, yet times, which divide by the limit, stay finite."""
 
 
 class Profile(ABC):
@@ -52,7 +52,7 @@ class Profile(ABC):
         self._seeded(positions)
 
     def resume(self, states: Mapping[int, tuple[float, float]]) -> None:
-        """Take over some actuators in motion, and brake them; the others continue.
+        """Start some actuators from a state of motion, and brake them; the others continue.
 
         The states are position [rad | m] and velocity [rad/s | m/s] by index.
         """
@@ -97,12 +97,12 @@ class Profile(ABC):
     def _start(
         self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """Begin to move as `go` says, which has stored targets and velocity limits.
+        """Begin the motions of `go`, which has stored the targets and velocity limits.
 
         Args:
             going: Actuators with a new target.
             brake: Actuators to stop.
-            changed: Actuators with another velocity limit than before.
+            changed: Actuators whose velocity limit has changed.
         """
 
     def restored(self) -> None:  # noqa: B027 - most profiles have all of their state in attributes

@@ -22,7 +22,7 @@ from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.stepwise import Step
 
 _STATE = ("position", "velocity", "_acceleration", "target", "_top", "_braking")
-_SLACK = 1e-9  # how far rounding may put an extremum beyond a limit [rad | m]
+_SLACK = 1e-9  # how far beyond a limit rounding may move an extremum [rad | m]
 
 
 class JerkLimited(Profile):
@@ -69,7 +69,7 @@ class JerkLimited(Profile):
         self._plan()
 
     def restored(self) -> None:
-        """See `Profile.restored`: the trajectory follows from what it began with."""
+        """See `Profile.restored`: the trajectory is computed again from its initial state."""
         if not self.moving or self._plain is not None:
             return
         present = [getattr(self, name) for name in _STATE], self._time
@@ -127,7 +127,7 @@ class JerkLimited(Profile):
     def _inside(self) -> bool:
         """Return whether the trajectory keeps the position limits (or comes back into them).
 
-        A motion that is slowed down so that all arrive together may first swing out.
+        A motion slowed down so that all arrive together may first swing away from its target.
         """
         limits = self.limits
         for i, extremum in enumerate(self._trajectory.position_extrema):

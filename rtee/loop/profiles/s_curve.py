@@ -114,7 +114,7 @@ def stopping_time(velocity: float, bounds: Bounds) -> float:
 
 
 class TargetMotions:
-    """All motions from a state to a target that change to one velocity, keep it, and then stop.
+    """All motions from a state to a target that reach one velocity, keep it, and then stop.
 
     The higher that velocity, the shorter the motion, up to the velocity that is reached but not
     kept: that motion is the fastest.
@@ -126,7 +126,7 @@ class TargetMotions:
         fine: Error of the duration at which a search may stop [s].
 
     Attributes:
-        velocity: That velocity in the fastest motion [rad/s | m/s]; 0: the motion only stops.
+        velocity: The velocity reached in the fastest motion [rad/s | m/s]; 0: it only stops.
         duration: Duration of the fastest motion [s].
     """
 
@@ -176,7 +176,7 @@ class TargetMotions:
         return phases
 
     def _left(self, velocity: float) -> tuple[float, float]:
-        """Return the remaining distance after a velocity is reached but not kept, and the time."""
+        """Return the distance left after reaching a velocity without keeping it, and the time."""
         # Repeats `velocity_change` and `moved` instead of calling them: the searches call this.
         p, v, a = self._state
         bounds = self._bounds
@@ -216,7 +216,7 @@ class TargetMotions:
         return min(speed, bounds.velocity)
 
     def _fastest(self, distance: float) -> float:
-        """Return the largest speed that does not pass the target, ``distance`` after a stop."""
+        """Return the highest speed that does not pass the target, ``distance`` beyond a stop."""
         high = self._bounds.velocity
         left_high = self._sign * self._left(self._sign * high)[0]
         if left_high >= 0.0:
@@ -224,7 +224,7 @@ class TargetMotions:
         low, left_low = 0.0, distance
         _, velocity, acceleration = self._state
         by_itself = velocity + acceleration * abs(acceleration) / (2.0 * self._bounds.jerk)
-        # Narrow the search at the velocity reached by itself, where the distance has a kink.
+        # Split the search at the velocity left once the acceleration is zero, a kink.
         if 0.0 < self._sign * by_itself < high:
             left = self._sign * self._left(by_itself)[0]
             if left >= 0.0:
@@ -305,7 +305,7 @@ def cube_root(value: float) -> float:
 
 _FINE = 0.1
 """Actuators that start together arrive within this share of a period of each other: no device
-notices a tenth, and it saves steps of the search."""
+resolves a tenth, which saves steps of the search."""
 
 
 class SCurve(Profile):

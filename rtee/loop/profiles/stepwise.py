@@ -12,7 +12,7 @@ from rtee.loop.profiles.base import Profile
 
 
 class Stepwise(Profile):
-    """A profile that wants a velocity in each period, which the limits bound."""
+    """A profile that chooses a velocity in each period, which the limits bound."""
 
     def _seeded(self, indices: Collection[int]) -> None:
         for index in indices:
@@ -82,8 +82,8 @@ class Step(Stepwise):
 
 
 _AHEAD = 5.0
-"""The target is smoothed this many times faster than the filter responds: fast enough not to be
-noticed, slow enough to keep the acceleration continuous."""
+"""How many times faster than the filter the target is smoothed: fast enough to go unnoticed, slow
+enough to keep the acceleration continuous."""
 
 _NEAR = 1e-6  # the filter snaps to a target this near [rad | m], or it would creep forever
 
@@ -94,8 +94,8 @@ class Filter(Stepwise):
     The response to an input s is that of x″ = ω²·(s − x) − 2·ω·x′, solved exactly for each period.
     The input is not the target itself, which would make the acceleration jump, but follows it by
     s′ = 5·ω·(target − s): position, velocity and acceleration are continuous whatever the targets.
-    To brake, an actuator goes to the position where the filter comes to rest without an input, so
-    that nothing jumps, either.
+    To brake, an actuator goes to the position where the filter comes to rest by itself, which
+    avoids jumps as well.
 
     Args:
         limits: Limits of the actuators.

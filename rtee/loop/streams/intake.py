@@ -20,26 +20,26 @@ if TYPE_CHECKING:
 
 
 _AHEAD = 0.5
-"""A stamp may lead the hand's clock by this much more than earlier stamps [s]: a network does not
-get that much faster."""
+"""A stamp may be ahead of the hand's clock by this much more than earlier stamps [s]: no network
+becomes that much faster."""
 
 _BEHIND = 1.0
-"""A stamp this much older than the newest one is not a sample out of order but a mistake [s]:
-networks reorder within milliseconds."""
+"""A stamp this much older than the newest one is a mistake, not a reordered sample [s]: networks
+reorder within milliseconds."""
 
 _LEAK = 1e-3
-"""Rise of the least offset between the clocks [s/s]: far more than clocks drift."""
+"""Rate at which the least offset between the clocks may rise [s/s]: far above any clock drift."""
 
 _AGREEING = 4
-"""Samples in a row that agree before the time base is taken from them: three steps in succession
-are no coincidence, and at 50 Hz the hand has not paused yet."""
+"""Samples in a row that must agree before the time base is taken from them: three are no
+coincidence, and at 50 Hz the hand has not paused yet."""
 
 _SPREAD = 0.25
-"""Largest difference of the delays of samples that agree [s]: that of a bad wireless network."""
+"""Largest difference between the delays of agreeing samples [s]: that of a bad wireless network."""
 
 _PROGRESS = 0.5
-"""Least time between two samples that agree, on average, in periods of the stream, by either clock.
-Samples of the past that a network has held back arrive all at once."""
+"""Least mean time between agreeing samples, in periods of the stream, by either clock. Old samples
+that a network has held back arrive all at once."""
 
 
 class TimeBase:
@@ -89,11 +89,11 @@ class TimeBase:
         return placed
 
     def _least(self, now: float) -> float:
-        """Return the least difference of arrival and stamp [s], as far as it is still believed."""
+        """Return the least difference of arrival and stamp [s], plus the drift allowed since."""
         return self._offset + _LEAK * (now - self._offset_at)
 
     def _wrong(self, placed: float, now: float) -> str:
-        """Return in words how a stamp contradicts those before, or an empty string."""
+        """Describe how a stamp contradicts those before, or return an empty string."""
         if placed < self._newest - _BEHIND:
             return f"the stamp is {self._newest - placed:.3g} s before the newest one"
         least = self._least(now)
@@ -102,7 +102,7 @@ class TimeBase:
         return ""
 
     def _agrees(self, stamp: float, now: float) -> bool:
-        """Note a sample that contradicts, and return whether enough of them agree."""
+        """Record a contradicting sample; return whether enough of them agree with each other."""
         doubted = self._doubted
         delays = [arrival - each for each, arrival in doubted] + [now - stamp]
         if doubted and (stamp <= doubted[-1][0] or max(delays) - min(delays) > _SPREAD):
@@ -133,7 +133,7 @@ _QUIET = 0.1
 every sample."""
 
 _MOST_KEPT = 32
-"""Sets of names whose resolution is cached: more than a client alternates between, and bounded."""
+"""Most sets of names whose resolution is cached: more than a client alternates between."""
 
 
 class StreamIntake:
@@ -225,7 +225,7 @@ class StreamIntake:
     def admit(self) -> bool:
         """Return whether the rate limit permits another sample; cheap, since floods call it, too.
 
-        Samples that it does not are counted (`StreamStatus.thinned`): the next ones mean the same.
+        Refused samples are counted (`StreamStatus.thinned`): the next ones replace them.
         """
         now = self._now()
         rate = _FASTER * self._rate

@@ -5,10 +5,10 @@ those of the parabola through the last three samples, limited so that nothing sw
 samples: the shape-preserving end condition of PCHIP (Moler, "Numerical Computing with MATLAB",
 section 3.6; Fritsch and Carlson 1980).
 
-After the newest sample the path continues at its velocity for two periods, which then falls
-smoothly to zero. Whenever the path jumps (the newest sample is passed, a sample arrives late, a
-stream begins), the difference in position, velocity and acceleration is kept as an error that
-decays to zero along a polynomial of degree five, so that the wanted position never jumps. Finally
+After the newest sample, the path continues for two periods at the sample's velocity, which then
+falls smoothly to zero. Whenever the path jumps (the newest sample is passed, a sample arrives late,
+a stream begins), the difference in position, velocity and acceleration is kept as an error that
+decays to zero along a polynomial of degree five, so that the wanted position never jumps. Finally,
 each actuator follows its wanted position within its limits on velocity, acceleration and position,
 without waiting for the others.
 """
@@ -25,23 +25,22 @@ from rtee.loop.profiles.s_curve import cube_root
 
 _MOST = 64
 """Samples kept ahead of time, after which the oldest are dropped: an eighth of a second at 500 Hz,
-more than a usual lag."""
+longer than any usual lag."""
 
 _LONGEST = 0.25
-"""Longest time for an error to decay [s]: longer would feel like a lag. Limits may still make it
-take longer."""
+"""Longest time for an error to decay [s]: more would feel like a lag. Limits may extend it."""
 
 _COAST = 2.0
-"""Periods for which the path continues at the newest sample's velocity: one sample may be lost, and
-the next one arrive as late as the lag allows."""
+"""Periods for which the path continues at the newest sample's velocity: enough to lose one sample
+and receive the next one as late as the lag allows."""
 
 _BRAKED = 5.0
 """Periods after the newest sample at which the velocity is zero: a stream that falls silent must
 not carry the hand away."""
 
 _BLEND = 3.0
-"""Periods that an error takes at least to decay: with jitter of 20 ms at 50 Hz, the jerk is half of
-that with one period, and the path is off by 0.08 % instead of 0.07 %."""
+"""Least periods for an error to decay: with jitter of 20 ms at 50 Hz, the jerk is half of that with
+one period, and the path is off by 0.08 % instead of 0.07 %."""
 
 _SHARE = 0.5
 """Share of the acceleration limit with which an actuator catches up; the rest is left for the
@@ -123,7 +122,7 @@ class Interpolator:
             knot.velocity.append(0.0)
 
     def outlying(self, positions: Mapping[int, float], time: float) -> bool:
-        """Return whether a sample is too far from the newest one to be intended."""
+        """Return whether a sample is too far from the newest one to be intentional."""
         if not self._knots:
             return False
         last, limits = self._knots[-1], self._limits
@@ -252,7 +251,7 @@ class Interpolator:
     def _jump(
         self, before: Sequence[Motion], after: Sequence[Motion], now: float, period: float
     ) -> None:
-        """Turn a jump of the path into errors that decay, within the limits if possible.
+        """Turn a jump of the path into decaying errors, within the limits if possible.
 
         ``now`` is by the hand's clock [s], ``period`` the time between samples [s].
         """
@@ -285,7 +284,7 @@ class Interpolator:
         if s >= 1.0:
             return _STILL
         s = max(s, 0.0)
-        # Three polynomials of degree five, from (1, 0, 0), (0, 1, 0) and (0, 0, 1) to zero.
+        # Three quintics, from (1, 0, 0), (0, 1, 0) and (0, 0, 1) to zero.
         slope *= time
         bend *= time * time
         rest, s2 = 1.0 - s, s * s

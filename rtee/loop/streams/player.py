@@ -19,8 +19,8 @@ from rtee.sample import FloatArray
 from rtee.types import Event, readonly
 
 _SPAN = 0.5
-"""Length of the spans whose least offsets are kept, instead of those of all samples [s]: the older
-offsets are forgotten in steps of this length."""
+"""Length of a span [s]: the least offset of each span is kept instead of every sample's, and old
+offsets are forgotten a span at a time."""
 
 _SPANS = 8
 """Spans over which the least offset is taken: 4 s, in which clocks drift by at most 0.4 ms
@@ -31,15 +31,15 @@ _SHARE = 1.0 / 16.0
 enough for a single late sample."""
 
 _SETTLE = 0.3
-"""Time in which the lag reaches a new value, about [s]: a faster change would feel like a jerk."""
+"""Approximate time in which the lag reaches a new value [s]: a faster change would be felt as a
+jerk."""
 
 _FASTEST = 0.1
-"""Largest share by which the stream is played faster or slower until then: too little to be
-noticed."""
+"""Largest share by which the stream is played faster or slower meanwhile: too little to notice."""
 
 _EASE = 0.05
-"""Time constant of that share [s], which changes with every sample, and the path's velocity with
-it. A sixth of `_SETTLE`, so that the lag settles without oscillating."""
+"""Time constant that smooths this share [s]: it changes with every sample, and would otherwise make
+the velocity jump. A sixth of `_SETTLE`, so that the lag settles without oscillating."""
 
 _JUMP = 0.25
 """An error larger than this [s] means that a clock has jumped: the stream continues from there."""
@@ -48,9 +48,8 @@ LAG_PERIODS = 1.2
 """Default of the longest lag in periods, besides `LAG_MARGIN`."""
 
 LAG_MARGIN = 3e-3
-"""Default of the longest lag besides `LAG_PERIODS` [s]: two milliseconds less than what is
-promised, for the tick and the transmission to the hand. Extrapolation covers samples that are
-later."""
+"""Default of the longest lag besides `LAG_PERIODS` [s]: two milliseconds less than promised, for
+the tick and the transmission to the hand. Extrapolation covers later samples."""
 
 
 class Playout:
@@ -84,7 +83,7 @@ class Playout:
 
     @property
     def wanted_lag(self) -> float:
-        """The lag aimed at [s]."""
+        """The lag to settle at [s]."""
         longest = self._max_lag
         if math.isinf(longest):
             longest = LAG_PERIODS * self.period + LAG_MARGIN
@@ -97,7 +96,7 @@ class Playout:
         return self.now - self._offset - self.time if math.isfinite(self.time) else 0.0
 
     def arrived(self, stamp: float, arrival: float) -> None:
-        """Update the estimates by a sample that is newer than those before.
+        """Update the estimates with a sample that is newer than all before.
 
         Args:
             stamp: Stamp of the sample, by the client's clock [s].
@@ -113,8 +112,8 @@ class Playout:
         self._offset = min(self._least)
         delay = offset - self._offset
         if math.isfinite(self._stamp):
-            # A lost sample doubles the time to the next one, so the step is bounded; a client
-            # slower than announced is still followed, though later.
+            # A lost sample doubles the time to the next one, so the step is bounded; the estimate
+            # still follows a client slower than announced, though later.
             step = min(stamp - self._stamp, 1.5 * self.period)
             self.period += _SHARE * (step - self.period)
             self._delay += _SHARE * (delay - self._delay)
@@ -147,7 +146,7 @@ class Playout:
 
 
 CHANNEL = "stream/lag"
-"""Channel of the state with lag and jitter of a stream [s], while it plays."""
+"""The state's channel with the lag and jitter of a stream [s], while it plays."""
 
 
 _SAME = 1e-6
@@ -254,13 +253,13 @@ class StreamPlayer:
             self._late += 1
         for index in positions:
             if index not in path.indices:
-                # From where it was sent last, so that it does not jump.
+                # From the position sent last, so that the actuator does not jump.
                 path.include(index, reference[index], speed[index])
         path.add(positions, velocities, sample.stamp, playout.time, playout.now, playout.period)
         self.channels = {CHANNEL: np.array((playout.lag, playout.jitter))}
 
     def overdue(self, now: float) -> bool:
-        """Return whether no sample came within the deadline."""
+        """Return whether the deadline has passed without a sample."""
         return self.playing and now - self._arrival > self.deadline
 
     def pause(self, now: float) -> Event:
@@ -296,7 +295,7 @@ class StreamPlayer:
 
 
 _TOLERANCE = 0.01
-"""An actuator behind by less than this share of its range is not blocked: goals end as near to
+"""An actuator that lags by less than this share of its range is not blocked: goals end as close to
 their targets."""
 
 
@@ -348,13 +347,13 @@ class StreamHold:
             self._contact.aim(i, target)
 
     def look(self, stream: StreamPlayer, stamp: float, measured: Measured) -> bool:
-        """Evaluate a stream's actuators now [s]; restore the effort of those that hold nothing.
+        """Evaluate a stream's actuators now [s]; restore the effort of those without an object.
 
         Returns:
             Whether an eased actuator has reached its reference, and is eased no longer.
         """
         reference = self._reference
-        # Actuators that clasp an object are not updated: the controller detects its loss.
+        # Actuators that grasp an object are skipped: the controller detects its loss.
         free = [i for i in stream.indices if not self._contact.clasped(i, reference[i])]
         self._contact.update(stamp, measured, reference, self._limits, free)
         freed = {

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FAR = 0.5
 """A position further beyond the limits than this share of the range is a mistake, such as degrees
-for radians. A nearer position, as of a glove, is clamped."""
+for radians. Anything closer, such as from a glove, is clamped."""
 
 _FAST = 20.0
 """A velocity above this multiple of the limit is a mistake, too; a lower one is clamped."""
@@ -34,7 +34,7 @@ _AGREE = 1e-2
 of its range: clients round their numbers."""
 
 _STEPS = 60
-"""Bisections of the range in the search for a joint's position: enough for the last digit of a
+"""Bisections of the range in the search for a joint's position: enough for the precision of a
 double."""
 
 
@@ -128,7 +128,7 @@ class Targets:
 
     @staticmethod
     def _check_inverse(name: str, coupling: Coupling, spec: ActuatorSpec) -> None:
-        """Refuse a joint that has one position at several positions of its actuator."""
+        """Refuse a joint that has the same position at several positions of its actuator."""
         from rtee.hand.transmission import sample
 
         if coupling.linear:
@@ -232,7 +232,7 @@ class Targets:
         positions: dict[int, float],
         rates: dict[int, float],
     ) -> None:
-        """Add up the displacements from rest of all actions."""
+        """Sum the displacements from rest of all actions."""
         rest = self._hand.rest
         # An action without a velocity makes those of the actuators it shares unknown, too.
         given = all(blend.name in velocity for blend in self._blends)
