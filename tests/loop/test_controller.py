@@ -8,8 +8,9 @@ import math
 import pytest
 
 from rtee.actions.library import ActionLibrary
-from rtee.commands import SetActive
+from rtee.commands import Cancel, SetActive
 from rtee.errors import LogError
+from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.measured import Measured
@@ -39,6 +40,36 @@ def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
         position = list(controller.reference_position)
     results = [item for item in controller.outbox.items if isinstance(item, Result)]
     assert [result.reached for result in results] == [True]
+
+
+def test_a_state_in_which_the_hand_brakes_goes_on_as_it_did(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    pytest.importorskip("ruckig")
+    settings = LoopSettings(rate=100.0, profile=ProfileSettings(ProfileKind.JERK_LIMITED))
+    controller = Controller(hand, settings)
+    n = len(hand.actuators)
+    controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
+    controller.accept(make_plan(Goal(Named("Trig", ("index",))), hand, library, settings), 0.0)
+    unmeasured = [math.nan] * n
+
+    def step(each: Controller, tick: int, position: list[float]) -> list[float]:
+        measured = Measured(position, unmeasured, unmeasured, [True] * n, [-1] * n)
+        each.step(tick * settings.period, measured)
+        return list(each.reference_position)
+
+    position = [actuator.rest for actuator in hand.actuators]
+    for tick in range(12):
+        position = step(controller, tick, position)
+    controller.apply(Cancel(""), 0.13)
+    position = step(controller, 12, position)
+    assert controller.moving
+    again = Controller(hand, settings)
+    restore(again, json.loads(to_bytes(capture(controller)))["nodes"])
+    for tick in range(13, 30):
+        place = position
+        position = step(controller, tick, place)
+        assert step(again, tick, place) == position
 
 
 def test_a_state_from_a_file_calls_back_nothing_but_what_a_controller_does(hand: Hand) -> None:

@@ -70,6 +70,7 @@ class JerkLimited(Profile):
 
     def restored(self) -> None:
         """See `Profile.restored`: the trajectory is computed again from its initial state."""
+        self._synchronised = []  # of the controller that was captured, not of this input
         if not self.moving or self._plain is not None:
             return
         present = [getattr(self, name) for name in _STATE], self._time
