@@ -8,8 +8,9 @@ ends with the first reference that differs in any bit from the one before: at it
 time of its tick, as in recordings), and when the device's driver receives it, which is later by the
 tick's lateness and work. All clocks are CLOCK_MONOTONIC.
 
-The stages of this time are printed, too, and for comparison a bare Zenoh query of the same size to
-another process, measured in the same run: until that process's callback runs, and there and back.
+The stages of this time are printed, too, with the processor time of those that run in one thread,
+which other programs change less; and for comparison a bare Zenoh query of the same size to another
+process, measured in the same run: until that process's callback runs, and there and back.
 """
 
 from __future__ import annotations
@@ -44,34 +45,45 @@ STAGES = (
     "waiting for the tick, until its wake-up",
     "tick: until the driver is handed the change",
 )
-"""The stages between the times noted for a goal."""
+"""The stages between the moments noted for a goal."""
+
+IN_ONE_THREAD = (0, 2, 4)
+"""Those that begin and end in the same thread."""
 
 QUESTION = bytes(200)
 """A request of the size of a goal."""
 
 now = time.monotonic_ns
 
+Moment = tuple[int, int]
+"""A time, and the processor time of the thread so far [ns]."""
+
+
+def moment() -> Moment:
+    """Return the present moment."""
+    return now(), time.thread_time_ns()
+
 
 class Noted(Server):
-    """A server that notes the arrival times of requests [ns]."""
+    """A server that notes the arrivals of requests."""
 
-    came = 0
+    came: Moment = (0, 0)
 
     def _on_control(self, query: zenoh.Query) -> None:
-        Noted.came = now()
+        Noted.came = moment()
         super()._on_control(query)
 
 
 class Notes:
-    """Notes the times at which goals pass through a loop [ns].
+    """Notes the moments at which goals pass through a loop.
 
     Attributes:
         found: By goal: the callback, the goal planned, the tick's wake-up, the driver's call.
-        stamps: By goal: when its first tick was due, the stamp of the reference in recordings.
+        stamps: By goal: when its first tick was due, the stamp of the reference in recordings [ns].
     """
 
     def __init__(self, loop: Any) -> None:
-        self.found: dict[str, list[int]] = {}
+        self.found: dict[str, list[Moment]] = {}
         self.stamps: dict[str, int] = {}
         self._submit = loop.submit
         loop.submit = self._noted_submit
@@ -85,10 +97,10 @@ class Notes:
     def _noted_submit(self, goal: Goal, **options: Any) -> None:
         self.found[goal.goal_id] = times = [Noted.came]
         self._submit(goal, **options)
-        times.append(now())
+        times.append(moment())
 
     def _noted_accept(self, plan: Any, stamp: float) -> None:
-        self.found[plan.goal_id].append(now())
+        self.found[plan.goal_id].append(moment())
         self.stamps[plan.goal_id] = round(stamp * 1e9)
         self._changing = plan.goal_id
         self._accept(plan, stamp)
@@ -100,7 +112,7 @@ class Notes:
             position = reference.position.tobytes()
             # Bit for bit: the first change of a jerk-limited motion is far below any tolerance.
             if position != self._last and self._changing:
-                self.found[self._changing].append(now())
+                self.found[self._changing].append(moment())
                 self._changing = ""
             self._last = position
             await move(reference)
@@ -129,18 +141,18 @@ def serve(arguments: argparse.Namespace) -> None:
 
 async def send_goals(
     hand: RemoteHand, action: tuple[str, ...], count: int
-) -> list[tuple[str, int, int]]:
-    """Send goals from standstill; return each name with the times of call and sending [ns]."""
+) -> list[tuple[str, Moment, Moment]]:
+    """Send goals from standstill; return each name with the moments of call and sending."""
     source = random.Random(1)
     # The moment at which Zenoh takes over is seen nowhere else.
     session = hand._link._session
-    handed = 0
+    handed = moment()
 
     class Watched:
         def get(self, *arguments: Any, **options: Any) -> None:
             nonlocal handed
             session.get(*arguments, **options)
-            handed = now()
+            handed = moment()
 
         def __getattr__(self, name: str) -> Any:
             return getattr(session, name)
@@ -151,7 +163,7 @@ async def send_goals(
         await anyio.sleep(0.1)
         # asyncio sleeps whole milliseconds: always to the same moment of the period.
         time.sleep(source.uniform(0.0, 1e-3))
-        begin = now()
+        begin = moment()
         # Two intensities by turns, so that every goal moves; both small, so that it ends soon.
         running = await hand.start(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
         sent.append((running.goal.goal_id, begin, handed))
@@ -215,7 +227,7 @@ def measure(arguments: argparse.Namespace) -> None:
         assert other.stdout is not None
         endpoint = other.stdout.readline().strip()
 
-        async def run() -> tuple[list[tuple[str, int, int]], tuple[list[float], list[float]]]:
+        async def run() -> tuple[list[tuple[str, Moment, Moment]], tuple[list[float], list[float]]]:
             async with rtee.connect(arguments.hand, wait=20.0) as remote:
                 # Connecting leaves work for a moment, which would count as latency.
                 await anyio.sleep(1.0)
@@ -227,13 +239,16 @@ def measure(arguments: argparse.Namespace) -> None:
         found, stamps = json.loads(hand.communicate()[0].splitlines()[-1])
     ways = [(begin, handed, *found[goal]) for goal, begin, handed in sent]
     how = "real-time set-up" if arguments.realtime else "ordinary process"
-    table = Table(f"{arguments.rate:g} Hz, {how} [ms]", "median", "p95", "worst", widths=(54,))
-    due = [(stamps[goal] - begin) * 1e-9 for goal, begin, _ in sent]
+    table = Table(f"{arguments.rate:g} Hz, {how} [ms]", "median", "p95", "worst", widths=(64,))
+    due = [(stamps[goal] - begin[0]) * 1e-9 for goal, begin, _ in sent]
     show(table, "goal to first changed reference: its stamp", due)
-    handed = [(way[-1] - way[0]) * 1e-9 for way in ways]
+    handed = [(way[-1][0] - way[0][0]) * 1e-9 for way in ways]
     show(table, "goal to first changed reference: handed to the driver", handed)
     for k, stage in enumerate(STAGES):
-        show(table, f"– {stage}", [(way[k + 1] - way[k]) * 1e-9 for way in ways])
+        show(table, f"– {stage}", [(way[k + 1][0] - way[k][0]) * 1e-9 for way in ways])
+    for k in IN_ONE_THREAD:
+        used = [(way[k + 1][1] - way[k][1]) * 1e-9 for way in ways]
+        show(table, f"processor time, {STAGES[k]}", used)
     show(table, "a bare Zenoh query, there", there)
     show(table, "a bare Zenoh query, there and back", back)
 
