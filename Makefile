@@ -1,7 +1,7 @@
 # `make demo` and `make test` each set up everything they need on a fresh machine.
 PYTHON ?= python3
 BIN := .venv/bin
-TEST_PROCESSES ?= 4
+TEST_PROCESSES ?= 6
 
 # Where it is set, each process would compile all modules anew.
 export PYTHONDONTWRITEBYTECODE :=

@@ -119,6 +119,7 @@ def test_known_triples_are_found(name: str, shared: Path) -> None:
             assert evidence.depth == pytest.approx(sum(d for *_, d in evidence.pairs), abs=1e-8)
 
 
+@pytest.mark.samples("robotiq_3f")
 @pytest.mark.parametrize("name", ["robotiq_3f", "schunk"])
 def test_stored_postures_touch_and_are_clear_as_their_evidence_says(
     name: str, shared: Path
@@ -167,6 +168,7 @@ def colliding(scene: Scene, elements: tuple[str, ...]) -> set[frozenset[str]]:
     return here - at_rest
 
 
+@pytest.mark.samples("robotiq_3f-*", "heri_II-*", "test_ee_spread-*")
 @pytest.mark.parametrize(
     ("name", "elements"),
     [
