@@ -38,7 +38,7 @@ quick: .venv/.ready
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target checks
 	RTEE_QUICK=1 $(BIN)/python -m pytest -q -n 3
 
-# Types, layers and lint beside the tests, which wait a fifth of the time for wires, sockets and a browser.
+# Types, layers and lint beside the tests, which wait for wires, sockets and a browser.
 test:
 	@$(MAKE) --no-print-directory --jobs 5 checks tests
 
