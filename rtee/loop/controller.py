@@ -440,6 +440,8 @@ class Controller:
         self._end_stream(stamp, "actuators were moved by hand")
         self._executor.end(stamp, self._measured, preempted=True)
         self._leave_hold(targets)
+        for i, target in targets.items():
+            self._contact.led(i, self._measured.position[i], target)
         velocity = {i: min(jog.max_velocity, self.hand.actuators[i].velocity) for i in targets}
         for i, limit in velocity.items():
             self.max_velocity[i] = limit

@@ -269,6 +269,12 @@ class ContactMonitor:
             (watched.target - watched.start) * (watched.target - rest) > 0.0
         )
 
+    def led(self, i: int, position: float, target: float) -> None:
+        """Record that an actuator that is not watched is moved to a target [rad | m]."""
+        ahead = 1.0 if target >= position else -1.0
+        if (self._farthest[i] - target) * ahead < 0.0:
+            self._farthest[i] = math.nan
+
     def farthest(self, i: int) -> float:
         """Return how far an actuator has come since it last moved the other way [rad | m]."""
         return self._farthest[i]

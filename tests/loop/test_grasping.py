@@ -9,6 +9,7 @@ import anyio
 import numpy as np
 import pytest
 
+from rtee.actions.openings import Meeting, Openings, fingerprint_of
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import BusTimeout, GoalRejected
@@ -66,6 +67,20 @@ async def test_a_goal_that_is_preempted_tells_what_it_held(hand: Hand, by: str) 
         assert result.preempted
         assert result.grasped
         assert result.grasped_fingers == ("index",)
+
+
+async def test_how_far_fingers_came_counts_until_they_are_opened_by_any_means(hand: Hand) -> None:
+    async with running(hand) as rig:
+        library = rig.loop.library
+        action = library.find("Trig", ("index",))
+        meeting = Meeting("Trig", ("index",), fingerprint_of(hand, action), {})
+        library._openings = None, Openings(hand, meetings=(meeting,))
+        assert (await rig.do("Trig", "index")).reached
+        rig.loop.jog({"index_base": 0.0, "index_tip": 0.0})
+        await rig.run(2.0)
+        rig.driver.place_object("index", 0.4)
+        result = await rig.do("Trig", "index")
+        assert (result.outcome, result.grasped_fingers) == ("held", ("index",))
 
 
 async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> None:
