@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, SupportsFloat, TypeGuard
+from typing import TYPE_CHECKING, Any, Final
 
 from rtee.errors import GoalRejected, suggestion
 
@@ -48,9 +48,13 @@ _LONGEST: Final = 1.0
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
 
-def is_number(value: object) -> TypeGuard[SupportsFloat]:
-    """Return whether `float` takes a value that is not text, quicker than the protocol would."""
-    return hasattr(value, "__float__")
+def number(value: Any) -> float | None:
+    """Return the number that a value is; ``None`` for text, and for what no `float` can be."""
+    try:
+        return float(value.__float__())
+    # Such as text, an array of several numbers, or an integer beyond the range.
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        return None
 
 
 def quantity(value: str | float, units: Mapping[str, float], name: str) -> float:
@@ -71,16 +75,16 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
         if match is None:
             point = "; write a point, not a comma" if "," in value else ""
             raise GoalRejected(f"the {name} must be {kind}, not '{value}'{point}")
-        number, unit = float(match[1]), match[2]
+        unit = match[2]
         if unit and unit not in units:
             raise GoalRejected(
                 f"the {name} must be {kind}, and '{unit}' is not a unit of one; "
                 f"{suggestion(unit, units)}"
             )
         # A number without a unit counts as SI.
-        size = number * units.get(unit, 1.0)
-    elif is_number(value):
-        size = float(value)
+        size = float(match[1]) * units.get(unit, 1.0)
+    elif (plain := number(value)) is not None:
+        size = plain
     else:
         raise GoalRejected(f"the {name} must be {kind}, not {value!r:.100}")
     if units is LENGTH and not unit and _LONGEST < size < math.inf:

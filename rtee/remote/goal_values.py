@@ -11,7 +11,7 @@ from rtee.actions.types import ActionKind, ActionReference
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.messages.goals import goal_of
 from rtee.types import Goal, OnContact, Stage
-from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, is_number, quantity
+from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, number, quantity
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -150,13 +150,10 @@ _ALWAYS: Final = ("intensity", "speed")
 
 def finite(value: object, what: str) -> float:
     """Return a finite number; raises `GoalRejected` for anything else."""
-    try:
-        number = float(value) if is_number(value) else math.nan
-    except (TypeError, ValueError):  # such as an array of several numbers
-        number = math.nan
-    if not math.isfinite(number):
+    plain = number(value)
+    if plain is None or not math.isfinite(plain):
         raise GoalRejected(f"the {what} must be a finite number, not {value!r:.100}")
-    return number
+    return plain
 
 
 def numbers(values: object, what: str) -> dict[str, float]:
@@ -343,8 +340,8 @@ def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
     values = dict(options)
     for name, value in options.items():
         if (how := _QUANTITIES.get(name)) and (value is not None or name in _ALWAYS):
-            plain = is_number(value) and how[0] is not LENGTH
-            values[name] = float(value) if plain else quantity(value, *how)
+            plain = None if how[0] is LENGTH else number(value)
+            values[name] = quantity(value, *how) if plain is None else plain
     if "stage" in values:
         values["stage"] = _word(values["stage"], Stage, "stage")
     if values.get("kind"):

@@ -197,6 +197,8 @@ def test_leaving_the_hand_ends_a_wait_in_another_thread(served: Served) -> None:
         ((), {"intensity": None}, "intensity must be a share, such as 60% or 0.6, not None"),
         ((), {"speed": "fast"}, "speed must be a share, such as 60% or 0.6, not 'fast'"),
         ((), {"timeout": "5m"}, "timeout must be a number of seconds, such as 5s, and 'm' is not"),
+        ((), {"force": 10**400}, "force must be a force, such as 10N, not 1000000"),
+        ((), {"effort": {"near": 10**400}}, "'near' must be a finite number, not 1000000"),
         ((), {"tolerance": "1"}, "tolerance must be a finite number, not '1'"),
         ((), {"effort": "4N"}, "such as 0.4 or 40%, or a number for each actuator, not '4N'"),
         ((), {"effort": {"near": "1"}}, "effort limit 'near' must be a finite number, not '1'"),
