@@ -205,11 +205,11 @@ def tables() -> str:
 
 def _trust() -> list[str]:
     return [
-        "What each driver and emulator was tested against. The sheet is made from",
-        "the maker's documents and from programs for the device; software by the maker or by",
-        "others drives the emulator in the tests (`make heavy`); recorded bytes are frames of real",
-        "devices that the tests decode. No driver has been tried on hardware by its authors;",
-        "[the first hour with a device](../how-to/first-contact.md) is how you can.",
+        "What each driver and emulator was tested against. *Sheet*: facts from the maker's",
+        "documents and from programs for the device. *Software* by the maker or by others drives",
+        "the emulator in the tests (`make heavy`). *Recorded bytes* are frames of real devices",
+        "that the tests decode. The authors have tried no driver on hardware; to try one yourself,",
+        "see [the first hour with a device](../how-to/first-contact.md).",
     ]
 
 
@@ -217,7 +217,7 @@ def _between() -> list[str]:
     return [
         "Coupled: fewer actuators than joints; springs, tendons or linkages move the others.",
         "",
-        "And their devices, as their drivers find them:",
+        "Their devices, as the drivers describe them:",
     ]
 
 
