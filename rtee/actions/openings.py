@@ -350,7 +350,7 @@ class Openings:
     outdated: bool = False
 
     @cached_property
-    def _known(self) -> dict[int, tuple[Opening | str, Mapping[str, float] | None, Action]]:
+    def _known(self) -> dict[object, tuple[Opening | str, Mapping[str, float] | None, Action]]:
         return {}
 
     @cached_property
@@ -383,10 +383,11 @@ class Openings:
         self, action: Action
     ) -> tuple[Opening | str, Mapping[str, float] | None, Action]:
         """Return opening and meeting of an action, which are looked up once."""
-        known = self._known.get(id(action))
+        # By name: what opens the hand, for one, is a new action for every goal.
+        name = action.name, action.elements
+        known = self._known.get(name)
         if known is None or known[2] is not action:
-            # With the action, so that no other one gets its number.
-            known = self._known[id(action)] = self._find(action), self._meeting(action), action
+            known = self._known[name] = self._find(action), self._meeting(action), action
         return known
 
     def _find(self, action: Action) -> Opening | str:

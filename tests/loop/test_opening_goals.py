@@ -53,6 +53,18 @@ def grasp(width: float, force: float | None = None, **more: Any) -> Goal:
     return goal_of(**{"action": "Grasp", "grasp": True, "opening": width, "force": force, **more})
 
 
+def test_goals_leave_nothing_behind() -> None:
+    hand, config = load_configured(CONFIG / "robotiq_2f_85")
+    library = ActionLibrary.load(hand, CONFIG / hand.name / "actions")
+
+    def size(times: int) -> int:
+        for _ in range(times):
+            make_plan(Goal(Named("open")), hand, library, loop_settings(config))
+        return len(library.openings._known)
+
+    assert size(1) == size(2)
+
+
 @pytest.mark.anyio
 async def test_no_goal_waits_for_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     hand, config = load_configured(CONFIG / "robotiq_2f_85")
