@@ -53,6 +53,10 @@ _UNEVEN = 0.01
 finger [s]: they follow their references unevenly, and the others go on. In simulation, one of the
 four in the thumb of a fast Allegro stops a tenth of its travel before the contact in its model."""
 
+_ASTRAY = 0.05
+"""Share of its range by which an actuator may be off the action's path from rest when it sets out:
+from elsewhere, fingers meet elsewhere."""
+
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
 time [s]: passing the target is not enough."""
@@ -145,6 +149,7 @@ class Executor:
         self._emit = report
         self._run: _Run | None = None
         self._turn = 0
+        self._path: tuple[str, tuple[str, ...], bool] = ("", (), False)
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._bending = {
             i
@@ -168,6 +173,9 @@ class Executor:
         self._run = run = _Run(plan, stamp)
         run.progress, run.reached, run.stalled = [0.0] * legs, [False] * legs, [False] * legs
         self._contact.forget(plan.involved)
+        # What stopped an action once has pushed fingers off its path when it is done again.
+        if self._path[:2] != (plan.action, plan.elements):
+            self._path = plan.action, plan.elements, self._on_path(plan, measured)
         self._wait(run, stamp)
         self._proceed(run, stamp, measured)
         if run.phase is Phase.BEFORE:
@@ -334,7 +342,7 @@ class Executor:
         closes = plan.aim is Aim.POSTURE and self._stopped_closing(run)
         word = contact.says(plan.involved)
         if closes and plan.meets:
-            return not word and self._alone(run)
+            return not word and not (self._path[2] and self._stopped_early(run))
         if plan.grip is None or not (self._reflexes.touched or grasped or closes):
             return False
         # Fingers that bend as they press have an opening only where they met the object.
@@ -357,8 +365,20 @@ class Executor:
             contact.closes(i, rest[i]) for i in run.present.targets if contact.blocked(i)
         )
 
-    def _alone(self, run: _Run) -> bool:
-        """Return whether every actuator moved as far as in the empty hand."""
+    def _on_path(self, plan: Plan, measured: Measured) -> bool:
+        """Return whether the hand is on the path of an action from rest."""
+        target = plan.legs[-1].targets
+        ways = [target.get(i, a.rest) - a.rest for i, a in enumerate(self._hand.actuators)]
+        here = [p - a.rest for p, a in zip(measured.position, self._hand.actuators, strict=True)]
+        length = sum([way * way for way in ways])
+        share = sum([way * at for way, at in zip(ways, here, strict=True)]) / (length or 1.0)
+        return all(
+            abs(at - share * way) <= _ASTRAY * (actuator.upper - actuator.lower)
+            for at, way, actuator in zip(here, ways, self._hand.actuators, strict=True)
+        )
+
+    def _stopped_early(self, run: _Run) -> bool:
+        """Return whether something stopped an actuator clearly before the empty hand does."""
         actuators = self._hand.actuators
         ways = {i: target - actuators[i].rest for i, target in run.present.targets.items()}
         # All arrive together with the one that takes longest.
@@ -376,8 +396,8 @@ class Executor:
             further = max((joints[name] for name in actuators[i].fingers), default=1) - 1
             early = (_EARLY + _UNEVEN * further / longest) * abs(way)
             if not rules.came_as_far(came, meets, max(early, run.shares[i])):
-                return False
-        return True
+                return True
+        return False
 
     def _grip_values(
         self, run: _Run, measured: Measured, grasped: bool, aborted: bool

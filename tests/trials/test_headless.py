@@ -108,6 +108,12 @@ def test_an_empty_hand_closes_on_itself(name: str, action: str, elements: tuple[
         assert result.grasped_fingers == ()
 
 
+def test_a_finger_that_meets_those_of_the_action_before_holds_nothing() -> None:
+    headless = start("schunk_svh")
+    headless.do(Goal(Named("MultiPinchTight_3", ("thumb", "ring", "pinky"))))
+    assert headless.do(Goal(Named("Trig", ("thumb",)))).outcome == "closed"
+
+
 def test_a_pinch_that_an_object_stops_before_the_fingers_meet_holds_it() -> None:
     headless = start("schunk_svh", object="sphere:0.02", carrier="lift")
     simulation, action = headless.simulation, headless.library.find("PinchTight", ("thumb", "ring"))
