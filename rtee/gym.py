@@ -31,7 +31,7 @@ from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
 
 RATE: Final = 30.0
-"""Steps per second [Hz], as policies that were learnt from cameras have it."""
+"""Steps per second [Hz]: usual for policies learnt from cameras."""
 
 _LOOP: Final = 120.0
 """Ticks of the loop per second [Hz]: four in each step. A contact is answered within 17 ms; more
@@ -45,7 +45,7 @@ _BESIDE: Final = 0.003
 it."""
 
 _LETS_GO: Final = 2.0
-"""Time at which the object bears its own weight, held or not [s]: two slow closings of a hand."""
+"""Time at which the support lets go of the object [s]: two slow closings of a hand."""
 
 _LIFTED: Final = 0.1
 """Height to which the carrier lifts the hand [m], in two seconds from a second after that."""
@@ -57,7 +57,7 @@ _TURNED: Final = (0.3, 1.0)
 """Range of the angle that the object should be turned by [rad]."""
 
 _NEAR: Final = 0.1
-"""Error of that angle at which it is there [rad]."""
+"""Error of that angle within which it counts as reached [rad]."""
 
 
 _FASTEST: Final = 100.0
@@ -169,7 +169,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
     def step(
         self, action: FloatArray
     ) -> tuple[dict[str, FloatArray], float, bool, bool, dict[str, Any]]:
-        """Send targets, and go on by a thirtieth of a second.
+        """Send targets, and advance by a thirtieth of a second.
 
         Raises:
             ConfigError: if the action is not ``(n,)`` finite numbers, or no episode has begun.

@@ -43,13 +43,13 @@ _KINDS: Final = {
 }
 
 _LONGEST: Final = 1.0
-"""Longest plausible length without a unit [m]: who writes 30 means millimetres."""
+"""Longest plausible length without a unit [m]: 30 is meant in millimetres."""
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
 
 def number(value: Any) -> float | None:
-    """Return the number that a value is; ``None`` for text, and for what no `float` can be."""
+    """Return a value as a number; ``None`` for text, and for values that no `float` can hold."""
     try:
         return float(value.__float__())
     # Such as text, an array of several numbers, or an integer beyond the range.

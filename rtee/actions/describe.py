@@ -30,7 +30,7 @@ def clearance_text(clearance: float) -> str:
 
 
 def deeper_text(primitive: Primitive) -> str:
-    """Return in words that a pinch has a much deeper posture than the executed one, if it has."""
+    """Describe a posture of a pinch much deeper than the executed one; empty without one."""
     deeper = primitive.deeper
     if deeper is None:
         return ""

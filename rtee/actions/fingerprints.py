@@ -19,7 +19,7 @@ _DECIMALS = 9
 
 @dataclass(frozen=True, slots=True)
 class Fingerprints:
-    """Fingerprints that change with a hand's files, and with what each of its actions does.
+    """Fingerprints that change with a hand's files, and with the motion of each action.
 
     Attributes:
         files: Changes with any of the files.
@@ -54,7 +54,7 @@ class Fingerprints:
 
 
 def _fingerprint_of(action: Action) -> str:
-    """Return a fingerprint of what an action does, independent of the form of its file."""
+    """Return a fingerprint of an action's motion, independent of the form of its file."""
     does: list[Any] = [
         # Sorted: the order in the file has no effect on the action.
         [[name, round(posture.position[name], _DECIMALS)] for name in sorted(posture.involved)]

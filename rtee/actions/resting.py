@@ -15,7 +15,7 @@ from rtee.hand.yamlfile import rest_line
 from rtee.sample import FloatArray
 
 _HERE: Final = 0.1
-"""Largest travel to a pinch, as a share of an actuator's range, at which it counts as at rest."""
+"""Largest travel to a pinch that still counts as at rest, as a share of an actuator's range."""
 
 _MEETING: Final = 0.02
 """Largest travel to the first contact, as a share of the range, at which tips touch at rest."""

@@ -1,4 +1,4 @@
-"""The texts that an agent reads: plain data, with texts from outside marked as such."""
+"""The texts that an agent reads: plain data, with marks on texts from outside."""
 
 from __future__ import annotations
 

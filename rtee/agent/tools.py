@@ -253,7 +253,7 @@ def _draw(name: str, plan: GraspPlan) -> bytes:
 
 _READING: Final = ("describe", "state", "events", "grasp_plan", "recordings", "recording")
 _MOVING: Final = ("do", "grasp", "open", "stop")
-"""The tools that only read, and the others; nothing else of `Tools` is offered."""
+"""The read-only tools, and the others; agents see nothing else of `Tools`."""
 
 
 @contextlib.asynccontextmanager

@@ -83,7 +83,7 @@ class Bus(ABC):
         return frozenset(self._owners)
 
     async def connect(self) -> None:
-        """Open the link unless it is open; nothing else opens a broken link again.
+        """Open the link unless it is open; only this reopens a broken link.
 
         Raises:
             BusBusy: if another process has the port open.
@@ -157,7 +157,7 @@ class Bus(ABC):
 
     @abstractmethod
     async def _close(self) -> None:
-        """Close the link, or what is left of it; idempotent."""
+        """Close the link, even a broken one; idempotent."""
 
 
 def listen(listeners: list[L], listener: L) -> Callable[[], None]:

@@ -57,7 +57,7 @@ class Unechoed:
         return getattr(self._bus, name)
 
     def send(self, message: Any, timeout: float | None = None) -> None:
-        """Send a message; raises what the bus raises."""
+        """Send a message; passes on errors of the bus."""
         self._sent.append((monotonic.now(), frame_of(message)))
         self._bus.send(message, timeout)
 
@@ -138,7 +138,7 @@ class GuardedCan:
             return None
 
     def send(self, message: Any, timeout: float | None = None) -> None:
-        """Send a message; raises what the bus raises."""
+        """Send a message; passes on errors of the bus."""
         self._bus.send(message, timeout)
 
     def shutdown(self) -> None:

@@ -72,7 +72,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def _step(self, now: float) -> None:
-        """Carry out what is due by now [s]."""
+        """Carry out the events that are due at a time [s]."""
 
     @abstractmethod
     def _next_due(self) -> float | None: ...

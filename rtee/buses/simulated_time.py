@@ -63,7 +63,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         return self._time
 
     def idle(self) -> bool:
-        """Return whether nothing else is ready to run, and no worker thread works."""
+        """Return whether nothing else is ready to run and all worker threads are idle."""
         return not self._ready and not self._working
 
     def run_forever(self) -> None:

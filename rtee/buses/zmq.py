@@ -35,7 +35,7 @@ class DirectServer(ABC):
 
     @abstractmethod
     def connect(self, receive: Callable[[bytes], None], broke: Callable[[str], None]) -> None:
-        """Connect a client: what receives the states, and learns that the server is gone."""
+        """Connect a client, which receives the states and detects the loss of the server."""
 
     @abstractmethod
     def leave(self, receive: Callable[[bytes], None]) -> None:

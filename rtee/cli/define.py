@@ -174,7 +174,7 @@ def _description(library: ActionLibrary, name: str) -> str:
 
 
 def _reload_running(hand: str, action: str) -> None:
-    """Have a running hand read its actions again, which it does at each request for them."""
+    """Make a running hand reload its actions, which it does whenever they are requested."""
     from rtee.remote.directory import running
 
     try:

@@ -328,7 +328,7 @@ class Installation:
         write_atomically(self._place(MANIFEST), self.manifest.document())
 
     def _account(self, file: str) -> list[str] | None:
-        """Return the user's entries in the system's ``passwd`` or ``group``, if it is there."""
+        """Return the user's entries in the system's ``passwd`` or ``group``, if the file exists."""
         with contextlib.suppress(OSError):
             # The modules pwd and grp know only the accounts of the running system.
             for line in self._place(f"/etc/{file}").read_text("utf-8", "replace").splitlines():

@@ -45,7 +45,7 @@ class OnRobotOptions(DeviceOptions, frozen=True):
     rate: Positive = 50.0
     """Exchanges per second through the Compute Box."""
     settle: NotNegative = 0.1
-    """A reference that rests this long is gripped at with force [s]."""
+    """Time after which the driver grips with force at a reference at rest [s]."""
 
     @property
     def address(self) -> str:

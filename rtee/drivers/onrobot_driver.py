@@ -170,7 +170,7 @@ class OnRobotDriver(Driver, Generic[S]):
         return self._measured(status, stamp)
 
     async def stop(self) -> None:
-        """End the motion; what is gripped stays gripped."""
+        """End the motion; a gripped object stays gripped."""
         if self.connection.is_open and await self.connection.link.insist(self._stopping()):
             self._forget()
 

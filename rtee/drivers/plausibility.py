@@ -117,7 +117,7 @@ class Plausibility:
         return bool(self._doubted) and any(i in self._doubted for i in indices)
 
     def leaping(self, indices: Iterable[int], stamp: float) -> bool:
-        """Return whether any of some actuators was measured too rarely to say where it is.
+        """Return whether measurements of any given actuator are too rare to tell its position.
 
         It has leapt, even if plausibly, and too few later measurements agree.
         """

@@ -243,7 +243,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """End the motion; what is gripped stays gripped."""
+        """End the motion; a gripped object stays gripped."""
         if self.connection.is_open and await self.connection.link.insist(self._stopping()):
             self._sent = None
 

@@ -15,7 +15,7 @@ SETTLES = 0.02
 """Time for a servo to store a value [s]; no source gives one."""
 
 _ASKED = 3
-"""Times that an id is asked for before it counts as free."""
+"""Unanswered pings after which an id counts as free."""
 
 
 async def model_of(link: ServoLink, number: int) -> int | None:

@@ -304,7 +304,7 @@ class ServoDriver(Driver, Generic[L]):
         return ()
 
     async def _watch(self) -> None:
-        """Check in every cycle what measurements do not show; raises `DeviceFault`."""
+        """Make the checks of every cycle that measurements do not cover; raises `DeviceFault`."""
 
     @abstractmethod
     async def _readings(self) -> Readings:

@@ -1,4 +1,4 @@
-"""Subtract what contact sensors read while nothing touches them."""
+"""Subtract the readings of contact sensors at rest."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ _CLOSE: Final = 1e-7
 """Desired deviation of the fit [rad | m]."""
 
 _FAR: Final = 1e-4
-"""Deviation of the fit from which it is refused [rad | m]: less than encoders of hands resolve."""
+"""Largest accepted deviation of the fit [rad | m]: less than encoders of hands resolve."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -232,7 +232,7 @@ class App:
     # --- hands
 
     def watch(self, name: str | None = None) -> Watch:
-        """Return the watch of a hand; by default, of the one asked for, or the running one."""
+        """Return the watch of a hand: by default the requested one, or else the running one."""
         name = name or self._wanted or ""
         if name not in self._watches:
             assert self._group is not None  # noqa: S101

@@ -64,7 +64,7 @@ _WATCHING: Final = """<style>
 
 
 class _Event(asyncio.Event):
-    """An event that only the thread in which it was made can set."""
+    """An event that only the thread that created it can set."""
 
     def __init__(self) -> None:
         super().__init__()

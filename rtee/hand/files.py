@@ -213,9 +213,9 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
 
 
 def is_trusted(status: os.stat_result, *owners: int) -> bool:
-    """Return whether a file or folder belongs to one of some users, and only they can write it.
+    """Return whether a file or folder belongs to one of some users, and no other can write it.
 
-    Only then, no other user of this computer has made it.
+    Otherwise another user of this computer may have made it.
     """
     others = stat.S_IWGRP | stat.S_IWOTH
     return status.st_uid in owners and not status.st_mode & others

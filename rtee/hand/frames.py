@@ -15,7 +15,7 @@ from rtee.objects.description import BASE_POSE, OBJECT_POSE
 from rtee.sample import FloatArray
 
 _LEVEL: Final = 1e-9
-"""Cosine of a pitch below which it is a quarter turn, where roll and yaw turn about one axis."""
+"""Cosine of the pitch below which it counts as a quarter turn: roll and yaw then share an axis."""
 
 
 def rotation(axis: Sequence[float], angle: float) -> FloatArray:

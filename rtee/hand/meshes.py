@@ -17,7 +17,7 @@ from rtee.hand.urdf import Urdf, UrdfGeometry
 FORMATS: Final = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off", ".3ds", ".fbx")
 
 _HEAD: Final = 100_000
-"""Beginning of a COLLADA file in which its unit stands [byte]."""
+"""Length of the beginning of a COLLADA file that contains its unit [byte]."""
 
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 

@@ -138,7 +138,7 @@ def checked(
     at: Location = (),
     data: Any = None,
 ) -> T:
-    """Return a document, or what is at a location in it, as a value of a type.
+    """Return a document, or the part of it at a location, as a value of a type.
 
     Args:
         kind: The type of valid data.

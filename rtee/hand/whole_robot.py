@@ -18,7 +18,7 @@ _ARM_JOINTS: Final = 3
 of the palm, where several parts of a robot are compared."""
 
 _SURELY_ARM: Final = 4
-"""Fewest such joints that are an arm whatever they are called: a wrist has three at most."""
+"""Fewest such joints that form an arm, whatever their names: a wrist has at most three."""
 
 _LIMB: Final = 6
 """Fewest actuators of one branch that are an arm or a leg: a human-like thumb has five."""
@@ -119,7 +119,7 @@ def check_one_hand(hand: Hand) -> None:
         ModelError: if the robot has several hands, or other parts besides one, or limbs and no
             hand.
     """
-    # With the joints of an arm, which the hand ignores.
+    # Joints of an arm count as moving here, though the hand ignores them.
     still = {joint.name for joint in hand.joints if joint.role is JointRole.PASSIVE}
     masters = {joint.name: hand.urdf.master(joint.name) for joint in hand.joints}
     movers = {name: Mover(master, 1.0) for name, master in masters.items() if master not in still}
@@ -179,7 +179,7 @@ def _below(
 
 
 def _is_body(found: Mapping[str, Sequence[FoundHand]], urdf: Urdf) -> bool:
-    """Return whether parts with several tips each are hands of their own, and not of one palm."""
+    """Return whether parts with several tips each are separate hands, not parts of one palm."""
     if any(len(hands) > 1 for hands in found.values()):
         return True
     if any(len(hand.arm) >= _ARM_JOINTS for hands in found.values() for hand in hands):

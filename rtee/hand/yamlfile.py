@@ -229,7 +229,7 @@ def yaml_reader(*, keep_comments: bool = False) -> Any:
 
 
 def too_deep(text: str) -> int | None:
-    """Return the line from which on a text opens too many brackets, which take long to parse.
+    """Return the line at which a text exceeds the limit of open brackets, which take long to parse.
 
     Brackets in quotes and comments count, too; no real file leaves that many open there.
     """

@@ -133,7 +133,7 @@ def table_fields(table: Table | None) -> list[dict[str, Any]]:
 
 
 def table_of(entries: Sequence[Mapping[str, Any]]) -> Table | None:
-    """Return the table in such fields; raises `ConfigError` for an invalid one."""
+    """Return the table that message fields describe; raises `ConfigError` for an invalid one."""
     for entry in entries:
         up, height = (tuple(map(float, entry[name])) for name in ("up", "height"))
         return Table(up or None, *height)  # type: ignore[arg-type]

@@ -33,7 +33,7 @@ class ObservedQuantity(StrEnum):
 
 
 USUAL = tuple(each for each in ObservedQuantity if each is not ObservedQuantity.TAXEL)
-"""The default observations, as far as known; not taxels, of which there may be hundreds."""
+"""The default observations that are known; without taxels, which may be hundreds."""
 
 _SUFFIXES = {
     ObservedQuantity.POSITION: "pos",

@@ -132,7 +132,7 @@ _WITHOUT: Final = ("header", "time")
 """Fields that are no options of a goal."""
 
 OPTIONAL = ("opening", "tip_speed", "force", "max_force", "timeout")
-"""Fields that are ``NaN`` where a goal has no such value."""
+"""Fields that are ``NaN`` for a goal without the value."""
 
 # The words come from the network and may have any length.
 _STAGE = word("stage", Stage, "stage '{:.50}' is none of both, pre_grasp, grasp")

@@ -44,7 +44,7 @@ _FLOATS = ("float64", "float32")
 _BLANK = {"string": "", "bool": False}
 
 _LONGEST_VALUE = 200
-"""Most characters read of a constant or default: definitions in recordings are by anybody."""
+"""Most characters read of a constant or default: anybody may write definitions in recordings."""
 
 _WRONG = (TypeError, ValueError, AttributeError, struct.error)
 """Errors that values of a wrong type raise."""

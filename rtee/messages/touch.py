@@ -83,7 +83,7 @@ def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchSt
     if sum(taxels) != len(values) or min(taxels, default=1) < 1 or len(values) > MOST_TAXELS:
         raise MessageError("the values of a touch message do not fit its sensors")
     sensors = known.get(fields["device"], ())
-    # `known` comes from an earlier message, since which the device may have been replaced.
+    # `known` comes from an earlier message; the device may have been replaced since.
     if [(s.name, s.unit, s.taxels) for s in sensors] != list(
         zip(names, units, taxels, strict=True)
     ):

@@ -1,4 +1,4 @@
-"""Poses and directions as planners give them, checked."""
+"""Check poses and directions from planners."""
 
 from __future__ import annotations
 

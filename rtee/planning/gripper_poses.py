@@ -246,7 +246,7 @@ def reach_gripper_pose(
 
 
 def with_openings(actions: Iterable[Action], openings: Any) -> list[tuple[Action, Opening]]:
-    """Return the actions that have an opening, with it.
+    """Return each action that has an opening, together with the opening.
 
     ``openings`` are the hand's `rtee.actions.openings.Openings`.
 

@@ -58,8 +58,8 @@ _FINALISTS: Final = 2
 """Poses of an action whose quality and load are worked out; one where there are many actions."""
 
 _ENOUGH: Final = 3
-"""Poses at which an action holds the object, after which no others are tried; or half of those that
-are asked for, if that is more."""
+"""Holding poses of an action after which no others are tried; or half of the requested number, if
+that is more."""
 
 _TOGETHER: Final = 64
 """Actions that close together: the table of a path takes 0.3 MB."""
@@ -71,7 +71,7 @@ _GOOD_QUALITY: Final = 0.05
 """Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
 
 _SHAKEN: Final = 2.4 * np.vstack([np.eye(3), -np.eye(3)])
-"""How an arm accelerates what it carries, one at a time ``(6, 3)`` [m/s²]: as when it stops, and as
+"""Accelerations of a carried object, one at a time ``(6, 3)`` [m/s²]: an arm stops, and
 `rtee try` shakes it, 15 mm to either side at 2 Hz."""
 
 _HALF_PLACE: Final = 5.1e-5
@@ -490,7 +490,7 @@ def squeeze(actuator: ActuatorSpec) -> float:
 
 
 _ALONE: Final = frozenset({PrimitiveKind.TRIG, PrimitiveKind.TIP_FLEX, PrimitiveKind.FING_FLEX})
-"""Primitives that bend one finger against whatever is there."""
+"""Primitives that bend one finger, whatever opposes it."""
 
 _OPPOSED: Final = 0.05
 """How much more score makes one of these better than an action of opposed fingers, whose opening
@@ -523,7 +523,7 @@ def _score(held: float, ball: float, off: float) -> float:
 
 
 def _firmness(grasp: FoundGrasp) -> float:
-    """Return by what share the grasp of a standing object is worse than its forces suggest.
+    """Return the share by which the grasp of a standing object is worse than its forces suggest.
 
     Fingers that push the object far, or miss it where it stands beside its place,
     upset it.

@@ -62,10 +62,10 @@ _SHIFTS: Final = (0.0, 0.015, 0.03)
 """Jaws that turn about a hinge have room for an object farther out than their middles [m]."""
 
 _ROOMY: Final = 0.7
-"""The least such shift counts that gives this part of the room."""
+"""Share of the most room that a shift must give; the least such shift is taken."""
 
 _PROBED: Final = 3e-4
-"""A probe this near a fingertip has met it [m]."""
+"""A probe touches a fingertip that is this close [m]."""
 
 _BACK: Final = 0.03
 """How far behind the fingertips' middle an object is held that comes from the palm's front [m]."""

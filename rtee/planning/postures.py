@@ -175,7 +175,7 @@ class Postures:
         return HandPose(turns @ self._turns, points[:, :, 0], points[:, :, 1], turns)
 
     def farthest_steps(self, frames: FloatArray) -> FloatArray:
-        """Return how far points of the shapes go at most in one of the steps ``(n,)`` [m].
+        """Return the longest travel of any point of each shape in a single step ``(n,)`` [m].
 
         Args:
             frames: Poses of the bodies at postures near each other ``(k, m + 1, 4, 4)``.

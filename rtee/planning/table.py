@@ -26,7 +26,7 @@ CLEAR: Final = 4e-3
 """Least gap between a hand and the table [m] …"""
 
 _TILT: Final = math.tan(math.radians(5.0))
-"""… and how much more for each metre beside the object: an arm and a camera are that exact."""
+"""… and its increase per metre of distance from the object: the accuracy of arms and cameras."""
 
 STEEP: Final = 0.5
 """A hand comes from above if its approach is less than 60 degrees off the table's normal: the
@@ -36,17 +36,17 @@ _PRESSED: Final = 3e-3
 """An object that the closing hand pushes deeper into the table is pressed on it [m]."""
 
 _STANDS: Final = 0.2
-"""An object may stand out so far that this share of what is beyond its centre of mass stays on the
-table: it does not tip when it is touched, nor when it stands 10 mm beside its place."""
+"""An object may overhang until only this share of its part beyond the centre of mass is on the
+table: it then does not tip when touched, nor when it stands 10 mm from its place."""
 
 _LEAST: Final = 0.9
 """The share of that which is enough: the steps of a closing hand are 6 mm apart."""
 
 _RAISED: Final = 0.02
-"""A hand is raised by no more than this to clear the table [m]: beyond, it is another grasp."""
+"""Largest height by which a hand is raised to clear the table [m]: more makes another grasp."""
 
 _SIZE: Final = (1.2, 1.2, 0.6)
-"""Of the block that stands for a table with an edge [m]: larger than the hand and its approach."""
+"""Size of the block for a table with an edge [m]: larger than the hand and its approach."""
 
 _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
 """Shares of the approach at which the hand is checked, closer to each other near its end."""

@@ -43,7 +43,7 @@ _CIRCLE: Final = np.array(
 """Directions of these edges around the normal, unit vectors ``(EDGES, 2)``."""
 
 PATCH: Final = 0.004
-"""Radius of the patch in which a fingertip touches [m]: what pads of rubber flatten to."""
+"""Radius of the contact patch of a fingertip [m]: that of a flattened rubber pad."""
 
 GRAVITY: Final = 9.81
 """Acceleration of free fall [m/s²]."""

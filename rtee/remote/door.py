@@ -51,8 +51,8 @@ _SILENT_FOR = 3.0
 """Time to show a certificate [s]: several round trips of a slow VPN."""
 
 _FOR_STOPS = 8
-"""Connections of one certificate beyond its limit: its programs may have used up that, and a stop
-has to get in all the same."""
+"""Connections of one certificate beyond its limit, so that a stop gets in even if the certificate's
+programs have used up the limit."""
 
 _STOPPED_WITHIN = 3.0
 """Time after which those are closed [s]: a stop takes some tenths, on a busy computer a second."""
@@ -270,7 +270,7 @@ class _Doorkeeper:
                 gate.add_done_callback(_closed)
 
     async def keep(self, listener: socket.socket) -> None:
-        """Accept connections for ever."""
+        """Accept connections until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             try:

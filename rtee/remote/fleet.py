@@ -28,7 +28,7 @@ from rtee.remote.session import access_path, close_session, open_client
 from rtee.types import DeviceStatus, Lifecycle
 
 _SEARCH_EVERY = 2.0
-"""Time between two searches for hands [s]: so long a new one may stay unseen."""
+"""Interval of searches for hands [s], and so the longest time until a new one appears."""
 
 _ANSWER_WITHIN = 2.0
 """Time for all hands to answer [s]; those that have not by then are shown with the reason."""

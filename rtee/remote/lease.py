@@ -93,7 +93,7 @@ class Lease:
         self._goals.pop(goal_id, None)
 
     def stream_ended(self, stream: str) -> None:
-        """Record that a stream has ended; a goal of the same name goes on."""
+        """Record that a stream has ended; a goal of the same name continues."""
         if stream in self._deadlines:
             self.ended(stream)
 

@@ -22,7 +22,7 @@ STALE_AFTER: Final = 1.0
 """Age at which the newest state is out of date [s]: a hundred states late."""
 
 _FELT: Final = 0.5
-"""Measured force from which on something is held, without any result [N]: above sensors' drift."""
+"""Measured force above which an object counts as held without a result [N]: above sensor drift."""
 
 _NOTHING: Final = 0.05
 """Measured force below which nothing is pressed [N]: below the lightest grasp."""

@@ -24,7 +24,7 @@ _MARGIN: Final = 1.08
 _FIRST_PART: Final = 0.3
 """Share of the travel in which fingertips show the direction of closing; later they curl back."""
 _SNAP: Final = math.radians(35.0)
-"""Largest angle between a hand and an axis of its base at which it is shown upright [rad]."""
+"""Largest angle between a hand and an axis of its base for an upright view [rad]."""
 _ONE_WAY: Final = 0.45
 """Ratio of the tips' common motion to their own below which fingers close towards one another."""
 

@@ -152,7 +152,7 @@ def write_correspondence(folder: Path, hand: Hand, found: Correspondence) -> Pat
 
 
 def _plain(value: Any) -> Any:
-    """Return plain data with lists instead of tuples, without what is empty."""
+    """Return plain data with lists instead of tuples, without empty values."""
     if isinstance(value, dict):
         return {name: _plain(each) for name, each in value.items() if each not in ({}, ())}
     return [*map(_plain, value)] if isinstance(value, tuple) else value

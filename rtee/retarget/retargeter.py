@@ -38,8 +38,8 @@ APART: Final = 0.095
 """Distance of the human tips at which a gripper is fully open [m]."""
 
 _MEET: Final = (0.036, 0.06)
-"""Distance of two human tips below which their gap is kept exactly, and above which it does not
-matter [m]; between them the weight changes smoothly."""
+"""Distances between two human tips [m]: below the first, their gap is kept exactly; above the
+second, it is ignored. In between, the weight changes smoothly."""
 
 _FINGER: Final = 0.085
 """Length of a human finger, from the knuckle [m]: gaps scale as the hand's fingers do to it."""
@@ -326,7 +326,7 @@ _NOISE: Final = 0.03
 """Noise of a webcam's tips that does not count as a jump, however fast [m]."""
 
 _BONE: Final = 2.2
-"""Ratio by which a finger's length may differ from what it was: a camera sees it shortened."""
+"""Largest ratio between a finger's lengths over time: a camera sees a finger foreshortened."""
 
 _OUTLIERS: Final = 5
 """After so many outliers in a row the hand is really elsewhere."""

@@ -75,7 +75,7 @@ def _number(field: Field) -> int:
 
 
 def referred(kind: MessageType) -> list[MessageType]:
-    """Return all types that one refers to, directly or not, sorted by name."""
+    """Return all types that a type refers to, directly or indirectly, sorted by name."""
     return sorted(kind.parts, key=lambda part: part.name)
 
 

@@ -44,7 +44,7 @@ _LOOK = 0.0005
 """Time between looks at what a wire has lost [s]: less than a device takes to answer."""
 
 _UNPLUGGED = 5
-"""How often a device is unplugged at the least: what leaks one file each time has left five."""
+"""Fewest unplugs of a device: a leak of one file each time then shows as five."""
 
 _APPROACH = 0.1
 """Share of the path between two postures at which a device is stopped."""

@@ -198,7 +198,7 @@ class Comparison:
         return [best], tuple(o for o in self.objects if o not in together)
 
     def sentence(self) -> str:
-        """Return in words which hands hold all objects, as far as that is known."""
+        """Describe which hands are known to hold all objects."""
         said = self._sentence()
         return said if all(cell.done for cell in self.cells.values()) else f"so far: {said}"
 

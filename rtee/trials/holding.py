@@ -19,7 +19,7 @@ TURN: Final = math.radians(10.0)
 
 
 def turned(shape: str, before: FloatArray, now: FloatArray) -> float:
-    """Return by how much an object has turned, as far as that can be seen [rad].
+    """Return the visible rotation of an object [rad].
 
     Args:
         shape: The object, as on the command line.

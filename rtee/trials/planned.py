@@ -97,7 +97,7 @@ def checked(
     ranking: Ranking,
     most: int,
 ) -> Ranking:
-    """Return a ranking whose ``most`` best plans were tried in dynamics; what held comes first.
+    """Return a ranking whose ``most`` best plans were tried in dynamics; successes come first.
 
     Where none of these holds, the others are tried, too, until one does: geometry does not see how
     the fingers push the object while they close.

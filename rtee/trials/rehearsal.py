@@ -1,4 +1,4 @@
-"""Play a goal in dynamics before a hand does it: what it would hold, strike and press."""
+"""Simulate a goal before a hand executes it, to predict its grip, impacts and forces."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SETTLE: Final = 0.5
 """Time for the object to come to rest in the hand [s]."""
 
 _WATCHED: Final = 1.5
-"""Time in which the object must stay, once it bears its own weight [s]: what slides has gone."""
+"""Time for which the object must stay once its weight acts [s]: a sliding one falls sooner."""
 
 _STRUCK: Final = 2.0
 """Force of links on one another above which the hand collides with itself [N]: what only brushes

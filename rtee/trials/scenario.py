@@ -18,7 +18,7 @@ Watch = Callable[[str, HeadlessHand[Simulation]], None]
 
 
 class TrialScene:
-    """A hand with an object in simulation, and what its steps have shown so far.
+    """A hand with an object in simulation, and the findings of its steps so far.
 
     Attributes:
         headless: The hand.

@@ -68,7 +68,7 @@ class Workers(Protocol):
         """Submit a task of a hand; the future's result is that of `perform`."""
 
     def check(self) -> None:
-        """Raise `WorkerLost` if nobody is left who works."""
+        """Raise `WorkerLost` if no worker is left."""
 
     def failed(self, error: BaseException) -> None:
         """Schedule a failed task for another attempt, or raise the reason why there is none."""

@@ -32,16 +32,16 @@ BREAKS: Final = 8.0
 """Force of a finger that breaks the egg [N]."""
 
 FORCE: Final = 3.0
-"""Force with which an object is held unless another is asked for [N]."""
+"""Default force with which an object is held [N]."""
 
 MOST: Final = 7.0
-"""Force up to which a slip raises it unless another is asked for [N]: an egg bears it."""
+"""Default force up to which slips raise it [N]: an egg bears it."""
 
 _SPEED: Final = 0.02
 """Speed of the fingertips [m/s]: slow enough that the impact breaks no egg."""
 
 _SETTLE: Final = 1.0
-"""Time in which a grip, or what disturbed it, settles [s]."""
+"""Time in which a grip settles, also after a disturbance [s]."""
 
 _LOST: Final = 0.015
 """An object that has moved farther than this in the hand is lost [m]. It is less than a finger's
@@ -248,7 +248,7 @@ def _disturbance(task: Task, simulation: Simulation) -> tuple[Step, ...]:
 
 
 def filling(simulation: Simulation) -> Callable[[float], None]:
-    """Return what fills the object of a simulation with a share (0 to 1) of the water."""
+    """Return a function that fills a simulated object with a share (0 to 1) of the water."""
     model, body = simulation.model, simulation.model.body(OBJECT).id
     first = int(model.body_dofadr[body])
     dofs = slice(first, first + int(model.body_dofnum[body]))

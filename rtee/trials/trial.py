@@ -172,7 +172,7 @@ def run_trial(
 
 
 def _carefully(contenders: list[_Tried], varied: _Varied, free: Places) -> _Tried:
-    """Return the best of some places, each moved to the middle of where the object is held.
+    """Return the best of some places, each moved to the middle of the region that holds the object.
 
     A place on the edge of that may survive all tries that choose it, so all are moved.
     """

@@ -166,7 +166,7 @@ class MadeWith:
         return cls(prints.model + meshes, actions or "", mesh, settings, versions())
 
     def difference(self, other: MadeWith) -> str:
-        """Return in words how another one differs from this one; empty if it does not."""
+        """Describe how another one differs from this one; empty if it does not."""
         differing = [f for f in fields(self) if getattr(self, f.name) != getattr(other, f.name)]
         return "; ".join(
             f"other {f.name}: {getattr(other, f.name)} instead of {getattr(self, f.name)}"

@@ -31,11 +31,11 @@ from rtee.types import ActuatorSpec, JointKind, Reference
 _PERIOD = 0.05
 """Time between two references [s]: long enough for every bus, short enough to be smooth."""
 _REST = 2.0
-"""Time for which it is watched at rest [s]: long enough for a hundred readings."""
+"""Time for which the hand is observed at rest [s]: long enough for a hundred readings."""
 _SLOW = 0.1
 """Share of its travel that an actuator is moved in a second: a hand can be taken away in time."""
 _ARRIVES = 8.0
-"""Longest time from the last reference until it stands [s]; some devices grip over seconds."""
+"""Longest time from the last reference until the hand is at rest [s]; some devices grip slowly."""
 _PLACES = (0.25, 0.75)
 """Fractions of the travel at which a person measures."""
 _NEAR = 0.15
@@ -165,7 +165,7 @@ class ContactGuide:
         return self._driver.spec.actuators
 
     async def _glide(self, index: int, goal: float, *, until: Callable[[], bool] = bool) -> float:
-        """Move one actuator slowly to a position; return where it stands then."""
+        """Move one actuator slowly to a position; return its position afterwards."""
         one = self._actuators[index]
         state = await self._sense()
         start = float(state.position[index])

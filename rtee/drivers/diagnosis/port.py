@@ -113,7 +113,7 @@ def _owner(path: Path, root: Path) -> Check:
 
 
 def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
-    """Return the ids and names of the processes that have a port open, as far as visible.
+    """Return the ids and names of the visible processes that have a port open.
 
     The program at the other end of a pseudo-terminal, such as `rtee emulate`, does not count.
     """

@@ -300,7 +300,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         }
 
     async def _watch(self) -> None:
-        """Read voltages and temperatures now and then, since they change slowly; check the torque.
+        """Read voltages and temperatures at intervals, since they change slowly; check the torque.
 
         Raises `DeviceFault` if torque is off, or a watchdog has tripped.
         """

@@ -56,7 +56,7 @@ _STS = {
 }
 _HLS = {**_STS, table.MAX_TORQUE: 980, Register(34, 1): 0, Register(35, 1): 0, Register(36, 1): 0}
 _DEFAULTS = {"scs": _SCS, "sts": _STS, "sms": _STS, "hls": _HLS}
-"""Values from the factory, as far as sources agree."""
+"""Factory values on which sources agree."""
 
 
 class FeetechMemory:
@@ -130,7 +130,7 @@ MIDDLE = 2048
 """The present position after it has been declared the middle [counts]."""
 _MAKE_MIDDLE = 128  # value of the torque register that declares it
 _FASTEST = {"scs": 1500.0, "sts": 3400.0, "sms": 3400.0, "hls": 3400.0}
-"""Speed of a free servo [counts/s]: what published programs command; no source gives more."""
+"""Speed of a free servo [counts/s]: that of published programs; no source gives a higher one."""
 _FRICTION = 40.0  # load of a free servo that moves [0.1 %]; no source gives it
 _STIFFNESS = 2000.0  # load per position error [0.1 % per rad]; no source gives it
 _SPEED_MODE = 1

@@ -162,7 +162,7 @@ def _read_mesh(spec: mujoco.MjSpec, path: str) -> mujoco.MjsMesh:
 
 @lru_cache(maxsize=4)
 def _corners(path: str) -> FloatArray | None:
-    """Return the corners of an STL file that MuJoCo refuses, of which it takes the hull anyway."""
+    """Return the vertices of an STL file that MuJoCo refuses; only their hull is needed."""
     file = Path(path)
     corners = stl_corners(file.read_bytes()) if file.suffix.lower() == ".stl" else None
     return None if corners is None or len(corners) <= 3 * _MOST else welded(corners)[0]

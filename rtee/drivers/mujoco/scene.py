@@ -1,4 +1,4 @@
-"""The hand and what is around it: a carrier, a table, an object."""
+"""The hand and its surroundings: a carrier, a table, an object."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _CLOSURES = 26
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """Closing motion of a gripper on what is between its two tips.
+    """Closing motion of a gripper on an object between its two tips.
 
     Attributes:
         end: Actuator positions with the tips on each other ``(n,)`` [rad | m].
@@ -130,7 +130,7 @@ def downward(hand: Hand) -> FloatArray:
 
 
 def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> None:
-    """Turn the carrier and give it the motions of the options; a fixed one stays as it is."""
+    """Turn the carrier and give it the motions of the options; leave a fixed one unchanged."""
     if options.carrier == "fixed":
         return
     mount = spec.body(CARRIER)

@@ -185,7 +185,7 @@ def _mesh(
 
 
 def _hull(model: mujoco.MjModel, mesh: int) -> NDArray[np.uint32]:
-    """Return the triangles of a mesh's convex hull, which is what contacts are with.
+    """Return the triangles of a mesh's convex hull, the shape used for contacts.
 
     They are the last part of MuJoCo's graph of the hull: two numbers, two for each vertex, one for
     each vertex and three for each triangle, then these.

@@ -45,7 +45,7 @@ def pose_vector(pose: FloatArray) -> FloatArray:
 
 
 class Surroundings:
-    """The carrier, the object and what it lies on.
+    """The carrier, the object and its support.
 
     An object that is *held* is weightless and moves against a drag, as if a yielding hand presented
     it; it is let go when two links have touched it for a while, or by `remove_support`.
@@ -166,7 +166,7 @@ class Surroundings:
         return bool((ground[:, ::-1] & parts).any())
 
     def pressing(self, holding: Collection[str] | None = None) -> float:
-        """Return the largest force with which the hand presses what it should not [N].
+        """Return the largest force of the hand on anything it should not touch [N].
 
         Args:
             holding: The links that may touch the object; all unless given. None may touch the table

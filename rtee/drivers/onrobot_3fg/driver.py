@@ -31,7 +31,7 @@ _REACHED = 3
 """A diameter this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
 
 _STUCK_BUSY = 0.5
-"""Time of being busy without motion after which it is stopped before the next grip [s]."""
+"""Time busy without motion after which the gripper is stopped before the next grip [s]."""
 
 _GRIP_POINTS = 33
 """Diameters at which the force is computed: linear interpolation between them is off by 1 %."""

@@ -543,7 +543,7 @@ class SchunkEguDriver(Driver):
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """End the motion; what is gripped stays gripped."""
+        """End the motion; a gripped object stays gripped."""
         if not self.connection.is_open:
             return
         if self._input.status & codec.Status.GRIPPED and not self._running:

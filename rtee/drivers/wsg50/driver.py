@@ -261,7 +261,7 @@ class Wsg50Driver(Driver):
             raise CommandRejected(self.spec.name, refusal.message) from refusal
 
     def _meets(self, width: float) -> bool:
-        """Return whether a closing motion has just met an object, which is to be grasped."""
+        """Return whether a closing motion has just met an object to grasp."""
         report = self._report
         closes = self._moving_to is not None and width < report.width - _REACHED
         return closes and bool(report.state & State.BLOCKED_MINUS) and not self._busy
@@ -292,7 +292,7 @@ class Wsg50Driver(Driver):
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """End the motion; what is gripped stays gripped."""
+        """End the motion; a gripped object stays gripped."""
         if not self.connection.is_open:
             return
         for _ in range(_TRIES):

@@ -67,7 +67,7 @@ class CameraTopic:
         return Signal((self.name,), wall, np.ones((len(wall), 1)), lasting(wall))
 
     def newest(self, when: Times) -> Iterator[Any]:
-        """Yield the newest image at each of some rising times, as a frame of PyAV.
+        """Yield the newest image at each of the given increasing times, as a frame of PyAV.
 
         Raises:
             LogError: if an image cannot be decoded.

@@ -121,7 +121,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Made:
-    """A written dataset: episodes, frames, names by feature, and sentences on what was left out."""
+    """A written dataset: episodes, frames, names by feature, and sentences on omitted data."""
 
     episodes: int
     frames: int

@@ -160,7 +160,7 @@ class DatasetFiles:
         arrays = {}
         for key, values in columns.items():
             flat = pa.array(values.ravel())
-            # LeRobot has a vector of one number as a number.
+            # LeRobot stores a vector of one element as a plain number.
             arrays[key] = (
                 flat
                 if values.shape[1] == 1
