@@ -57,8 +57,8 @@ _WEAKEST: Final = 1e-3
 """Least force compared [N]; its reciprocal is the largest, since some actuators have no limit."""
 
 _CROWDED: Final = 0.005
-"""Depth from which on two fingers of one side meet before the object is between the sides [m]: more
-than the overlap of fingers that only lie side by side."""
+"""Depth above which two fingers of one side meet before they reach the object [m]: more than the
+overlap of fingers that only lie side by side."""
 
 _TAKES_PART: Final = 0.1
 """Share of the largest lever below which an actuator does not press."""

@@ -56,7 +56,7 @@ _LONGEST_INTERVAL = 0.25
 """A longer time between two measurements is not an interval, but a silence [s]."""
 
 _WEIGHT = 0.125
-"""Weight of the newest interval in the usual one, which follows a change within 8 intervals."""
+"""Weight of the newest interval in their mean, which follows a change within 8 intervals."""
 
 _FROZEN = 0.01
 """An encoder looks frozen if its value has not changed at all while the reference has moved by this

@@ -146,7 +146,7 @@ class SteadyContact:
         if contact:
             self._side, self._position = side, position
             return True
-        # Compared with where contact was reported, so that slow motion cannot carry it along.
+        # Compared with the position of the reported contact, so that slow motion adds up.
         if moving and side == self._side and abs(position - self._position) <= SAME:
             return True
         self._side, self._position = 0.0, math.nan

@@ -595,7 +595,7 @@ class ServoDriver(Driver, Generic[L]):
         await self._write(Goals(chosen, counts, rates.tolist(), efforts.tolist()))
 
     def _limits(self, rates: FloatArray, efforts: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the limits of the servos for those of the actuators."""
+        """Convert the actuators' limits to limits of the servos."""
         if self._coupling is None:
             return rates, efforts
         fastest = np.array([1.5 * a.velocity for a in self.spec.actuators])

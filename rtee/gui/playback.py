@@ -30,7 +30,7 @@ _OTHER = "#e69f00"
 """Colour of any other outcome."""
 
 _LOOKED_AT = 10_000
-"""States of a long recording that are searched for a measured value: within milliseconds."""
+"""Number of states of a long recording searched for a measured value: takes milliseconds."""
 
 
 class Playback:

@@ -489,7 +489,7 @@ _WHOLE = 1.3
 """Width of a picture by its height below which the width decides how much of the hand is seen."""
 
 _FARTHEST = 2.0
-"""Farthest that the camera goes back for that, by the hand's size: beside panels that fold soon."""
+"""Largest such factor on the camera's distance: on narrower pages, panels fold."""
 
 _GHOST = 0.35
 """Opacity of a ghost, through which the hand stays visible."""

@@ -13,10 +13,10 @@ from rtee.sample import FloatArray
 Faces = NDArray[np.int64]
 
 MOST: Final = 60_000
-"""Triangles of a mesh that are kept: on a link of 40 by 80 mm, their edges are 0.5 mm long."""
+"""Most triangles kept of a mesh: on a link of 40 by 80 mm, their edges are 0.5 mm long."""
 
 _WIDER: Final = 1.15
-"""How much wider cells become until the triangles are few enough."""
+"""Factor by which cells are widened until there are few enough triangles."""
 
 _BITS: Final = 21
 """Bits of a cell's number along an axis: three fit into one integer."""

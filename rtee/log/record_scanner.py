@@ -199,7 +199,7 @@ class Finder:
         return end == self.size or (end < self.size and self._confirmed(end))
 
     def _search(self, position: int, stop: int) -> int | None:
-        """Return the offset of the first chunk from a position to before a stop [bytes]."""
+        """Return the offset of the first chunk from a position on, below a stop [bytes]."""
         block = _FIRST_BLOCK
         while position < stop:
             # The overlap contains the bytes that the pattern needs after the last opcode.

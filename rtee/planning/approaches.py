@@ -15,13 +15,13 @@ from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
 GAP: Final = 1e-3
-"""Gap between the object and the hand when it is brought in [m]: models are that exact."""
+"""Gap between the object and the hand during the approach [m]: the accuracy of models."""
 
 APPROACH_LENGTH: Final = 0.15
-"""Distance from which an object is brought in [m]: beyond the reach of open fingers."""
+"""Distance from which an object approaches [m]: beyond the reach of open fingers."""
 
 _DEEPEST: Final = 0.08
-"""How far beyond the fingertips' middle an object is brought at most [m]: palms are nearer."""
+"""Farthest position of an object beyond the fingertips' middle [m]: palms are nearer."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ _STEP: Final = 4
 """Ticks of a step while links touch: about 3 mm of a fingertip's path."""
 
 _SOON: Final = 4.0
-"""Ticks ahead for which distances are measured before the hand touches; farther, bounds will do."""
+"""Ticks ahead for which distances are measured before the hand touches; beyond, bounds suffice."""
 
 _PUSHES: Final = 4
 """Pushes that one step may take until nothing is inside the object."""
@@ -43,19 +43,19 @@ _INSIDE: Final = 1.5e-3
 """A link that stays this deep inside the object is blocked [m]."""
 
 _FARTHEST: Final = 0.05
-"""An object that was pushed farther has escaped [m]."""
+"""Displacement beyond which a pushed object has escaped [m]."""
 
 _MOVES: Final = 1e-6
 """Actuators whose set-points differ by less don't move [rad | m]."""
 
 SEVERAL: Final = 3
-"""So many fingertips may close along one axis, or from all around."""
+"""Number of fingertips that may close along one axis, or from all around."""
 
 _DECIDED: Final = 4.0
-"""They close along an axis if their motion along it has this many times the square of the next."""
+"""They close along an axis whose squared motion is this many times that of the next axis."""
 
 _TAKES_PART: Final = 0.1
-"""A fingertip moves along that axis if it goes this part of the path of the fastest one."""
+"""A fingertip moves along that axis if it travels this share of the fastest one's path."""
 
 _STILL: Final = 1e-3
 """Motion of fingertips that counts as 0 [m]."""

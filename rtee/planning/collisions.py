@@ -20,11 +20,11 @@ OBJECT: Final = "object"
 """Name of the object, instead of a link, in a collision."""
 
 _DEPTH: Final = 1e-3
-"""Links overlap from this depth on [m]: models are no more exact."""
+"""Depth from which links overlap [m]: the accuracy of models."""
 
 _PRESSED: Final = 3e-3
-"""A fingertip may be this deep in the object, or in another fingertip [m]: as far as a contact may
-be missed, and as a soft pad gives."""
+"""Deepest allowed penetration of a fingertip into the object or another fingertip [m]: the error of
+a contact, and the give of a soft pad."""
 
 
 class GraspCollisions:

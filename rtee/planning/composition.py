@@ -30,7 +30,7 @@ _POSES: Final = 3
 """Poses of the object that are tried for each."""
 
 _LEAST: Final = 0.05
-"""A part with a smaller scale does nothing for the grasp and is left out."""
+"""A part with a smaller scale does not contribute to the grasp and is left out."""
 
 
 def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:

@@ -24,7 +24,7 @@ from rtee.planning.scene import NOWHERE, TOUCH, GraspScene, Measured, Touch
 from rtee.sample import BoolArray, FloatArray
 
 _EXACT: Final = 5e-6
-"""What Coal's distances and normals are exact to [m]: its iterations end at 1e-6 of a length."""
+"""Accuracy of Coal's distances and normals [m]: its iterations end at 1e-6 of a length."""
 
 
 class Placed(Protocol):

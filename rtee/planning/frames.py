@@ -18,7 +18,7 @@ _RIGID: Final = 1e-3
 
 
 _LEAST_LENGTH: Final = 1e-3
-"""A shorter vector has no direction [m]: rounding and models' errors would decide it."""
+"""A shorter vector has no direction [m]: rounding and model errors would determine it."""
 
 
 def checked_pose(pose: object, what: str) -> FloatArray:

@@ -47,7 +47,7 @@ _COLUMNS: Final = 17
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
 
 _STEP: Final = 0.02
-"""Step of intensity by which the direction is found in which tips close."""
+"""Step of intensity that determines the direction in which tips close."""
 
 _ROUNDS: Final = 5
 """Steps in which the middle between tips is found; two suffice for those of a parallel gripper."""

@@ -12,18 +12,18 @@ from rtee.planning.distance_bounds import DistanceBounds
 from rtee.sample import FloatArray
 
 _BESIDE: Final = 0.008
-"""How far an object is moved along each axis to see whether it is held there, too [m]: as arms and
-cameras place it."""
+"""Displacement along each axis at which an object must also be held [m]: the accuracy of arms and
+cameras."""
 
 _TURNED: Final = 0.15
-"""… and how far it is turned about each axis [rad]."""
+"""… and the same for a rotation about each axis [rad]."""
 
 _PUSHED: Final = 0.05
 """How far the open hand may push an object before it as it comes [m]; farther, the fingertips no
 longer reach it."""
 
 _PUSH: Final = 0.002
-"""By how much at a time the object is pushed [m]."""
+"""Step by which the object is pushed [m]."""
 
 
 def closed_nearby(closing: HandClosing, candidate: PoseCandidate) -> list[Closure | None]:

@@ -42,7 +42,7 @@ _AROUND: Final = 64
 """Corners of a circle; the polygon is 0.03 mm inside a circle of 25 mm."""
 
 _SMALLER: Final = 0.95
-"""A turned bounding box counts if its volume is less than this part of the upright one's."""
+"""A turned bounding box is used if its volume is below this share of the upright one's."""
 
 _HOLLOW: Final = 0.8
 """A piece that fills less than this part of its convex hull is noted."""

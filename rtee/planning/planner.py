@@ -31,10 +31,10 @@ from rtee.sample import BoolArray, FloatArray
 from rtee.types import ActuatorSpec, JointKind
 
 FRICTION: Final = 0.5
-"""Coefficient of friction unless given: rubber on most things has more, bare metal less."""
+"""Default coefficient of friction: rubber has more on most materials, bare metal less."""
 
 SAFETY: Final = 3.0
-"""A grasp that carries so many times the weight is not limited by its load: arms accelerate."""
+"""Load, in multiples of the weight, above which it does not limit a grasp: arms accelerate."""
 
 _SAFETY_OF_FINGERS: Final = 20.0
 """Such a factor for three or more fingers that take an object from a table. The load is that of the
@@ -49,23 +49,23 @@ _FEWEST: Final = 3
 """Poses tried for each action at least."""
 
 _ABOVE: Final = 3
-"""So many times as many above a table, which rules most of them out."""
+"""Factor on this number above a table, which rules most of them out."""
 
 _MOST: Final = 16
 """Poses tried for each action at most."""
 
 _FINALISTS: Final = 2
-"""Poses of an action whose quality and load are worked out; one where there are many actions."""
+"""Poses of an action whose quality and load are computed; one if there are many actions."""
 
 _ENOUGH: Final = 3
 """Holding poses of an action after which no others are tried; or half of the requested number, if
 that is more."""
 
 _TOGETHER: Final = 64
-"""Actions that close together: the table of a path takes 0.3 MB."""
+"""Actions whose closing is computed together: the table of a path takes 0.3 MB."""
 
 _JUDGED: Final = 12
-"""Actions whose quality and load are worked out: the most promising."""
+"""Actions whose quality and load are computed: the most promising."""
 
 _GOOD_QUALITY: Final = 0.05
 """Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
@@ -87,22 +87,22 @@ _SQUEEZE_ANGLE: Final = 0.3
 """How far those of turning actuators go [rad]: the full effort of an ordinary servo."""
 
 _CLEAR: Final = 1e-3
-"""Gap between the pre-shaped hand and the object [m]: models are that exact."""
+"""Gap between the pre-shaped hand and the object [m]: the accuracy of models."""
 
 _FAR: Final = 0.05
 """Largest clearance that is computed exactly [m]."""
 
 _PUSHED: Final = 0.015
-"""Distance over which fingers push a standing object [m] at which the grasp counts half."""
+"""Distance over which fingers push a standing object that halves the grasp's score [m]."""
 
 _MISSED: Final = 4
-"""Where one of twelve places nearby is missed, three in ten grasps are."""
+"""Exponent of the share of nearby places held: one miss in twelve costs 30 % of the score."""
 
 _JAWS: Final = 2
 """Fingers that oppose each other, with equal forces."""
 
 _MOST_CONTACTS: Final = 32
-"""Contacts that count; more add nothing but time."""
+"""Most contacts used; more only cost time."""
 
 
 @dataclass(frozen=True)
@@ -493,8 +493,8 @@ _ALONE: Final = frozenset({PrimitiveKind.TRIG, PrimitiveKind.TIP_FLEX, Primitive
 """Primitives that bend one finger, whatever opposes it."""
 
 _OPPOSED: Final = 0.05
-"""How much more score makes one of these better than an action of opposed fingers, whose opening
-and force are known and can be asked for."""
+"""Advantage in score from which one of these is better than an action of opposed fingers, whose
+opening and force are known and can be set."""
 
 
 def _inverse(pose: FloatArray) -> FloatArray:

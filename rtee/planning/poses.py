@@ -38,7 +38,7 @@ _TIP: Final = 0.035
 """How far the shapes of a fingertip reach from the outermost one's middle [m]."""
 
 _APART: Final = 0.006
-"""Depths that differ by less are one [m]."""
+"""Depths that differ by less count as one [m]."""
 
 _PROBE: Final = 0.004
 """Radius of the probe by which openings are measured [m]: half a fingertip's breadth."""
@@ -49,7 +49,7 @@ to 10 mm beside its place, 10 % larger and turned by 10 degrees, a jaw that does
 clear of it."""
 
 _LOW: Final = 1e-3
-"""Fingertips that are higher above a table by less are as low [m]."""
+"""Fingertips whose heights above a table differ by less count as equally low [m]."""
 
 _SLANTED: Final = 0.5
 """Fingertips oppose each other along the reach where it is less than 60 degrees off: the cosine."""
@@ -68,14 +68,13 @@ _PROBED: Final = 3e-4
 """A probe touches a fingertip that is this close [m]."""
 
 _BACK: Final = 0.03
-"""How far behind the fingertips' middle an object is held that comes from the palm's front [m]."""
+"""Distance behind the fingertips' middle at which an object from the palm's front is held [m]."""
 
 _STILL: Final = 1e-3
-"""Smaller motions count as none [m]."""
+"""Smaller motions count as 0 [m]."""
 
 _SAME: Final = 0.03
-"""Two orientations of an object are one if its outlines differ by less than this part of its
-size."""
+"""Orientations count as one if the outlines differ by less than this share of the object's size."""
 
 _TURNS: Final = tuple(
     np.array([[sign[i] * (axis[i] == j) for j in range(3)] for i in range(3)], dtype=np.float64)

@@ -22,10 +22,10 @@ LONGEST: Final = 60_000
 """Longest mesh that is sent over the network [bytes]; a request has 64 KiB at most."""
 
 _PATIENCE: Final = 60.0
-"""A plan takes a second or two; a computer that is busy has this long [s]."""
+"""Longest time for a plan on a busy computer [s]; a second or two are usual."""
 
 _NICE: Final = 10
-"""How far planning's priority is below that of an ordinary program, see nice(2)."""
+"""Nice value of planning above that of an ordinary program, see nice(2)."""
 
 _MOST_CONTACTS: Final = 10
 """Most contacts of a grasp: hands have five fingers."""

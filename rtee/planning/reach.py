@@ -37,7 +37,7 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 TOLERANCE: Final = 0.003
-"""Farthest that a fingertip may be from its contact [m]: a soft pad gives as much."""
+"""Largest distance of a fingertip from its contact [m]: the give of a soft pad."""
 
 STEEPEST: Final = math.radians(60.0)
 """Largest angle between wanted and real normal [rad]: beyond, a tip slides off its contact even
@@ -51,10 +51,10 @@ _PROBE: Final = 5e-3
 change smoothly over its edges, as those of a fingertip rounded with this radius."""
 
 _LENGTH: Final = 1e-3
-"""A distance that counts as much as the next angle [m]."""
+"""Distance that weighs as much as the next angle [m]."""
 
 _ANGLE: Final = math.radians(15.0)
-"""An angle between normals that counts as much as that distance [rad]."""
+"""Angle between normals that weighs as much as that distance [rad]."""
 
 _POSTURE: Final = 30.0
 """A whole range of an actuator, off its start, counts as little as 1/30 of that distance: it only
@@ -64,7 +64,7 @@ _STARTS: Final = 6
 """Postures of actions from which each choice of fingers is searched, the nearest ones."""
 
 _CHOICES: Final = 6
-"""Choices of fingers that are searched, those whose tips come nearest in the actions' postures."""
+"""Choices of fingers that are searched: those whose tips come closest in the actions' postures."""
 
 _INTENSITIES: Final = (0.25, 0.5, 0.75, 1.0)
 """Intensities at which the postures of actions are tried as starts."""
@@ -85,7 +85,7 @@ _GOOD: Final = 0.5
 """Sum of squares of a contact that is within a millimetre and a few degrees."""
 
 _SAME: Final = 5e-3
-"""Contacts nearer to each other than this cannot be for two fingertips [m]."""
+"""Distance below which two contacts cannot belong to two fingertips [m]."""
 
 _MOST: Final = 10
 """Most contacts: hands have five fingers, and a mistake should not take a minute."""

@@ -25,7 +25,7 @@ _GROUPS: Final = 4
 """Groups of fingers that are checked, the largest first."""
 
 _JUDGED: Final = 12
-"""Poses that are judged nearby, too: the most promising ones."""
+"""Poses that are also evaluated nearby: the most promising ones."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from rtee.planning.result import Contact
 from rtee.sample import FloatArray
 
 TOUCH: Final = 5e-4
-"""Surfaces this near touch [m]."""
+"""Distance up to which surfaces touch [m]."""
 
 _OTHERS: Final = 4
 """Most contacts of one link with one piece that count: the corners of a patch."""

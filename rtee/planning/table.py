@@ -33,7 +33,7 @@ STEEP: Final = 0.5
 cosine."""
 
 _PRESSED: Final = 3e-3
-"""An object that the closing hand pushes deeper into the table is pressed on it [m]."""
+"""Depth in the table beyond which the closing hand presses an object on it [m]."""
 
 _STANDS: Final = 0.2
 """An object may overhang until only this share of its part beyond the centre of mass is on the

@@ -73,7 +73,7 @@ _CLOSED: Final = 1e-6
 """Residual below which a system of unit vectors counts as solved."""
 
 _LEAST_LOAD: Final = 0.05
-"""A grasp that carries less than this part of the weight carries nothing."""
+"""A grasp that carries less than this share of the weight counts as carrying nothing."""
 
 _HALVINGS: Final = 7
 """Halvings of the interval in which the load is sought, in logarithms: to 6 %."""

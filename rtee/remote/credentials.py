@@ -93,11 +93,11 @@ def secure_folder(hand: str) -> Path:
 
 @dataclass
 class Credentials:
-    """A hand's certificates and its list of people, those whose certificate is revoked, too.
+    """A hand's certificates and its list of people, including those with a revoked certificate.
 
     Attributes:
         until: Expiry of the hand's certificate [s since 1970].
-        spare: Roles by common name, of the certificates that may be made next, in this order.
+        spare: Roles by common name of the next certificates to be made, in this order.
         hands: Hands by common name of their certificates, for the list of a router.
     """
 

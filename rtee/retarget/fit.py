@@ -30,7 +30,7 @@ _NAMES: Final = {str(human): human for human in Human} | {"pinky": Human.LITTLE}
 _IN_ORDER: Final = (Human.INDEX, Human.MIDDLE, Human.RING, Human.LITTLE)
 
 _WIDTHS: Final = 17
-"""Openings of a gripper that are kept: linkages are no straighter than that."""
+"""Number of openings stored for a gripper, enough for the curve of a linkage."""
 
 _POSTURES: Final = 128
 """Number of postures that determine the reach of a finger: enough for its few joints."""

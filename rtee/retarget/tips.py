@@ -17,15 +17,15 @@ from rtee.hand.model import Hand
 from rtee.sample import FloatArray
 
 NEAR: Final = 0.004
-"""Distance at which links of different fingers are kept apart [m]: more than they move in a step
-of the solver near contact."""
+"""Distance kept between links of different fingers [m]: more than their motion in a step of the
+solver near contact."""
 
 _POSTURES: Final = 200
 """Number of postures at which pairs of shapes are checked once, to find those that may come
 near."""
 
 _FAR: Final = 0.008
-"""Least distance at these postures of those that never do [m]: postures between them are nearer."""
+"""Least distance at these postures of pairs that never do [m]: between them, pairs come closer."""
 
 Row = tuple[float, FloatArray]
 """A distance [m] and its derivative by the actuators ``(n,)``."""

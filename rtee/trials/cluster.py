@@ -31,7 +31,7 @@ from rtee.trials.work import (
 )
 
 _PATIENCE: Final = 10.0
-"""How long a scheduler, and its first worker, may take to answer [s]."""
+"""Time for a scheduler, and for its first worker, to answer [s]."""
 
 _ALONE = threading.Lock()
 """A worker with several threads does one task at a time: they share the hand's model."""

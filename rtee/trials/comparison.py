@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 _MOST: Final = 3
-"""Actions of a hand that are tried on an object: the planner's first choices."""
+"""Number of actions tried on an object by each hand: the planner's first choices."""
 
 _ONCE, _VARIED, _PICTURED = 10, 20, 30
-"""Ranks of the tasks after the planner's: every cell has a first answer before any has its rate."""
+"""Ranks of the tasks after planning: every cell gets a first answer before any gets its rate."""
 
 
 @dataclass

@@ -29,13 +29,13 @@ _OUTWARD = (0.0, 0.01, 0.02, 0.035, 0.05, 0.065, -0.02, -0.04)
 close on their fingertips have room there; the nearest ones first."""
 
 _ACROSS = (0.0, 0.015, 0.03, 0.045)
-"""How far towards where the fingertips curl [m]: fingers that roll up meet there."""
+"""Shifts in the direction in which the fingertips curl [m]: fingers that roll up meet there."""
 
 _TOUCH = 2e-4
-"""A link inside the object by less than this counts as clear [m]: the models are less exact."""
+"""Penetration of the object below which a link counts as clear [m]: the accuracy of models."""
 
 _APART = 0.015
-"""Places nearer to each other are one [m]: objects are varied by 10 mm along each axis."""
+"""Places closer to each other count as one [m]: objects are varied by 10 mm along each axis."""
 
 _AWAY = 0.12
 """Distance from which the object approaches the hand [m]: about a finger's length."""
@@ -47,7 +47,7 @@ _MOVES = 1e-3
 """An actuator that an action moves less stays at rest [rad | m]."""
 
 _BACK = 2e-3
-"""How far an object is moved back at a time until the hand is clear of it [m]."""
+"""Step by which an object is moved back until the hand is clear of it [m]."""
 
 
 @dataclass(frozen=True, slots=True)

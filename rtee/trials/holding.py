@@ -15,7 +15,7 @@ SLIP: Final = 0.005
 """Largest slip in the hand of an object that is held [m], as in the experiments."""
 
 TURN: Final = math.radians(10.0)
-"""An object that has turned by more than this is not held either [rad]."""
+"""Largest rotation in the hand of an object that is held [rad]."""
 
 
 def turned(shape: str, before: FloatArray, now: FloatArray) -> float:
@@ -30,7 +30,7 @@ def turned(shape: str, before: FloatArray, now: FloatArray) -> float:
     if shape.startswith("sphere"):
         return 0.0
     if shape.startswith(("cylinder", "capsule")):
-        # They look the same at any angle about their axis, and either way up.
+        # Such an object looks the same at any angle about its axis, and upside down.
         cosine = abs(float(one[:, 2] @ other[:, 2]))
     else:
         cosine = (float(np.trace(one.T @ other)) - 1.0) / 2.0

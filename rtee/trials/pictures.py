@@ -27,7 +27,7 @@ from rtee.trials.headless import HeadlessHand
 
 _TABLE_COLOUR = "#c9ccd1"
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
-"""Ways of the hand in a trial, from where it starts."""
+"""Paths of the hand in a trial, relative to its start."""
 
 
 class SimulationRenderer:

@@ -28,10 +28,10 @@ from rtee.trials.trial_run import TrialRun
 from rtee.trials.variation import Variation
 
 PRESSED: Final = 20.0
-"""A hand that presses the table harder than this has hit it [N]: a cobot's arm yields at 50 N."""
+"""Force on the table above which the hand has hit it [N]: a cobot's arm yields at 50 N."""
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
-"""Where the weight pulls in the world."""
+"""Direction of the weight in the world."""
 
 
 def check_plan(

@@ -34,11 +34,11 @@ _WATCHED: Final = 1.5
 """Time for which the object must stay once its weight acts [s]: a sliding one falls sooner."""
 
 _STRUCK: Final = 2.0
-"""Force of links on one another above which the hand collides with itself [N]: what only brushes
-past exerts less. Meeting fingertips are the purpose of a pinch."""
+"""Force between links above which the hand collides with itself [N]: links that merely brush exert
+less. Fingertips are exempt, since pinches bring them together."""
 
 _HELD_BY: Final = 2
-"""Links that must touch an object: one alone can only push it."""
+"""Number of links that must touch an object: one alone can only push it."""
 
 
 @dataclass(frozen=True, slots=True)

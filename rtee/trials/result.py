@@ -26,8 +26,7 @@ _DRILL_MASS: Final = 0.4  # mass of the drill-like body [kg]: half of a small co
 
 
 CHOOSING: Final = 10
-"""Tries by which a place is chosen unless a trial says otherwise: their share is exact to about
-10 %."""
+"""Default number of tries to choose a place: their rate is accurate to about 10 %."""
 
 
 def mass_of(shape: str) -> float:

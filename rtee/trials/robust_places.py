@@ -18,10 +18,10 @@ from rtee.trials.grasp_placement import Place, Places, fingers_of
 from rtee.trials.variation import MASS, SIZE
 
 _APART: Final = 0.012
-"""Places whose outlines differ by less are one [m]: an object is moved about as far."""
+"""Places whose outlines differ by less count as one [m]: objects are moved about as far."""
 
 _FROM_TIPS: Final = 6
-"""Places that are found from the middle of the fingertips."""
+"""Number of places found from the middle of the fingertips."""
 
 
 _OUTLOOK: Final = np.array(

@@ -105,8 +105,8 @@ class Local:
             done: Future[str] = Future()
             done.set_result(perform(hand, to_text(task)))
             return done
-        # Ctrl-C, which a terminal sends to all processes, is left to this one: the others, which
-        # the pool starts as it needs them, start with it blocked.
+        # A terminal sends Ctrl-C to all processes; only this one handles it. The pool's processes
+        # inherit the blocked signal when they start.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             with child.spawning():

@@ -48,8 +48,7 @@ _LOST: Final = 0.015
 breadth, since an object that slides from the pads may come to rest at the fingers' roots."""
 
 _BESIDE: Final = 0.003
-"""How far off the middle the object is along each axis at most [m], as a camera or a person puts
-it."""
+"""Largest offset of the object from the middle along each axis [m]: as by a camera or a person."""
 
 _MASS: Final = (0.8, 1.2)
 """Range of the factor of the mass."""
@@ -58,7 +57,7 @@ _FRICTION: Final = (0.6, 1.0)
 """Range of the friction."""
 
 _WATER: Final = 0.5
-"""Mass that the cup is filled with [kg]: half a litre."""
+"""Mass of the cup's filling [kg]: half a litre."""
 
 _FILLING: Final = 5.0
 """Time within which it is filled [s]."""
@@ -67,7 +66,7 @@ _TUG: Final = 5.0
 """Force of the tug [N]."""
 
 _TUGGED: Final = 0.5
-"""How long it is tugged at [s]."""
+"""Duration of the tug [s]."""
 
 _RISING: Final = 0.1
 """Time within which the tug rises [s]: a tug, not a blow."""

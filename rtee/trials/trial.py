@@ -30,13 +30,13 @@ from rtee.trials.trial_run import TrialRun
 from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, decided, draw
 
 Progress = Callable[[int, int], None]
-"""Told how many of how many variations were tried."""
+"""Receives the number of variations tried so far, and of all."""
 
 _FIRST = 5
 """Tries with variation at each place, before places are compared."""
 
 _SPARE = 1
-"""A place that loses no more of ten tries is taken at once: nine of ten are wanted."""
+"""Most losses in ten tries with which a place is taken at once: nine of ten should hold."""
 
 _CONTENDERS = 2
 """Places that are moved and compared when places are chosen by more tries than usual: the five
@@ -44,7 +44,8 @@ tries that all places get may mistake the second best for the best."""
 
 _CAREFUL_ROUNDS = 3
 _STAYS = 0.002
-"""Then, a place is moved so often, until it stays within this [m], a fifth of the variation."""
+"""Then: most moves of a place, and the move that is small enough to end them [m], a fifth of the
+variation."""
 
 _SCANNED_FROM = 40
 """From so many tries on that choose a place, the best place is also moved along each axis to the
@@ -55,7 +56,7 @@ _SCAN_STEP = 0.004
 in few tries."""
 
 _SCAN_STEPS = 3
-"""How many places are tried to either side: a little farther than objects are varied."""
+"""Number of places tried to either side: a little farther than objects are varied."""
 
 _FALLS_OFF = 0.25
 """No place farther away is tried where this share less of the tries is held than at the best place

@@ -43,7 +43,7 @@ _OUT_OF_REACH = 0.3
 stretch reach no farther, the hand only goes up, and nothing lies below."""
 
 _PUSHED = 0.05
-"""How much farther closing fingers may push an object that they grasp [m]."""
+"""Further displacement allowed for an object that closing fingers grasp [m]."""
 
 _SHAKE = Shake(0.015, 2.0, 2)
 """Shaking along each axis: the acceleration is up to 2.4 m/s², a quarter of the weight, as of an

@@ -35,7 +35,7 @@ _STAGES = {
 """Stages of a pinch by their labels."""
 
 _CROWDED = 85
-"""Intensity from which on the contact's label would run into the number beside the slider [%]."""
+"""Intensity above which the contact's label would overlap the number beside the slider [%]."""
 
 _FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as the effort allows"
 
