@@ -440,8 +440,7 @@ class Controller:
         self._end_stream(stamp, "actuators were moved by hand")
         self._executor.end(stamp, self._measured, preempted=True)
         self._leave_hold(targets)
-        for i, target in targets.items():
-            self._contact.led(i, self._measured.position[i], target)
+        self._executor.led(targets, self._measured)
         velocity = {i: min(jog.max_velocity, self.hand.actuators[i].velocity) for i in targets}
         for i, limit in velocity.items():
             self.max_velocity[i] = limit
@@ -495,6 +494,7 @@ class Controller:
             self._goal_effort.pop(i, None)
         self._goal_effort |= self._stream_hold.limits(stream, targets.keys())
         self._leave_hold(targets)
+        self._executor.led(targets, self._measured)
         self._stream_hold.begin(targets, stamp)
 
     def _hand_back(self, stream: StreamPlayer) -> None:

@@ -57,6 +57,9 @@ _ASTRAY = 0.05
 """Share of its range by which an actuator may be off the action's path from rest when it sets out:
 from elsewhere, fingers meet elsewhere."""
 
+_UNKNOWN_PATH: tuple[str, tuple[str, ...], bool] = ("", (), False)
+"""No action, and that the hand did not set out on its path from rest."""
+
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
 time [s]: passing the target is not enough."""
@@ -149,7 +152,7 @@ class Executor:
         self._emit = report
         self._run: _Run | None = None
         self._turn = 0
-        self._path: tuple[str, tuple[str, ...], bool] = ("", (), False)
+        self._path = _UNKNOWN_PATH
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._bending = {
             i
@@ -247,8 +250,15 @@ class Executor:
             if not felt:
                 self._contact.learn(i, stamp, measured, reference[i], velocity[i])
 
+    def led(self, targets: Mapping[int, float], measured: Measured) -> None:
+        """Record that a jog or a stream moves some actuators, by index [rad | m]."""
+        self._path = _UNKNOWN_PATH
+        for i, target in targets.items():
+            self._contact.led(i, measured.position[i], target)
+
     def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
         """Restart the leg after the references of some of its actuators were reset."""
+        self._path = _UNKNOWN_PATH  # people may have moved the hand
         run = self._run
         if (
             run is not None

@@ -81,6 +81,11 @@ async def test_how_far_fingers_came_counts_until_they_are_opened_by_any_means(ha
         rig.driver.place_object("index", 0.4)
         result = await rig.do("Trig", "index")
         assert (result.outcome, result.grasped_fingers) == ("held", ("index",))
+        # From elsewhere, the fingers may have met one another, whoever moved them there.
+        rig.loop.jog({"index_base": 0.0, "index_tip": 0.0, "thumb_base": 0.8})
+        await rig.run(2.0)
+        result = await rig.do("Trig", "index")
+        assert (result.outcome, result.grasped_fingers) == ("closed", ())
 
 
 async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> None:
