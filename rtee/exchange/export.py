@@ -200,5 +200,5 @@ def _tell_mujoco(root: ElementTree.Element) -> None:
     if compiler is None:
         compiler = ElementTree.SubElement(extension, "compiler")
     for attribute, value in _COMPILER.items():
-        # Defaults only, which must not replace settings in the URDF.
+        # These are defaults: settings in the URDF take precedence.
         compiler.set(attribute, compiler.get(attribute, value))

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rtee.hand.yamlfile import YamlDocument
 
 _MODELS = {".urdf": "--urdf", ".xacro": "--urdf", ".xml": "--mjcf"}
-"""Files that people give where a hand is meant, and the option that makes a hand of them."""
+"""Files given in place of a hand, and the option that makes a hand of each."""
 
 
 def load_model(

@@ -130,7 +130,7 @@ _SEVERAL: Final = _words(
     "link joint visual collision material transmission ros2_control sensor gazebo group chain "
     "group_state end_effector passive_joint disable_collisions virtual_joint"
 )
-"""Elements of which there may be several beside each other; of all others the first is read."""
+"""Elements that may occur several times side by side; of all others, the first is read."""
 
 _HINTS: Final = {
     "the attribute 'damping' of <joint>": "hand.yaml has damping in dynamics:",

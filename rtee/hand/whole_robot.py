@@ -14,14 +14,14 @@ from rtee.hand.names import shared_length
 from rtee.hand.urdf import Urdf, UrdfJoint, UrdfLink
 
 _ARM_JOINTS: Final = 3
-"""Fewest joints in a row, before anything branches off, that are an arm and not a wrist or a fold
-of the palm, where several parts of a robot are compared."""
+"""Fewest joints in a row without a branch that form an arm, not a wrist or a fold of the palm, when
+parts of a robot are compared."""
 
 _SURELY_ARM: Final = 4
 """Fewest such joints that form an arm, whatever their names: a wrist has at most three."""
 
 _LIMB: Final = 6
-"""Fewest actuators of one branch that are an arm or a leg: a human-like thumb has five."""
+"""Fewest actuators of one branch that form an arm or a leg: a human-like thumb has five."""
 
 _ARM: Final = re.compile(
     r"shoulder|elbow|forearm|waist|torso|(?<![a-z])(?:upper_?|lower_?)?arm(?![a-z])"

@@ -18,7 +18,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 DIGEST = "digest"
 """Name of the last attachment: goals, results, events and counts, as lines of JSON in a stream of
-zlib, so that a summary of a file needs nothing but its end."""
+zlib, so that a summary reads only the end of a file."""
 
 LARGEST_DIGEST = 1 << 25
 """Size from which a digest is left out [bytes]: 32 MB hold 90,000 goals, and would take memory."""

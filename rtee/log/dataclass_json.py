@@ -14,7 +14,7 @@ from rtee.errors import LogError
 T = TypeVar("T")
 
 _UNKNOWN: Final = re.compile(r"Object contains unknown field `(.+?)`(?: - at `\$\.(.+)`)?")
-"""What msgspec says of a key that a section does not have: the key, and where the section is."""
+"""msgspec's message about a key that a section does not have: the key, and the section's place."""
 
 
 def to_json(value: object) -> str:

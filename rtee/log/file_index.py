@@ -328,7 +328,7 @@ _SHORTEST_CHUNK = 49
 """Least length of a chunk [bytes]: its head, and the fields of one without records."""
 
 _TOLD = 5
-"""Most damaged places told one by one, so that the notes stay readable."""
+"""Most damaged places listed one by one, so that the notes stay readable."""
 
 
 @dataclass(slots=True)

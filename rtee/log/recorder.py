@@ -41,7 +41,7 @@ from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 _HEAD: Final = struct.Struct("<qdq")
-"""What precedes the arrays of a tick: its number, its stamp [s] and the time since 1970 [ns]."""
+"""Values before the arrays of a tick: its number, its stamp [s] and the time since 1970 [ns]."""
 
 _MEMORY: Final = 256 * 1024
 """Memory for the ticks of one piece [byte]: a third of a second of nine actuators at 1 kHz, and
@@ -131,7 +131,7 @@ _QUIET: Final = (0.45, 0.85)
 beginning, and the last share is a margin before the next tick."""
 
 Work = TickRecord | PackedTicks | tuple[Item, float] | Callable[[], None] | None
-"""What waits for the writer; packed ticks wait once for each of them, ``None`` is the end."""
+"""Items that wait for the writer: packed ticks once for each tick, ``None`` for the end."""
 
 
 class Recorder(Observer):

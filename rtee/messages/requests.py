@@ -31,7 +31,7 @@ STOP = "stop"
 """Group of the request that is always accepted, from any client, before all others."""
 
 CONTROL = "control"
-"""Group of the requests that steer the hand."""
+"""Group of the requests that control the hand."""
 
 ASK = "ask"
 """Group of queries, and of the requests that change the actions."""

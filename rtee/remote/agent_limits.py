@@ -22,7 +22,7 @@ SPEED: Final = 0.5
 """Largest share of the velocity limits: a person beside the hand can still follow it."""
 
 _WIDER: Final = tuple(Gate)
-"""The gates, each lets through more than those before it."""
+"""The gates; each admits more than those before it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ WITHIN: Final = 120.0
 """Time in which a person answers [s]: long enough to go and look at the hand."""
 
 CALM: Final = 3.0
-"""Time after a refusal before the next request [s]: questions without end make people say yes."""
+"""Time after a refusal before the next request [s]: endless questions make people say yes."""
 
 _LONGEST: Final = 4096
 """Longest question or answer [bytes]: a few sentences."""

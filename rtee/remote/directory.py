@@ -46,7 +46,7 @@ _LONGEST = 65536
 """Most bytes that are read of a hand's file [bytes]: a valid one has some hundred."""
 
 _WATCH_PERIOD = 1.0
-"""Interval of the checks that a hand's file still exists [s]: so long, clients may not find it."""
+"""Interval of checks that a hand's file still exists [s]; until then, clients may not find it."""
 
 _ASKING = 64
 """Processes that may ask for the owner of a name between two of these checks: more than ever start

@@ -44,8 +44,8 @@ from rtee.remote.stopping import CERTIFICATE, stop_at, stop_path
 log = logging.getLogger(__name__)
 
 _MOST_SILENT = 256
-"""Most connections that have not shown a certificate yet; beyond it the oldest are closed. Who has
-one shows it in a few round trips, so only a flood of thousands a second can block others."""
+"""Most connections that have not shown a certificate yet; beyond it the oldest are closed. A
+client with a certificate shows it in a few round trips, so only thousands a second can block it."""
 
 _SILENT_FOR = 3.0
 """Time to show a certificate [s]: several round trips of a slow VPN."""

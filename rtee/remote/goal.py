@@ -55,8 +55,8 @@ _CANCEL_AGAIN = 0.1
 once."""
 
 _CANCEL_FOR = 60.0
-"""Time for which cancellations are repeated [s]: a hand that is silent for longer has lost this
-client, and does what is configured for that."""
+"""Time for which cancellations are repeated [s]: after a longer silence, the hand has lost this
+client and reacts as configured."""
 
 
 class RunningGoal:

@@ -33,7 +33,7 @@ READY_WITHIN = 60.0
 """Default time to wait until a hand is ready [s]: twice what homing a hand takes."""
 
 _POLL_PERIOD = 0.05
-"""Interval of requests for the status while waiting [s]: short beside any homing."""
+"""Interval of requests for the status while waiting [s]: short compared with any homing."""
 
 _MOST_WAITING = 1000
 """Events and results queued for a slow reader: 1 s at 1 kHz. Older ones are dropped."""

@@ -382,7 +382,7 @@ class Server:
 
     def _on_hello(self, query: zenoh.Query) -> None:
         def handle(request: IncomingRequest) -> None:
-            # Before it is answered, so that its first query of the status includes it.
+            # Before the answer, so that the client's first query of the status includes this agent.
             self._commands.agents.meet(str(request.fields["client"]))
             self._identities.hello(request, last_part(query))
 

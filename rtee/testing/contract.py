@@ -38,10 +38,10 @@ _DEAF = 0.06
 """Time for which all answers are lost [s]: longer than most drivers wait for an answer."""
 
 _AGAIN = 0.1
-"""Time that a lost answer may cost a stop beside that of another one [s]: stops have 0.15."""
+"""Additional time that a lost answer may cost a stop [s]: stops have 0.15."""
 
 _LOOK = 0.0005
-"""Time between looks at what a wire has lost [s]: less than a device takes to answer."""
+"""Interval of checks for lost bytes on a wire [s]: less than a device takes to answer."""
 
 _UNPLUGGED = 5
 """Fewest unplugs of a device: a leak of one file each time then shows as five."""

@@ -19,8 +19,8 @@ KNUCKLES: Final = np.array(
         [0.0, -0.038, 0.078],
     ]
 )
-"""Where the fingers begin, thumb first, in the palm's frame: palmar, to the thumb, to the fingers
-[m]. The mean of adults, as the bones."""
+"""Bases of the fingers, thumb first, in the palm's frame: palmar, to the thumb, to the fingers [m].
+Means of adults, as for the bones."""
 
 BONES: Final = np.array(
     [
@@ -38,7 +38,7 @@ _CLOSED: Final = np.array([1.5, 1.75, 1.0])
 
 _THUMB_OPEN: Final = np.array([0.035, 0.085, 0.075])
 _THUMB_CLOSED: Final = np.array([0.055, -0.010, 0.065])
-"""Where the thumb's tip is when it is open, and across the palm [m]."""
+"""Positions of the thumb's tip: open, and across the palm [m]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,7 +185,7 @@ def _perform(archive: str, hand: str, file: str, text: str) -> str:
             text = to_text(with_object(task, str(folder / file)))
         said = perform(str(folder / hand), text)
     if file:
-        # Notes on the object name its path, which differs here.
+        # Notes on the object contain its path, which differs on this computer.
         here, there = (json.dumps(path)[1:-1] for path in (str(folder / file), object_of(task)))
         said = said.replace(here, there)
     return json.dumps({**json.loads(said), "worker": worker.address})

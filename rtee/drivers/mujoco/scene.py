@@ -58,7 +58,7 @@ class Closing:
 
     @classmethod
     def of(cls, hand: Hand, actions: Iterable[Action]) -> Closing | None:
-        """Return that of the first pinch of a hand with two fingers; ``None`` without one."""
+        """Return the closing motion of a two-fingered hand's first pinch; ``None`` without one."""
         if len(hand.fingers) != 2:
             return None
         for action in actions:

@@ -175,7 +175,7 @@ _POLL = 0.01
 _WRITE_GAP = 0.1
 """Pause between withdrawing an acknowledgement and the next one [s], as in the maker's tools."""
 _SHARE = 0.85
-"""Share of a cycle in which a grip is watched; the rest is for the stop that may come last."""
+"""Share of a cycle in which a grip is watched; the rest leaves time for a stop."""
 _MISFIT = 1e-3
 """How far the actuator's range may exceed the gripper's stroke [m]: rounding in models."""
 _EXPECTED = frozenset({codec.FAST_STOP, codec.SILENT, codec.UNHEARD})

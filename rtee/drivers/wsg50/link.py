@@ -47,9 +47,9 @@ class WsgReport:
     Attributes:
         state: The system's state.
         grasping: State of the grasp.
-        width: Between the fingers [mm].
-        speed: Of the width [mm/s].
-        force: At the fingers, by the motor [N].
+        width: Distance between the fingers [mm].
+        speed: Rate of change of the width [mm/s].
+        force: Force at the fingers, measured by the motor [N].
     """
 
     state: State = field(default_factory=lambda: State(0))

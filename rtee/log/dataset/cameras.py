@@ -43,7 +43,7 @@ _DECODERS: Final[Mapping[str, str]] = {
 """FFmpeg's decoders, by a word in the format of a message."""
 
 _VIDEO: Final = ("h264", "hevc")
-"""Those of them that need every message before."""
+"""The decoders that need every earlier message."""
 
 
 @dataclass(frozen=True)

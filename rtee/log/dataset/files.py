@@ -39,10 +39,10 @@ _CODEC: Final = ("libx264", "yuv420p", {"g": "2", "bf": "0", "crf": "23"})
 """A key frame at every second frame, and none that needs later ones: training reads at random."""
 
 _SAMPLED: Final = 50
-"""Images of an episode from which a camera's statistics are made, as there are enough pixels."""
+"""Number of images of an episode used for a camera's statistics: enough pixels."""
 
 _THINNED: Final = 4
-"""Of these images every so many-th row and column."""
+"""Step in rows and columns of these images."""
 
 
 class DatasetFiles:

@@ -27,10 +27,10 @@ from rtee.types import Goal, Intensity, Named
 Times = NDArray[np.int64]
 
 _PERIODS: Final = 3.0
-"""Number of its typical periods for which a value counts as current: one or two may be lost."""
+"""Typical periods for which a value counts as current: one or two may be lost."""
 
 _AT_LEAST: Final = 0.03
-"""But for that long [s]: a busy computer misses ticks, and a frame of 30 Hz takes longer."""
+"""But at least this time [s]: a busy computer misses ticks, and a frame of 30 Hz takes longer."""
 
 
 @dataclass(frozen=True, eq=False)
