@@ -474,7 +474,8 @@ class Executor:
             run.plan = replace(run.plan, lag=self._contact.lag(run.plan.effort))
         speed = leg_speed(run.plan, run.leg, self._hand)
         for i, actuator in enumerate(self._hand.actuators):
-            self.max_velocity[i] = speed * actuator.velocity
+            # Never 0, by which times are divided, and which some devices take for no limit.
+            self.max_velocity[i] = speed * actuator.velocity or math.ulp(0.0)
         top = dict(enumerate(self.max_velocity))
         self._profile.go(leg.targets, brake=self._moving(except_for=leg.targets), velocity=top)
         run.angle = self._tolerance(run.plan)

@@ -388,4 +388,4 @@ def _slowness(speed: float, hand: Hand, legs: Iterable[Leg]) -> float:
             default=0.0,
         )
         at.update(leg.targets)
-    return min(time * (1.0 / speed - 1.0), _LONGEST)
+    return min(time / speed - time, _LONGEST)

@@ -12,11 +12,12 @@ import pytest
 from rtee.errors import ActionError, GoalRejected, UnknownAction
 from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.messages.goals import goal_of
 from rtee.types import Goal, Intensity, Named, Result, Stage
 
-from .hands import NAMES, Rig, running
+from .hands import NAMES, Rig, make_library, running
 
 pytestmark = pytest.mark.anyio
 NAN = float("nan")
@@ -178,6 +179,15 @@ async def test_a_goal_that_takes_too_long_times_out(hand: Hand) -> None:
         stopped = rig.loop.snapshot().reference_position[0]
         await rig.run(0.5)
         assert rig.loop.snapshot().reference_position[0] < stopped + 0.02
+
+
+async def test_the_slowest_goal_has_a_timeout_and_a_velocity(hand: Hand) -> None:
+    goal = goal_of("slide", speed=math.ulp(0.0), intensity=0.0)
+    assert math.isfinite(make_plan(goal, hand, make_library(hand), LoopSettings()).timeout)
+    async with running(hand) as rig:
+        rig.loop.submit(goal_of("slide", speed=math.ulp(0.0)))
+        await rig.run(0.05)
+        assert min(rig.loop.controller.max_velocity) > 0.0
 
 
 async def test_the_default_timeout_is_the_hands(hand: Hand) -> None:
