@@ -109,9 +109,10 @@ class Connections:
         while True:
             self._new.wait()
             # Checked together, so that many new connections take little time of the interpreter.
-            if self._ended.wait(_TOGETHER):
-                return
+            self._ended.wait(_TOGETHER)
             self._new.clear()
+            if self._ended.is_set():  # asked last: `close` may have come before the line above
+                return
             with contextlib.suppress(OSError):  # too many files are open
                 self._look()
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import anyio
 import anyio.to_thread
@@ -203,6 +204,22 @@ def test_each_user_has_so_many_connections(tmp_path: Path, monkeypatch: pytest.M
             stack.callback(open_client([endpoint]).close)
         # Those that are closed come again, and are closed again.
         wait(lambda: len(list(session.info.links())) == 3)
+
+
+def test_a_close_just_before_a_look_is_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "_TOGETHER", 0.0)
+    judged = connections.Connections(Mock(), "x.sock")
+    new, clear = judged._new, judged._new.clear
+
+    def late() -> None:
+        judged._ended.set()
+        new.set()
+        clear()
+
+    monkeypatch.setattr(new, "clear", late)
+    new.set()
+    judged._thread.join(20)
+    assert not judged._thread.is_alive()
 
 
 def test_connections_leave_files_for_devices_and_stops(monkeypatch: pytest.MonkeyPatch) -> None:
