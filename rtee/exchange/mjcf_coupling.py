@@ -570,7 +570,7 @@ def _groups(
 ) -> list[_Group]:
     """Return the remaining joints in independent groups."""
     left = [j for j in range(model.njnt) if j not in motion.fixed and j not in motion.follows]
-    # Coupled joints share one set, which is found by its identity in the end.
+    # Coupled joints share one set object, so that identity tells the groups apart below.
     group = {joint: {joint} for joint in left}
 
     def join(joints: Iterable[int]) -> None:

@@ -295,7 +295,7 @@ def _check_range(urdf: Urdf, actuators: Sequence[UrdfJoint], known: Mapping[str,
     """Refuse non-linear couplings without a finite value or slope within the limits."""
     for name, coupling in known.items():
         if coupling.actuator is None and not math.isfinite(coupling.value(0.0)):
-            raise _undefined(urdf, name, "value where the joint it follows stands")
+            raise _undefined(urdf, name, "value at the position of the joint it follows")
         if coupling.linear or coupling.actuator is None:
             continue
         actuator = actuators[coupling.actuator]

@@ -197,16 +197,16 @@ class GuardedDriver:
             and isinstance(touch.stamp, int | float)
             and math.isfinite(touch.stamp)
         ):
-            raise self._bug("gave a reading of touch that is none")
+            raise self._bug("gave an invalid touch reading")
         if not (isinstance(state.warnings, tuple) and isinstance(state.fresh, bool | np.bool_)):
-            raise self._bug("gave a state with warnings that are no tuple")
+            raise self._bug("gave a state whose warnings are not a tuple")
 
     def _check_channels(self, extras: Mapping[str, Any]) -> None:
         if not isinstance(extras, Mapping) or len(extras) > _MOST_CHANNELS:
-            raise self._bug(f"gave channels that are no mapping of at most {_MOST_CHANNELS}")
+            raise self._bug(f"gave channels that are not a mapping of at most {_MOST_CHANNELS}")
         for name, values in extras.items():
             if not (isinstance(name, str) and name.isprintable() and _is_channel(values)):
-                raise self._bug(f"gave a channel {line(name)!r} that is no array of float64")
+                raise self._bug(f"gave a channel {line(name)!r} that is not an array of float64")
 
     def _check_grasped(self, grasped: object) -> None:
         if not (
@@ -214,7 +214,7 @@ class GuardedDriver:
             and len(grasped) == self._size
             and all(each is None or isinstance(each, bool | np.bool_) for each in grasped)
         ):
-            raise self._bug(f"gave reports of a grasp that are not {self._size} of yes, no or None")
+            raise self._bug(f"gave grasp reports that are not {self._size} of True, False or None")
 
 
 def line(text: object) -> str:

@@ -45,7 +45,7 @@ _SMALLER: Final = 0.95
 """A turned bounding box is used if its volume is below this share of the upright one's."""
 
 _HOLLOW: Final = 0.8
-"""A piece that fills less than this part of its convex hull is noted."""
+"""A piece that fills less than this share of its convex hull gets a note."""
 
 
 @dataclass(frozen=True)

@@ -191,9 +191,9 @@ class SimulatedHand(EmulatedDevices, Observer):
         return dict(self._run(self._loop.stop()))
 
     def recover(self, device: str | None = None) -> None:
-        """Bring a device, or all, out of fault or inactivity; raises the error of one that stays.
+        """Bring a device, or all, out of fault or inactivity; raises the error of one that fails.
 
-        Returns when the next ticks have found it.
+        Returns once the next ticks have seen the result.
         """
         self._run(self._loop.recover(device))
         self.wait(_LOOK_EVERY)

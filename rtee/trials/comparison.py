@@ -245,7 +245,7 @@ class Comparison:
         }
 
     def page(self) -> str:
-        """Return it as an HTML page without other files.
+        """Return the comparison as a self-contained HTML page.
 
         Raises:
             MissingExtra: if Jinja is missing.

@@ -88,7 +88,7 @@ class Local:
     """
 
     def __init__(self, jobs: int) -> None:
-        """Start so many processes."""
+        """Start the given number of processes."""
         self._pool: ProcessPoolExecutor | None = None
         self.capacity = jobs + 1 if jobs > 1 else 1
         if jobs < 2:

@@ -250,5 +250,5 @@ def test_an_actuator_that_is_not_measured_leaves_the_joints_of_others_alone(
 
 def test_a_curve_of_a_joint_that_stands_where_it_is_undefined(load: Load) -> None:
     text = chain("", "", '<mimic joint="j0" nlFunPos="sqrt(x-0.5)"/>', "")
-    with pytest.raises(ExpressionError, match="no finite value where the joint it follows stands"):
+    with pytest.raises(ExpressionError, match="no finite value at the position"):
         load(text, '<robot name="chain"><passive_joint name="j0"/></robot>')

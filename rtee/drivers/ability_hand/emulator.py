@@ -121,7 +121,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         self.parser = codec.CommandParser()
 
     def wear_down(self, wear: Wear) -> None:
-        """Make it differ from its sheet; its touch sensors are not zero at rest, and noisy."""
+        """Make the hand deviate from its data sheet; touch sensors get an offset and noise."""
         super().wear_down(wear)
         self.rest = wear.touch or self.rest
 
