@@ -128,7 +128,9 @@ def write_results(path: Path, made_with: Fingerprints, results: Iterable[TrialRe
         **({"model": made_with.model, "actions": actions} if actions else {}),
         "trials": entries,
     }
-    head = "# What `rtee try` found; made anew when the hand, the action or the method changes.\n"
+    head = (
+        "# Results of `rtee try`; run it again when the hand, the action or the method changes.\n"
+    )
     write_atomically(path, head + emit(document))
 
 
