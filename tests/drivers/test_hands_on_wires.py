@@ -200,7 +200,8 @@ async def test_a_grip_survives_the_end_of_the_run_and_the_next_one_drops_nothing
 
 
 async def test_a_hand_told_by_positions_alone_keeps_its_grip_too() -> None:
-    async with on_wires("qb_softhand", object_in_hand="0.5") as (hand,):
+    # Clearly before its fingers meet each other.
+    async with on_wires("qb_softhand", object_in_hand="0.4") as (hand,):
         hand.loop.submit(Goal(Named("Grasp")))
         assert (await hand.result()).grasped
         hand.wire.unplug()
@@ -280,9 +281,11 @@ async def test_what_is_held_is_held_all_the_time(name: str, action: str) -> None
 
 @pytest.mark.parametrize("driver", ["devices", "heri_ethercat"])
 async def test_heri_ii_closes_with_the_effort_of_the_goal(driver: str) -> None:
-    # Fingers stopped later could have met the thumb, which says nothing of an object.
     async with on_wires("heri_ii", object_in_hand="0.2", driver=driver) as (hand,):
         names = hand.loop.hand.actuator_names
+        # From elsewhere, its fingers could have met each other.
+        hand.loop.submit(Goal(Named("open")))
+        assert (await hand.result()).reached
         hand.loop.submit(Goal(Named("Grasp"), effort=dict.fromkeys(names, 1.2)))
         assert (await hand.result()).grasped
         assert hand.loop.snapshot().effort.max() == pytest.approx(1.2, rel=0.02)

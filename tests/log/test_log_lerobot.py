@@ -221,8 +221,8 @@ def test_an_episode_of_intensities_is_as_long_as_its_stream(claw: Hand, tmp_path
 @pytest.mark.parametrize(
     ("choice", "why"),
     [
-        (Choice(fps=0), "1 to 100 frames, not 0"),
-        (Choice(fps=101), "1 to 100 frames, not 101"),
+        (Choice(fps=0), "1 to 100 frames a second, not 0"),
+        (Choice(fps=101), "1 to 100 frames a second, not 101"),
         (Choice(actions=("Trig two",)), "has no stream with targets for Trig two"),
         (
             Choice(observe=(ObservedQuantity.EFFORT,)),

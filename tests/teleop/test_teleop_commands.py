@@ -64,7 +64,7 @@ def test_what_cannot_be_played(served: Served, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("words", [("fist",), ("fist", "--gamepad", "--keyboard")])
 def test_one_input_is_needed(words: tuple[str, ...]) -> None:
-    with pytest.raises(ConfigError, match="either --gamepad or --keyboard"):
+    with pytest.raises(ConfigError, match="give one of --gamepad, --keyboard and --landmarks"):
         run(teleop, *words)
 
 
