@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from typing import Final, TypeVar
 
-from rtee.errors import BusTimeout, FrameError
+from rtee.errors import BusTimeout, FrameError, RteeError
 
 T = TypeVar("T")
 
@@ -14,20 +14,26 @@ _PAUSE = 0.01
 """Time between two attempts [s], so that the other tasks of a busy event loop can run."""
 
 
-async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
+LATE: Final[tuple[type[RteeError], ...]] = (BusTimeout, FrameError)
+"""Errors of an exchange whose answer came late, or in pieces."""
+
+
+async def patiently(
+    call: Callable[[], Awaitable[T]], times: int = 8, late: tuple[type[RteeError], ...] = LATE
+) -> T:
     """Call a function that may time out on a busy computer, and repeat it if it did.
 
     Args:
         call: The function.
         times: Largest number of calls.
+        late: The errors after which it is repeated.
 
     Raises:
-        BusTimeout: if the last call timed out.
-        FrameError: if the last call received an invalid frame.
+        RteeError: the error of the last call.
     """
     for _ in range(times - 1):
         try:
             return await call()
-        except (BusTimeout, FrameError):
+        except late:
             await asyncio.sleep(_PAUSE)
     return await call()

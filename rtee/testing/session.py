@@ -11,13 +11,20 @@ from typing import Any, Self
 from rtee import monotonic
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
-from rtee.buses.retry import patiently
+from rtee.buses.retry import LATE, patiently
 from rtee.buses.simulated import Simulation
 from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
-from rtee.errors import BusBroken, BusClosed, BusTimeout, DeviceFault, FrameError, NotConnected
+from rtee.errors import (
+    BusBroken,
+    BusClosed,
+    DeviceFault,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+)
 from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
 from rtee.types import Reference
@@ -79,15 +86,17 @@ class Session:
 
     async def connect(self) -> None:
         """Connect and repeat after a timeout, starting over each time as a supervisor does."""
+        # Devices that do not answer in time count as not there.
+        late: tuple[type[RteeError], ...] = (*LATE, NotConnected, HandshakeError)
 
         async def once() -> None:
             try:
                 await self.driver.configure()
-            except (BusTimeout, FrameError):
+            except late:
                 await self.driver.close()
                 raise
 
-        await patiently(once)
+        await patiently(once, late=late)
 
     async def start(self) -> ActuatorState:
         """Connect and activate; return the first state."""
@@ -104,7 +113,7 @@ class Session:
         try:
             state = await self.driver.sense()
             await self.driver.move(reference)
-        except (BusTimeout, FrameError):
+        except LATE:
             return None
         return state
 
@@ -175,7 +184,7 @@ class Session:
                 await self.driver.move(Reference.at(state.position))
             except DeviceFault as fault:
                 return fault
-            except (BusTimeout, FrameError):
+            except LATE:
                 pass
             await asyncio.sleep(0.01)
         raise AssertionError("the fault was never reported")
@@ -189,7 +198,7 @@ class Session:
                 await self.driver.move(Reference.at(state.position))
             except (BusBroken, BusClosed, NotConnected):
                 return
-            except (BusTimeout, FrameError):
+            except LATE:
                 continue
             await asyncio.sleep(0.001)
         raise AssertionError("the driver never noticed that it was unplugged")
