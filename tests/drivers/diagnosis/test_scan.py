@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.modbus_slave import ModbusEmulator, Refused
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
+from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.diagnosis import probes
 from rtee.drivers.diagnosis.can_probe import can as can_probe
 from rtee.drivers.diagnosis.scan import Address, ScanPlan, network_probes, scan, serial_probes
+from rtee.drivers.diagnosis.slaves import ANSWER
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.orca_touch import codec
 from tests.buses.devices import in_real_time
@@ -26,8 +29,14 @@ async def scanned(line: SimulatedLine, *, units: Sequence[int] | None = None) ->
     probes_ = serial_probes(units)
     if line.address.startswith("tcp"):
         probes_ = network_probes(units)
-    async with BusPool() as pool:
-        [found] = await scan([ScanPlan(line.address, probes=probes_)], pool)
+    real = not isinstance(asyncio.get_running_loop(), SimulatedTimeLoop)
+    # Each question is asked once, and a busy computer answers later than a device.
+    usual = ANSWER.set(0.2 if real else ANSWER.get())
+    try:
+        async with BusPool() as pool:
+            [found] = await scan([ScanPlan(line.address, probes=probes_)], pool)
+    finally:
+        ANSWER.reset(usual)
     return found
 
 
