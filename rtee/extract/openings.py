@@ -106,9 +106,10 @@ class _Sample:
 def make_openings(
     hand: Hand, actions: Iterable[Action], progress: Progress | None = None
 ) -> Openings:
-    """Return the openings of the actions that have one, in their order, and what stops each.
+    """Return the openings of the actions that have one, and where the empty hand meets itself.
 
-    ``progress`` is called with the number of actions done and their total.
+    Both are in the order of the actions. ``progress`` is called with the number of actions done
+    and their total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.
