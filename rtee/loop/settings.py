@@ -208,9 +208,10 @@ def device_settings(
     return [*settings, _settings_of(hand, name, section, rate, own)]
 
 
-_PATIENT: Final = 0.5
-"""Longest exchange with an ideal emulated device [s]: tests compare its numbers, and on a busy
-computer its thread waits for a processor longer than a real device takes to answer."""
+_PATIENT: Final = 1.0
+"""Longest exchange with an ideal emulated device [s], which is lost after three: tests compare its
+numbers, and on a busy computer its thread waits for a processor longer than a real device takes to
+answer."""
 
 
 def _free_name(driver: str, taken: Sequence[str]) -> str:

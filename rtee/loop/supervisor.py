@@ -51,7 +51,8 @@ CLOSE_WITHIN = 1.0
 
 LOST_AFTER = 0.5
 """A device that has not answered for this long, and three times in a row, is lost [s]: longer than
-a bus takes to retry, and barely noticeable to a person."""
+a bus takes to retry, and barely noticeable to a person. Three longer deadlines take as long as they
+do, even if the driver gives up sooner."""
 
 LEAST_DEADLINE = 0.05
 """An exchange is abandoned after two of its periods, but not before this time [s]: a busy computer
@@ -349,7 +350,8 @@ class DeviceConnection:
         self.counters.in_row += 1
         self.message = _words(error)
         # Both: at 1 kHz, three misses are a hiccup; for a slow device, half a second is one.
-        if self.counters.in_row >= 3 and self._now() - self._answered >= LOST_AFTER:
+        silence = self._now() - self._answered
+        if self.counters.in_row >= 3 and silence >= max(LOST_AFTER, 3 * self.deadline):
             await self._lose(error)
 
     async def _lose(self, error: Exception) -> None:

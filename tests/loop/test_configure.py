@@ -139,7 +139,7 @@ def test_emulated_means_the_devices(hand: Hand) -> None:
 def test_an_ideal_device_is_waited_for_on_a_busy_computer(hand: Hand) -> None:
     choice = DeviceChoice(emulated=True, ideal=True)
     chosen = device_settings(hand, config(devices=DEVICES), 1000.0, choice)
-    assert [device.spec.deadline for device in chosen] == [0.5, 0.1], "hand.yaml counts"
+    assert [device.spec.deadline for device in chosen] == [1.0, 0.1], "hand.yaml counts"
 
 
 def test_a_hand_without_devices_says_what_to_do(hand: Hand) -> None:

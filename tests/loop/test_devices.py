@@ -134,6 +134,18 @@ async def test_silence_is_a_lost_device_and_it_comes_back_inactive(hand: Hand) -
         assert "reconnected" in rig.watcher.kinds()
 
 
+async def test_a_device_with_time_to_answer_is_lost_after_three_deadlines(hand: Hand) -> None:
+    """A driver that gives up sooner than its deadline had a device lost while that had time."""
+    settings, driver = trouble(hand, deadline=1.0)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.do("Trig", "index", intensity=0.5)
+        driver.errors = [BusTimeout("wire", "silent") for _ in range(10000)]
+        await rig.run(2.9)
+        assert status(rig).lifecycle is Lifecycle.ACTIVE
+        await rig.run(0.2)
+        assert status(rig).lifecycle is Lifecycle.UNCONFIGURED
+
+
 async def test_after_recovery_the_reference_begins_where_the_hand_is(hand: Hand) -> None:
     settings, driver = trouble(hand)
     async with running(hand, None, [(settings, driver)]) as rig:
