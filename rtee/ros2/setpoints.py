@@ -63,6 +63,7 @@ class Play:
         until: Time until which to send set-points [s]; after its end, the last one is repeated.
         failed: Called with the reason if the hand refuses or stops to follow the motion.
         replaced: Called with the source of another motion that replaces this one.
+        begun: Whether one of its set-points has been sent.
     """
 
     motion: JointMotion
@@ -70,6 +71,7 @@ class Play:
     until: float
     failed: Callable[[str], None]
     replaced: Callable[[str], None] | None = None
+    begun: bool = False
 
 
 class MotionPlayer:
@@ -161,6 +163,7 @@ class MotionPlayer:
             targets, velocity = play.motion.at(now)
             # Stamped with the set-point's time, so that a late sample keeps the motion's shape.
             await stream.send(targets, velocity, stamp=now)
+            play.begun = True
             # Another motion may have replaced it while the sample was sent.
             if now >= play.until and play is self._current:
                 self._current = None
@@ -421,6 +424,7 @@ class _Following:
         self._changed = anyio.Event()
         self._played = math.inf  # when the hand was first seen to play it
         self._passed = False  # its end has been checked
+        self._after = 0  # states since the hand played its end
         self._play = Play(
             motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
         )
@@ -484,7 +488,8 @@ class _Following:
             async for state in self._action.served.hand.states(_RATE):
                 now = monotonic.now()
                 lag = state.channels.get(_LAG)
-                if lag is not None:
+                # The lag may be that of a stream that has just ended.
+                if lag is not None and self._play.begun:
                     self._played = min(self._played, now)
                 # The stream plays set-points with a lag.
                 at = now - (0.0 if lag is None else float(lag[0]))
@@ -513,9 +518,12 @@ class _Following:
         if not played:
             # Joints that have not set off yet do not move, either.
             moving = moving or "the hand did not play it"
-        # Without goal tolerances, the goal is reached only after a time to settle: a measurement
-        # may be older than the end, and a stream that began late may not have played it yet.
-        if not (outside or moving) and (limits.goal or now >= max(end, self._played) + SETTLED):
+        else:
+            self._after += 1
+        # Without goal tolerances, the goal is reached only after a time to settle, counted in
+        # states: a measurement may be older than the end, and on a busy computer time passes in
+        # which the hand plays nothing.
+        if not (outside or moving) and (limits.goal or self._after >= SETTLED * _RATE):
             # The stream went on until now, for a hand that is slower than the trajectory.
             self._play.until = max(now, end + SETTLED)
             self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))
