@@ -43,6 +43,7 @@ def test_a_grasp_is_what_it_says(hand: str, speed: float | None, numb: bool) -> 
     assert result.opening == pytest.approx(width, abs=3e-4)
 
 
+@pytest.mark.samples("True")
 @pytest.mark.parametrize("numb", [False, True])
 def test_fingers_of_several_joints_press_with_the_force_that_is_asked(numb: bool) -> None:
     case = Case(CaseObject.SPHERE, 0.03, 0.9, None, numb, seed=2686693446)
@@ -66,6 +67,7 @@ def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() 
     assert (truth.result.action, truth.said, truth.held) == ("MultiPinchTight_3", True, True)
 
 
+@pytest.mark.samples("dagana-*", "qb_softhand-*")
 @pytest.mark.parametrize(
     ("hand", "width", "force", "least", "seed"),
     [

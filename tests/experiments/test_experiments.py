@@ -135,7 +135,7 @@ def test_the_same_object_is_grasped_on_all_wires(tmp_path: Path) -> None:
     assert len(outcome.files) == 6
 
 
-@pytest.mark.samples("robotiq_2f_140-*")
+@pytest.mark.heavy
 @pytest.mark.parametrize(("name", "trial"), wide_grasp.TRIALS)
 def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
     outcome = Outcome("held")

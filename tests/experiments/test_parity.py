@@ -101,9 +101,7 @@ def test_every_hand_has_emulated_devices(hands: dict[str, PreparedHand]) -> None
         assert {device.spec.driver for device in prepared.devices} <= set(emulator_names())
 
 
-@pytest.mark.samples(
-    "robotiq_2f_85", "schunk_svh", "qb_softhand", "wsg50", "robotiq_3f", "cia402_gripper"
-)
+@pytest.mark.samples("robotiq_2f_85", "schunk_svh", "qb_softhand", "wsg50", "robotiq_3f")
 @pytest.mark.timeout(150)
 @pytest.mark.parametrize("name", HANDS)
 def test_the_same_goal_ends_at_the_same_place(

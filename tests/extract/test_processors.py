@@ -64,7 +64,7 @@ def depths(primitives: list[Primitive]) -> dict[str, list[float]]:
 
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the settings are those of x86-64")
-@pytest.mark.samples("dagana")
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("name", "kernels"),
     [

@@ -404,6 +404,7 @@ TROUBLES: list[tuple[Callable[[int, float, float], float], float]] = [
 ]
 
 
+@pytest.mark.samples("*-0.6", "*--0.9", "*--5.0", "restarts-*", "*-1.0", "*-0.7", "*--1000000.0")
 @pytest.mark.parametrize(("trouble", "by"), TROUBLES)
 def test_a_stream_goes_on_whatever_its_clock_does(
     hand: Hand, trouble: Callable[[int, float, float], float], by: float

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import pytest
+
 from rtee.drivers.ability_hand.codec import Header, angle_counts
 from rtee.drivers.ability_hand.emulator import AbilityHandEmulator
 from rtee.drivers.axis import VirtualObject
@@ -54,6 +56,7 @@ class TestPositions(DriverContract):
     case: ClassVar[DeviceCase] = CASE
 
 
+@pytest.mark.heavy
 class TestVelocities(DriverContract):
     case: ClassVar[DeviceCase] = replace(CASE, options={**CASE.options, "mode": "velocity"})
 

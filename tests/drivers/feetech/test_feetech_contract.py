@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import pytest
+
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.table import FULL
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
@@ -89,6 +91,7 @@ class TestSts(DriverContract):
     case: ClassVar[DeviceCase] = CASE
 
 
+@pytest.mark.heavy
 class TestHls(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE,
@@ -98,6 +101,7 @@ class TestHls(DriverContract):
     )
 
 
+@pytest.mark.heavy
 class TestSmsOneByOne(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE, options={**CASE.options, "family": "sms", "read": "single", "baudrate": 115200}
