@@ -135,19 +135,19 @@ PRIMITIVES: Final = "primitives"
 
 
 class ActionFiles:
-    """The stored actions of one hand.
-
-    Attributes:
-        openings: Path of the file of their openings, beside the folder.
-    """
+    """The stored actions of one hand."""
 
     def __init__(self, hand: Hand, folder: Path) -> None:
         self.hand = hand
         self.folder = folder
-        self.openings = str(folder.parent / OPENINGS)
         self._stored: set[str] = set()  # normalised names of the custom actions in files
         self._seen: dict[Path, int] = {}
         self._gone = False
+
+    @property
+    def openings(self) -> str:
+        """Path of the file of their openings, beside the folder, which becomes that of a copy."""
+        return os.path.join(self.folder.parent, OPENINGS)
 
     def read(self, keep: Sequence[Action] = ()) -> ActionIndex:
         """Return the actions in the files, and those to keep, which exist only in memory.

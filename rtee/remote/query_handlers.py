@@ -146,7 +146,7 @@ _CHANGING = frozenset({"add", "store", "remove", "rename"})
 """Requests that change the actions. They are refused while another client holds the lease, whose
 next goal would use other actions than it expects."""
 
-_ABOUT_ACTIONS = _CHANGING | {"actions", "primitives", "partners"}
+_ABOUT_ACTIONS = _CHANGING | {"actions", "primitives", "partners", "openings"}
 """Requests before which the files of actions are read again if they have changed."""
 
 _MOST_ACTIONS = 256

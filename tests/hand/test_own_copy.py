@@ -18,6 +18,7 @@ from patient import be_patient
 
 from rtee.actions.build import generic
 from rtee.actions.library import ActionLibrary
+from rtee.actions.openings import Openings, write_openings
 from rtee.errors import ConfigError, UserError
 from rtee.hand import own_copy
 from rtee.hand.catalog import find_hand
@@ -266,6 +267,17 @@ def test_a_copy_that_is_there_is_not_overwritten(shipped: Path) -> None:
     with pytest.raises(ConfigError, match=f"your own is config/{GRIPPER}"):
         own_copy.own(shipped)
     assert own_copy.copied_since(shipped) == Path("config") / GRIPPER
+
+
+def test_a_running_hand_takes_actions_and_openings_from_the_copy(shipped: Path) -> None:
+    """The openings stayed those of the hand that came with rtee."""
+    library = ActionLibrary.load(load_hand(shipped), shipped / "actions")
+    assert library.openings.tables
+    copy = own_copy.own(shipped)
+    write_openings(copy, Openings(library.hand))
+    assert library.reload()
+    assert library.folder == copy / "actions"
+    assert not library.openings.tables
 
 
 def test_the_copy_belongs_to_the_user(shipped: Path) -> None:
