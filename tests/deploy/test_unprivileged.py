@@ -78,6 +78,7 @@ def nobody(repository: Path) -> Iterator[Somebody]:
         yield somebody
 
 
+@pytest.mark.heavy
 def test_a_hand_without_rights_or_set_up(nobody: Somebody, repository: Path) -> None:
     patient_gripper(nobody.folder / "config", repository)
     with nobody.start(

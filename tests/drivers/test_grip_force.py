@@ -178,6 +178,7 @@ def test_the_3fg_gives_more_force_at_lower_angles_of_its_fingers() -> None:
     assert shares[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.heavy
 async def test_the_svh_gets_the_currents_that_give_the_force() -> None:
     async with on_wires("schunk_svh", home=True) as wires:
         await wires.grasp(0.03, 2.0, "PinchTight", "index", "thumb")

@@ -545,6 +545,7 @@ CORDS = """
 
 @pytest.mark.samples("0 0.003")
 @pytest.mark.parametrize("rest", ["0", "0.004", "0 0.003"])
+@pytest.mark.heavy
 def test_the_springs_of_spatial_tendons_decide_what_a_linkage_leaves_open(
     tmp_path: Path, rest: str
 ) -> None:

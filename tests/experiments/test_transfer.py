@@ -27,6 +27,7 @@ def transfer(what: Transfer, moments: list[str] | None = None) -> TransferResult
     return run_transfer(ready.hand, ready.library, ready.settings, what, watch=watch)
 
 
+@pytest.mark.heavy
 def test_a_box_is_carried_from_above_without_a_turn() -> None:
     moments: list[str] = []
     what = Transfer("Grasp", object="box:0.04x0.04x0.05", by=(0.1, 0.0), turn=0.0)

@@ -284,6 +284,7 @@ async def test_reflexes_come_out_again(
     assert without.same is (word is OnContact.HOLD), "the word makes the difference"
 
 
+@pytest.mark.heavy
 async def test_rotated_files_are_checked_as_one(small: Hand, tmp_path: Path) -> None:
     chosen = LoopSettings(rate=1000.0)
     recorder = Recorder(

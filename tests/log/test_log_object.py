@@ -39,6 +39,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.heavy
 def test_the_object_is_recorded_and_stays_in_the_hand_that_lifts_it(file: Path) -> None:
     recording = read(file)
     obj = recording.object_description

@@ -347,6 +347,7 @@ def test_a_state_tells_the_force_that_the_result_tells() -> None:
     assert grip_at(grip, known)[1:3] == (4.0, 2.0)
 
 
+@pytest.mark.heavy
 def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes() -> None:
     folder = FOLDER.with_name("leap_hand")
     hand, config = load_configured(folder)

@@ -36,6 +36,7 @@ def remote(tmp_path: Path, repository: Path) -> Iterator[BlockingHand]:
         yield remote
 
 
+@pytest.mark.heavy
 def test_a_pose_and_a_width_are_done_in_two_stages(remote: BlockingHand) -> None:
     reached = remote.reach(width=0.03, pose=POSE)
     assert (reached.hand, reached.action) == ("mine", "PinchTight")

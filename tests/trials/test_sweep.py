@@ -35,6 +35,7 @@ def answers(sweep: Sweep) -> dict[Task, Answer]:
     return {task: answer for _, task, answer in sweep.run()}
 
 
+@pytest.mark.heavy
 def test_a_sweep_of_two_processes_equals_single_trials() -> None:
     sweep = Sweep(Local(2))
     for trial in (BALL, TOO_WIDE):

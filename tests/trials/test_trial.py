@@ -153,6 +153,7 @@ def test_robust_places_are_free_in_the_palm_and_apart(shape: str) -> None:
             assert moved > 0.01 or turned > 0.1
 
 
+@pytest.mark.heavy
 def test_what_chooses_the_place_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[int] = []
 

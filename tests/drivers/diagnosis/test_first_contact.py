@@ -27,7 +27,7 @@ from tests.drivers.test_worn_contract import FAMILIES, suite_of
 
 pytestmark = pytest.mark.anyio
 
-QUICK = ("robotiq_2f", "schunk_egu", "wsg50", "onrobot_rg", "qb_softhand", "orca_touch")
+QUICK = ("robotiq_2f", "schunk_egu", "orca_touch")
 """Families whose first contact is played with every commit; of the others the motors are many."""
 
 

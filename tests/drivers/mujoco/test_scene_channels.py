@@ -111,6 +111,7 @@ def test_an_open_mesh_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert note.startswith("open.stl: the mesh is open, 3 of its edges have only one face; ")
 
 
+@pytest.mark.heavy
 def test_a_mesh_with_too_many_triangles_is_described_by_its_hull(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 
+import pytest
+
 from rtee.buses.line_model import Wire
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import CHANNELS, Channel, current_settings, position_settings
@@ -94,6 +96,7 @@ def test_replies_keep_up_with_a_library_that_does_not_wait() -> None:
     assert library.received >= library.sent - 3
 
 
+@pytest.mark.heavy
 def test_the_vendors_library_homes_all_channels() -> None:
     hand = SchunkSvhEmulator(SvhOptions(start=0.2))
     library = Library(hand)

@@ -96,6 +96,7 @@ def test_a_posture_is_saved_and_stored(window: Window, other: BlockingHand, plac
     assert not stored.exists()
 
 
+@pytest.mark.heavy
 def test_actions_are_put_in_sequence_and_composed(window: Window, other: BlockingHand) -> None:
     panel = window.folder("Combine actions", unfold=True)
     for action, scale, before, after in (
@@ -150,6 +151,7 @@ def test_actions_are_put_in_sequence_and_composed(window: Window, other: Blockin
         other.remove_action(name)
 
 
+@pytest.mark.heavy
 def test_an_action_is_renamed_deleted_and_brought_back(window: Window, other: BlockingHand) -> None:
     other.add_generic("nudge", {"finger_joint": 0.2}, description="a little", store=True)
     panel = window.folder("Rename or delete", unfold=True)

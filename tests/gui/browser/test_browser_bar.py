@@ -167,6 +167,7 @@ def test_a_frozen_hand_is_old_at_once_and_comes_back(window: Window, place: Path
     window.page.locator("html:not(.rtee-old)").wait_for()
 
 
+@pytest.mark.heavy
 def test_a_page_says_that_its_gui_has_gone_and_where_the_new_one_is(
     place: Path, context: BrowserContext, window: Window, hands: Hands
 ) -> None:

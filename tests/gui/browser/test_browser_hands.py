@@ -81,6 +81,7 @@ def _width_said(held: Locator) -> float:
     return float(found[1])
 
 
+@pytest.mark.heavy
 def test_an_object_is_held_by_its_width_and_a_force(
     squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,6 +177,7 @@ def test_hands_one_after_the_other_leave_nothing_behind(any_window: Window, hand
     assert len([text for text in offered if text.startswith("Run Grasp")]) == 1
 
 
+@pytest.mark.heavy
 def test_the_object_and_forces_are_seen(squeezer: Window) -> None:
     window = squeezer
     window.button("Run", window.folder("Grasp")).click()
@@ -199,6 +201,7 @@ def gate(place: Path) -> Iterator[Path]:
     file.unlink(missing_ok=True)
 
 
+@pytest.mark.heavy
 def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: Path) -> None:
     window = squeezer
     window.tab("Simulate")

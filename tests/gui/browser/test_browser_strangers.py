@@ -181,6 +181,7 @@ def test_nobody_opens_it_without_a_cookie(only_window: Window) -> None:
             pass
 
 
+@pytest.mark.heavy
 def test_an_address_of_the_history_opens_nothing_elsewhere(
     page: Page, only_window: Window, links: Links
 ) -> None:
@@ -199,6 +200,7 @@ def test_an_address_of_the_history_opens_nothing_elsewhere(
     assert "token" not in page.url
 
 
+@pytest.mark.heavy
 def test_it_opens_again_in_another_tab_and_after_a_reload(page: Page, only_window: Window) -> None:
     page.goto(only_window.address.split("?")[0])
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
