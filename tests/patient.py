@@ -1,9 +1,13 @@
-"""A gripper whose link is not lost because a busy computer lets its threads wait."""
+"""Links that are not lost because a busy computer lets their threads wait."""
 
 from __future__ import annotations
 
 import shutil
 from pathlib import Path
+
+import pytest
+
+from rtee.remote import session
 
 HAND = "robotiq_2f_85"
 
@@ -25,3 +29,9 @@ def be_patient(file: Path) -> Path:
         text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 60.0\n")
     )
     return file
+
+
+@pytest.fixture(autouse=True)
+def lease(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clients and hands wait for 30 s for each other to say that they live."""
+    monkeypatch.setitem(session._COMMON, "transport/link/tx/lease", 30_000)

@@ -6,7 +6,7 @@ import asyncio
 import math
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from rtee import monotonic
 from rtee.buses.emulator import Emulator
@@ -28,6 +28,9 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
 from rtee.types import Reference
+
+_NOT_THERE: Final[tuple[type[RteeError], ...]] = (*LATE, NotConnected, HandshakeError)
+"""Errors of connecting on a busy computer: who does not answer in time counts as not there."""
 
 _RESTS = 0.1
 """Time between two states that tell whether a device moves [s]: longer than the slowest takes for
@@ -86,22 +89,20 @@ class Session:
 
     async def connect(self) -> None:
         """Connect and repeat after a timeout, starting over each time as a supervisor does."""
-        # Devices that do not answer in time count as not there.
-        late: tuple[type[RteeError], ...] = (*LATE, NotConnected, HandshakeError)
 
         async def once() -> None:
             try:
                 await self.driver.configure()
-            except late:
+            except _NOT_THERE:
                 await self.driver.close()
                 raise
 
-        await patiently(once, late=late)
+        await patiently(once, late=_NOT_THERE)
 
     async def start(self) -> ActuatorState:
         """Connect and activate; return the first state."""
         await self.connect()
-        await patiently(self.driver.activate)
+        await patiently(self.driver.activate, late=_NOT_THERE)
         return await self.sense()
 
     async def sense(self) -> ActuatorState:

@@ -11,18 +11,12 @@ from typing import Any
 
 import pytest
 import zenoh
+from patient import lease  # noqa: F401 - for this folder
 from remote.conftest import hand, library, runtime  # noqa: F401 - fixtures of this folder, too
 
 from rtee.hand.config_schema import Ros2Settings
-from rtee.remote import session as remote_session
 
 FOLDER = Path(__file__).parent
-
-
-@pytest.fixture(autouse=True)
-def lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy computer, which keeps a session from saying that it lives, is no lost hand."""
-    monkeypatch.setitem(remote_session._COMMON, "transport/link/tx/lease", 30_000)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

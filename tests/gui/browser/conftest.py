@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from patient import lease  # noqa: F401 - for this folder
 
 import rtee
 from rtee.actions.build import StepPlan
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.types import ActionReference
-from rtee.remote import session
 from rtee.remote.blocking import BlockingHand
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
@@ -245,7 +245,5 @@ def other(place: Path, hands: Hands, monkeypatch: pytest.MonkeyPatch) -> Iterato
     """Another client of the gripper."""
     assert hands[GRIPPER].process.poll() is None
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
-    # As in `gate`: a busy computer is no lost hand.
-    monkeypatch.setitem(session._COMMON, "transport/link/tx/lease", 30_000)
     with rtee.connect_blocking(GRIPPER, client="other") as hand:
         yield hand
