@@ -102,24 +102,27 @@ bundle: .venv/.ready
 
 checks: lint types layers
 
+# Tests, and what they need first, go before: they leave a processor idle now and then.
+GENTLY := nice -n 10
+
 lint: .venv/.ready
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
+	$(GENTLY) $(BIN)/ruff format --check .
+	$(GENTLY) $(BIN)/ruff check .
 
 PROGRAMS = $(addprefix examples/,batch.py compose.py jaw_driver.py live_plot.py notebook.py offline.py pick_and_act.py \
 	teleoperate.py test_picking.py to_pandas.py two_hands.py)
 
 types: .venv/.ready
-	$(BIN)/mypy
-	$(BIN)/mypy --strict $(PROGRAMS)
+	$(GENTLY) $(BIN)/mypy
+	$(GENTLY) $(BIN)/mypy --strict $(PROGRAMS)
 
 # The same programs by Pyright, which npm fetches; matplotlib and pandas are not typed to its liking.
 pyright: .venv/.ready
 	npx --yes pyright -p examples
 
 layers: .venv/.ready
-	$(BIN)/lint-imports
-	$(BIN)/deptry rtee
+	$(GENTLY) $(BIN)/lint-imports
+	$(GENTLY) $(BIN)/deptry rtee
 
 format: .venv/.ready
 	$(BIN)/ruff format .
