@@ -427,6 +427,7 @@ def test_a_signal_does_what_is_configured_and_closes_the_log(
     assert any(number.name in event.text and event.kind == "stop" for event in events)
 
 
+@pytest.mark.heavy
 def test_a_hand_that_everybody_can_change_is_warned_of(folder: Path) -> None:
     write_hand(folder, "public", "")
     home = next(folder.rglob("public"))

@@ -83,6 +83,7 @@ def test_one_motor_presses_on_what_a_fixed_jaw_or_some_of_its_fingers_meet_first
     assert least <= truth.low <= 1.1 * force
 
 
+@pytest.mark.samples("onrobot_rg6-*")
 @pytest.mark.parametrize(
     ("hand", "width", "most"), [("onrobot_rg6", 0.135, 120.0), ("onrobot_3fg15", 0.094, 240.0)]
 )

@@ -104,7 +104,9 @@ def blocks() -> list[tuple[str, str]]:
             p,
             c,
             id=p,
-            marks=[pytest.mark.heavy] if p in ("trials", "extract", "planning", "log") else [],
+            marks=[pytest.mark.heavy]
+            if p in ("trials", "extract", "planning", "log", "retarget")
+            else [],
         )
         for p, c in blocks()
     ],

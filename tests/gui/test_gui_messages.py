@@ -101,6 +101,7 @@ async def stops(served: Served, count: int) -> None:
     await anyio.sleep(0.15)  # a stop so soon after another one is answered by that
 
 
+@pytest.mark.samples("*observer*")
 @pytest.mark.parametrize("role", [PageRole.OBSERVER, PageRole.OPERATOR])
 async def test_no_message_takes_stop_away(tmp_path: Path, role: PageRole) -> None:
     access = Access(observers=True)

@@ -85,6 +85,7 @@ async def test_who_plays_it_gets_the_object_and_all_channels(file: Path) -> None
         await driver.close()
 
 
+@pytest.mark.heavy
 def test_pictures_are_made_before_the_grasp_and_after_it(file: Path, tmp_path: Path) -> None:
     pytest.importorskip("coal")
     recording = read(file)

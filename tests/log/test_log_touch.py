@@ -109,6 +109,7 @@ def test_a_message_that_makes_no_sense_is_refused(wrong: dict[str, list[object]]
         touch_of(TOUCH.decode(TOUCH.encode(fields | wrong)), {})
 
 
+@pytest.mark.heavy
 async def test_a_run_with_taxels_is_recorded_and_comes_out_again(
     small: Hand, tmp_path: Path
 ) -> None:

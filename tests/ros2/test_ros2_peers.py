@@ -158,6 +158,7 @@ async def node(settings: Ros2Settings) -> AsyncIterator[Node]:
         yield context.node("hand")
 
 
+@pytest.mark.heavy
 async def test_no_message_is_missed(peer: Open, node: Node) -> None:
     publisher = node.publisher("/numbers", STATES)
 

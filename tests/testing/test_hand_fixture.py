@@ -138,6 +138,7 @@ def test_the_hand_falls(rtee_hand, tmp_path):
 """
 
 
+@pytest.mark.heavy
 def test_a_hand_that_fails_fails_the_test(pytester: pytest.Pytester, repository: Path) -> None:
     pytester.makepyfile(FALLS)
     (pytester.path / "config").symlink_to(repository / "config")

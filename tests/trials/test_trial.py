@@ -71,6 +71,7 @@ class Results(Observer):
         self.seen.append(result)
 
 
+@pytest.mark.heavy
 def test_only_fingers_whose_tips_touch_have_grasped() -> None:
     ready, results = bench("schunk_svh"), Results()
     trial = Trial("Grasp", object="cylinder:0.03x0.15", places=1)

@@ -138,6 +138,7 @@ def varied() -> TrialResult:
 
 
 @pytest.mark.timeout(180)
+@pytest.mark.heavy
 def test_a_good_grasp_survives_its_variations(varied: TrialResult) -> None:
     assert varied.held
     assert varied.survived == 4
@@ -145,6 +146,7 @@ def test_a_good_grasp_survives_its_variations(varied: TrialResult) -> None:
 
 @pytest.mark.heavy
 @pytest.mark.timeout(180)
+@pytest.mark.heavy
 def test_the_same_seed_gives_the_same_result(varied: TrialResult) -> None:
     assert attempt(GRIPPER, varied.trial) == varied
 
@@ -160,6 +162,7 @@ def test_without_friction_nothing_is_held() -> None:
     assert not result.held
 
 
+@pytest.mark.heavy
 def test_results_of_variations_are_kept(tmp_path: Path, varied: TrialResult) -> None:
     document = json.loads(json.dumps(to_document(varied)))
     assert document["variations"]["held"] == 4

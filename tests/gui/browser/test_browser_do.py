@@ -57,6 +57,7 @@ def test_a_preview_shows_a_ghost_and_goes(window: Window, other: BlockingHand) -
     assert other.state().position[0] == pytest.approx(position, abs=1e-4)
 
 
+@pytest.mark.heavy
 def test_a_pinch_goes_to_just_before_contact_and_on(window: Window, other: BlockingHand) -> None:
     other.open()
     card = window.folder("PinchTight", unfold=True)

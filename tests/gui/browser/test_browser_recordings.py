@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from rtee.remote.blocking import BlockingHand
 
 from .marks import in_a_browser
@@ -23,6 +25,7 @@ def _position(window: Window) -> float:
     return float(row.locator("td").nth(1).inner_text())
 
 
+@pytest.mark.heavy
 def test_a_recording_is_marked_ended_and_looked_at(
     window: Window, context: BrowserContext, other: BlockingHand, place: Path
 ) -> None:

@@ -213,6 +213,7 @@ def test_it_opens_again_in_another_tab_and_after_a_reload(page: Page, only_windo
     assert [(each.get("httpOnly"), each.get("sameSite")) for each in kept] == [(True, "Strict")]
 
 
+@pytest.mark.heavy
 def test_a_link_elsewhere_opens_it(page: Page, stranger: Stranger, links: Links) -> None:
     page.goto(f"http://localhost:{stranger.port}/")
     page.evaluate("link => { window.location.href = link }", links.operator())
