@@ -157,7 +157,7 @@ async def test_nothing_but_garbage_is_a_frame_error(pool: BusPool) -> None:
     bus = await bus_in(pool, "/dev/ttyUSB9")
     pool.simulation("a").faults = Faults(corrupt=1.0, requests=False)
     with pytest.raises(FrameError):
-        await bus.read(9, 0, 1, deadline=0.05, retries=0)
+        await bus.read(9, 0, 1, deadline=1.0, retries=0)
     assert bus.counters.checksum_errors == 1
 
 
