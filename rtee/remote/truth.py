@@ -164,6 +164,8 @@ class Truth:
                 self._hot[event.source] = event.text
             case "stop":
                 self._turn("stopped")
+                # A status from before the stop may come after it.
+                self._over = "" if self.status is None else self.status.goal_id
                 tone = Tone.BAD if event.severity == "error" else Tone.WARN
                 words = event.text.removeprefix(f"{self.hand}: ")
                 self.stopped = Words(f"{clock()} {words}", tone)

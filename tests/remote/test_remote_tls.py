@@ -184,7 +184,9 @@ async def test_a_revoked_client_sees_and_does_nothing_any_more(
                 await until(lambda: remote._link.gone)  # its connection is closed
                 seen.drain()
                 await other.stop()
-                assert (await other.do("Trig", "index", intensity=0.2)).reached
+                # A stop goes two ways; on a busy computer, the second comes after the first goal.
+                done = [await other.do("Trig", "index", intensity=0.2) for _ in range(2)]
+                assert done[-1].reached
                 await until(lambda: len(others.drain()) > 0)
                 assert seen.drain() == []
                 with pytest.raises(NoHand):

@@ -127,6 +127,19 @@ def test_a_stop_stays_to_be_read_until_something_moves(truth: Truth) -> None:
     assert truth.doing() == ("running Open", Tone.PLAIN)
 
 
+def test_a_status_from_before_a_stop_does_not_hide_it(truth: Truth) -> None:
+    """The bar said nothing of a stop, if a status that was older came after it."""
+    running = status(action="close", goal_id="7")
+    truth.on_status(running)
+    truth.on_event(Event("stop", "svh", "svh: stopped by gui; confirmed", 0.0, "info"))
+    truth.on_status(running)
+    assert not truth.moving
+    assert "stopped by gui" in truth.doing().text
+    assert truth.turn.why.endswith("stopped")
+    truth.on_status(status(action="close", goal_id="8"))
+    assert "stopped" not in truth.doing().text
+
+
 def test_what_makes_older_statements_old(truth: Truth) -> None:
     truth.on_result(HELD)
     for happens, why in (
