@@ -27,6 +27,9 @@ _FELT: Final = 0.5
 _NOTHING: Final = 0.05
 """Measured force below which nothing is pressed [N]: below the lightest grasp."""
 
+_OLDER: Final = 1.0
+"""Time after a stop in which a status may still be from before it [s]: they come once a second."""
+
 _OLD: Final = "use the emergency stop"
 
 
@@ -100,6 +103,8 @@ class Truth:
         self._fingers: tuple[str, ...] = ()
         self._word = False  # the devices' own word of a grasp
         self._over = ""  # the goal that ended last, which the status may still call running
+        self._halted = ""  # the goal that the last stop ended, as far as is known
+        self._halted_until = -math.inf
 
     # --- incoming messages
 
@@ -164,8 +169,8 @@ class Truth:
                 self._hot[event.source] = event.text
             case "stop":
                 self._turn("stopped")
-                # A status from before the stop may come after it.
-                self._over = "" if self.status is None else self.status.goal_id
+                self._halted = "" if self.status is None else self.status.goal_id
+                self._halted_until = monotonic.now() + _OLDER
                 tone = Tone.BAD if event.severity == "error" else Tone.WARN
                 words = event.text.removeprefix(f"{self.hand}: ")
                 self.stopped = Words(f"{clock()} {words}", tone)
@@ -205,6 +210,8 @@ class Truth:
     def moving(self) -> bool:
         """Whether a goal runs."""
         goal = "" if self.status is None else self.status.goal_id
+        if goal == self._halted and monotonic.now() < self._halted_until:
+            return False
         return goal not in ("", self._over)
 
     @property

@@ -156,8 +156,8 @@ async def test_a_flood_of_hello_keeps_no_other_certificate_out(
             as_user(people.add("bob", Role.OBSERVER))
             for _ in range(4):
                 async with rtee.connect(endpoint=endpoint) as remote:
-                    # A busy computer beside the flood answers later than a second.
-                    assert await patiently(remote.stop, late=(NoHand,)) == {"sim": True}
+                    # Once more, as a person presses: a busy computer may take more than a second.
+                    assert await patiently(remote.stop, times=2, late=(NoHand,)) == {"sim": True}
             assert await stop_hand("small") == ("small", {"sim": True})
         finally:
             ended.set()
