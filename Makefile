@@ -102,7 +102,7 @@ bundle: .venv/.ready
 
 checks: lint types layers
 
-# Tests, and what they need first, go before: they leave a processor idle now and then.
+# The tests come first: they leave a processor idle now and then, which is enough for these.
 GENTLY := nice -n 10
 
 lint: .venv/.ready

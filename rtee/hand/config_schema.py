@@ -554,7 +554,8 @@ class DeviceSection(Section, frozen=True):
     every: Annotated[int, Meta(ge=1)] | None = None
     """Exchange with the device every n ticks; unless given, as often as its bus allows."""
     deadline: Positive | None = None
-    """Longest time one exchange may take [s]."""
+    """Longest time one exchange may take [s]; after three without an answer, and at least half a
+    second, the device is lost."""
     reconnect: Literal["inactive", "active"] = "inactive"
     """State after it is connected again: ``inactive`` waits for ``rtee recover``."""
     options: Mapping[str, Any] = field(default_factory=dict)

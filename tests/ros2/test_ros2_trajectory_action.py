@@ -162,6 +162,13 @@ async def test_it_ends_when_the_hand_has_stopped(
         assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text
         assert near(served, [0.0, 0.0, 0.02])
         assert where(served)[2] > 0.01
+        # The stream of that goal still goes on when the next one begins late.
+        with monkeypatch.context() as late:
+            late.setattr(MotionPlayer, "play", play_late)
+            state, code, text = told(await done(client, goal(["push"], (0.05, [0.03]))))
+        assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text
+        assert near(served, [0.0, 0.0, 0.03])
+        assert where(served)[2] > 0.025
         await until(lambda: not served.loop.streams.stream)
         state, code, text = told(await done(client, goal(["push"], (0.05, [0.04]))))
         assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text

@@ -146,7 +146,6 @@ def test_a_good_grasp_survives_its_variations(varied: TrialResult) -> None:
 
 @pytest.mark.heavy
 @pytest.mark.timeout(180)
-@pytest.mark.heavy
 def test_the_same_seed_gives_the_same_result(varied: TrialResult) -> None:
     assert attempt(GRIPPER, varied.trial) == varied
 
