@@ -120,7 +120,7 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
         for name in (f"small{number}" for number in range(10)):
             hand = make_hand(tmp_path, name)
             async with serving(hand, make_library(hand)):
-                app.choose(name)
+                app.pages[0].choose(name)
                 await shows(app, f"{name}: connected")
                 await has(app, ActionKind.TIMED, "wave")
                 controls.append(len(server.gui._gui_input_handle_from_uuid))
