@@ -24,12 +24,14 @@ def router(
             the hands.
         zenohd: Print the configuration for zenohd instead.
     """
+    import os
+
     import anyio
 
     from rtee.loop.shutdown_signals import receive_signals, wait_for_end
     from rtee.remote.credentials import Credentials, secure_folder
     from rtee.remote.router import route, router_settings
-    from rtee.remote.session import listening
+    from rtee.remote.session import listening, relay_environment
 
     check_files()
     if (site is None) is not insecure:
@@ -51,4 +53,5 @@ def router(
                 await wait_for_end(None, anyio.Event(), signals)
                 group.cancel_scope.cancel()
 
+    os.environ.update(relay_environment())
     anyio.run(run)

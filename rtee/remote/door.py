@@ -37,8 +37,15 @@ from rtee.messages import network_key
 from rtee.messages.requests import REQUESTS, STOP
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.connections import raise_file_limit
-from rtee.remote.rates import CONNECTIONS_OF_CERTIFICATE
-from rtee.remote.session import close_session, direct, host_of, local_endpoint, open_listening
+from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
+from rtee.remote.session import (
+    close_session,
+    direct,
+    host_of,
+    local_endpoint,
+    open_listening,
+    relay_environment,
+)
 from rtee.remote.stopping import CERTIFICATE, stop_at, stop_path
 
 log = logging.getLogger(__name__)
@@ -49,10 +56,6 @@ client with a certificate shows it in a few round trips, so only thousands a sec
 
 _SILENT_FOR = 3.0
 """Time to show a certificate [s]: several round trips of a slow VPN."""
-
-_FOR_STOPS = 8
-"""Connections of one certificate beyond its limit, so that a stop gets in even if the certificate's
-programs have used up the limit."""
 
 _STOPPED_WITHIN = 3.0
 """Time after which those are closed [s]: a stop takes some tenths, on a busy computer a second."""
@@ -134,7 +137,7 @@ class Door:
     def _opened(self) -> subprocess.Popen[str]:
         process = subprocess.Popen(
             child.python("-m", "rtee.remote.door"),
-            env=child.environment(),
+            env={**child.environment(), **relay_environment()},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -217,12 +220,11 @@ class _Gate:
                 self.close()
                 raise ConfigError("the hand's network process does not answer")
             monotonic.sleep(_POLL)
-        # From here, stops go through the hand's own socket for stops: in the hand's session they
-        # would wait behind what others have sent, since it has a single thread that receives.
+        # From here, stops go through the hand's own socket for stops, too: in the hand's session
+        # they may wait behind what others have sent, since it has a single thread that receives.
         self._session.declare_queryable(
             network_key(hand_name, f"{STOP}/*"),
             direct(self._on_stop),
-            complete=True,  # the hand's own session is not queried as well
         )
 
     def _on_stop(self, query: zenoh.Query) -> None:
@@ -304,7 +306,7 @@ class _Doorkeeper:
                 name = _common_name(certificate)
                 passing = self._passing.setdefault(name, set())
                 left = CONNECTIONS_OF_CERTIFICATE - len(passing)
-                if name in self._people and left > -_FOR_STOPS:
+                if name in self._people and left > -CONNECTIONS_FOR_STOPS:
                     passing.add(task)
                     valid = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
                     async with asyncio.timeout(valid if left > 0 else min(valid, _STOPPED_WITHIN)):

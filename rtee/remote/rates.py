@@ -11,6 +11,10 @@ from rtee.errors import RequestRejected
 CONNECTIONS_OF_CERTIFICATE = 32
 """Most connections of one certificate: far more than one person's programs have."""
 
+CONNECTIONS_FOR_STOPS = 8
+"""Connections of one certificate beyond its limit, so that a stop gets in even if the certificate's
+programs have used up the limit."""
+
 CONNECTIONS_OF_USER = 100
 """Most connections of one user of this computer, less than a hand accepts in all."""
 

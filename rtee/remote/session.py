@@ -27,18 +27,39 @@ from rtee.errors import ConfigError, NoHand
 from rtee.messages.requests import HERE, PLAIN
 from rtee.remote.connections import disable_linger
 from rtee.remote.credentials import identity
+from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
 
 log = logging.getLogger(__name__)
 
-_RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+"""Variable of the environment that Zenoh reads when the first session of a process is opened."""
 
-RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
-RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
-"""Zenoh's threads: one for sending and one for all else, so that a message wakes only two threads.
 
-They are two because the sending thread may have to wait. Callbacks never wait."""
+def _runtime(receiving: int) -> str:
+    """Return the value for one thread that sends, and so many for all else.
 
-os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME)  # read when the first session is opened
+    They are separate because the sending thread may have to wait. Callbacks never wait.
+    """
+    more = "tx:(worker_threads:1),acc:(handover:rx),net:(handover:rx),app:(handover:rx)"
+    return f"(rx:(worker_threads:{receiving}),{more})"
+
+
+RUNTIME: Final = _runtime(1)
+"""Zenoh's threads by default: a message wakes only two."""
+
+_RELAY: Final = _runtime(CONNECTIONS_OF_CERTIFICATE + CONNECTIONS_FOR_STOPS + 2)
+"""Zenoh's threads in a process that passes messages on. Each connection keeps one for as long as
+the hand is slow to take what it sends, and no certificate must keep all of them from others. The
+last two receive from the hand and from those others."""
+
+os.environ.setdefault(RUNTIME_VARIABLE, RUNTIME)
+
+
+def relay_environment() -> dict[str, str]:
+    """Return the variable for a process that passes messages on, unless the user has set it."""
+    given = os.environ.get(RUNTIME_VARIABLE, RUNTIME)
+    return {RUNTIME_VARIABLE: _RELAY if given == RUNTIME else given}
+
 
 LEASE = 1000
 """Time without a message after which a peer counts as dead [ms]: peers send four keep-alives in
@@ -183,9 +204,9 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     Raises `ConfigError` if the variable is malformed, `zenoh.ZError` for what Zenoh refuses.
     """
     # Missing if another environment has replaced the one in which this module was imported.
-    text = os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME).strip()
+    text = os.environ.setdefault(RUNTIME_VARIABLE, RUNTIME).strip()
     wrong = ConfigError(
-        f"{_RUNTIME_VARIABLE}={text[:80]} does not describe Zenoh's threads, as "
+        f"{RUNTIME_VARIABLE}={text[:80]} does not describe Zenoh's threads, as "
         "(rx:(worker_threads:1)) does"
     )
     # Zenoh ends the thread with a message of its own where it cannot parse the variable.

@@ -19,11 +19,15 @@ import pytest
 import zenoh
 
 import rtee
+from rtee import child
 from rtee.actions.library import ActionLibrary
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.remote import connections, credentials, door
 from rtee.remote.client import stop_hand
+from rtee.remote.identities import Identities
+from rtee.remote.incoming_request import Check
+from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
 from rtee.remote.session import host_of, most_sessions, open_client, open_server
 
 from .serving import Config, Remote, serving, until
@@ -51,9 +55,9 @@ async def test_each_certificate_has_so_many_connections(
                     link = socket.create_connection(("127.0.0.1", host_of(endpoint)[1]))
                     links.append(stack.enter_context(context.wrap_socket(link)))
 
-            connect(door.CONNECTIONS_OF_CERTIFICATE)
+            connect(CONNECTIONS_OF_CERTIFICATE)
             assert await stop_hand(endpoint=endpoint) == ("small", {"sim": True})
-            connect(door._FOR_STOPS + 4)
+            connect(CONNECTIONS_FOR_STOPS + 4)
             await until(lambda: sum(map(is_closed, links)) >= 4)
             as_user(people.add("bob", Role.OBSERVER))
             assert await stop_hand(endpoint=endpoint) == ("small", {"sim": True})
@@ -160,6 +164,61 @@ async def test_a_flood_of_hello_keeps_no_other_certificate_out(
             ended.set()
             thread.join()
             session.close()
+
+
+STOPS = """
+import asyncio, sys
+from rtee.remote.client import stop_hand
+
+async def main():
+    for _ in range(8):
+        print(await stop_hand(endpoint=sys.argv[1]))
+
+asyncio.run(main())
+"""
+
+
+async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ann, bob = people.add("ann", Role.OBSERVER), people.add("bob", Role.OBSERVER)
+    endpoint, ended = tls(), threading.Event()
+    welcome = Identities.welcome
+
+    def slow(identities: Identities, access_path: str) -> Check:
+        ended.wait(0.03)
+        return welcome(identities, access_path)
+
+    def greet(session: zenoh.Session, key: str) -> None:
+        with session:
+            while not ended.is_set():
+                session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
+
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
+        as_user(bob)  # the door opens their way to the hand
+        assert await stop_hand(endpoint=endpoint) == ("small", {"sim": True})
+        as_user(ann)
+        key = f"rtee/small/hello/{credentials.common_name(credentials.identity().name)}"
+        sessions = [await anyio.to_thread.run_sync(open_client, [endpoint]) for _ in range(8)]
+        monkeypatch.setattr(Identities, "welcome", slow)
+        threads = [threading.Thread(target=greet, args=(each, key)) for each in sessions]
+        for thread in threads:
+            thread.start()
+        try:
+            await anyio.sleep(0.5)
+            as_user(bob)
+            # In another process: here, one thread receives for the hand and for its clients.
+            stops = child.python("-c", STOPS, endpoint)
+            done = await anyio.run_process(stops, env=child.environment(), check=False)
+        finally:
+            ended.set()
+            for thread in threads:
+                thread.join()
+    said = done.stdout.decode().splitlines()
+    assert said == ["('small', {'sim': True})"] * 8, done.stderr.decode()[-500:]
 
 
 async def test_a_door_that_dies_is_opened_again(
