@@ -34,7 +34,7 @@ import zenoh
 from rtee import child, monotonic
 from rtee.errors import ConfigError, NoHand
 from rtee.messages import network_key
-from rtee.messages.requests import REQUESTS, STOP
+from rtee.messages.requests import ALIVE, REQUESTS, STOP
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.connections import raise_file_limit
 from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
@@ -215,7 +215,11 @@ class _Gate:
         settings = {"access_control": rules, "gateway": {"south": [{"filters": [others]}]}}
         self._session = open_listening([local_endpoint(self.path)], [hand], settings)
         until = monotonic.now() + _LINK_WITHIN
-        while all(str(each.zid) != zid for each in self._session.info.transports()):
+        # Clients look for this token first, which arrives some time after the link is open.
+        alive = network_key(hand_name, ALIVE)
+        while not any(
+            reply.ok for reply in self._session.liveliness().get(alive, timeout=_LINK_WITHIN)
+        ):
             if monotonic.now() > until:
                 self.close()
                 raise ConfigError("the hand's network process does not answer")
