@@ -2,6 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 TEST_PROCESSES ?= 6
+# The processes learn of the tests file by file, so nobody knows what share has been done.
+TOGETHER = -n $(TEST_PROCESSES) -o console_output_style=classic
 
 # Where it is set, each process would compile all modules anew.
 export PYTHONDONTWRITEBYTECODE :=
@@ -36,22 +38,18 @@ demo: .venv/.ready
 # moment (tests/long_files.txt has the others).
 quick: .venv/.ready
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target checks
-	RTEE_QUICK=1 $(BIN)/python -m pytest -q -n 3
+	RTEE_QUICK=1 $(BIN)/python -m pytest -q $(TOGETHER) -n 3
 
 # Types, layers and lint beside the tests, which wait for wires, sockets and a browser.
 test:
 	@$(MAKE) --no-print-directory --jobs 5 checks tests
 
-tests: .venv/.collected .ros2-peers/.ready .device-peers/.ready
-	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --durations 25
-
-# Once, in one process: those that share the tests out would each compile all of them.
-.venv/.collected: .venv/.ready
-	@$(BIN)/python -m pytest -qq --collect-only >$@ || true  # the tests themselves say what is wrong
+tests: .venv/.ready .ros2-peers/.ready .device-peers/.ready
+	$(BIN)/python -m pytest $(TOGETHER) --durations 25
 
 # How long the files of tests take, by which they are shared out: the longest first.
 times: .venv/.ready .ros2-peers/.ready .device-peers/.ready
-	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --junitxml=.times.xml
+	$(BIN)/python -m pytest -q $(TOGETHER) --junitxml=.times.xml
 	$(BIN)/python tests/long_files.py .times.xml && rm .times.xml
 
 # What is too long for every commit: whole experiments in dynamics, and every hand where a test of

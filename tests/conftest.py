@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import gc
 import os
 import shutil
 import signal
@@ -14,6 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import by_file
 import pytest
 import pytest_timeout
 from hypothesis import HealthCheck, settings
@@ -115,25 +115,24 @@ def _mark_as_heavy(items: list[pytest.Item], *, one: bool) -> None:
         raise pytest.UsageError(f"samples name all cases or none: {', '.join(useless)}")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let the processes of ``-n`` share out files, unless some tests are chosen by their names."""
+    chosen = config.option.markexpr or config.option.keyword or config.option.deselect
+    if hasattr(config, "workerinput") and not chosen and not any("::" in w for w in config.args):
+        config.pluginmanager.register(by_file)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Collect without the garbage collector, which would look through all tests again and again.
-
-    They stay to the end, so that it leaves them out afterwards, too.
-    """
-    gc.disable()
-    try:
+    with by_file.collecting():
         return (yield)
-    finally:
-        gc.freeze()
-        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Put files that take long first, and those in a browser before them; leave out some."""
     _mark_as_heavy(items, one=any("::" in word for word in config.args))
     cost = {item: LONG.get(_name(item.path), 0.0) for item in items}
-    items.sort(key=lambda item: (item.get_closest_marker("browser") is None, -cost[item]))
+    items.sort(key=lambda item: (not _name(item.path).startswith(BROWSER), -cost[item]))
     for item in items:
         if _name(item.path).startswith(tuple(AGAIN)):
             item.add_marker(pytest.mark.flaky(reruns=1))
@@ -234,3 +233,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for report in terminalreporter.stats.get("rerun", ()):
         terminalreporter.write_sep("_", report.nodeid)
         terminalreporter.write_line(report.longreprtext[-3000:])
+        for title, text in report.sections:
+            terminalreporter.write_line(f"{title}:\n{text[-1500:]}")
