@@ -93,14 +93,19 @@
     place instanceof HTMLTextAreaElement || place?.isContentEditable ||
     (place instanceof HTMLInputElement && TYPED.has(place.getAttribute("type") ?? "") &&
       !place.readOnly && place.getAttribute("aria-haspopup") !== "listbox");
+  let sent = null; // the field whose text has just been sent: keys are commands again
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
-    const text = typing(event.target);
-    // Afterwards keys are commands again: what was typed has been sent.
-    if (text && event.key === "Enter") return setTimeout(() => event.target.blur());
+    const text = typing(event.target) && event.target !== sent;
+    if (text && event.key === "Enter") {
+      const field = sent = event.target;
+      return setTimeout(() => { field.blur(); sent = null; }); // once viser has sent it
+    }
     if (text || !(event.key === "Escape" || event.key.toLowerCase() === "s")) return;
     stop();
-    if (event.key !== "Escape") event.stopImmediatePropagation(); // viser moves the camera by it
+    if (event.key === "Escape") return;
+    event.preventDefault(); // nor is it typed
+    event.stopImmediatePropagation(); // viser moves the camera by it
   }, true);
 
   // What viser's page leaves out for who hears it, or uses no mouse.

@@ -54,6 +54,19 @@ _DEAF = """
 """Presses both keys in each control that is seen; returns those that are text or not at fault."""
 
 
+_AT_ONCE = """
+(field) => {
+  field.focus();
+  const before = window.stops;
+  window.kept = true;
+  for (const key of ["Enter", "Escape", "s"])
+    field.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
+  window.kept = false;
+  return window.stops - before;
+}
+"""
+"""Presses Enter in a field and both keys before the page does anything; returns the stops."""
+
 _FOLD = """
 (control) => document.querySelector(
   `[data-dock-region-${control}], [data-dock-region=right] [data-dock-${control}]`).click()
@@ -127,6 +140,7 @@ def test_stop_is_there_and_both_keys_work_in_every_state(
         page.evaluate("window.kept = false")
     window.tab("Plots")
     window.tab("Actions")
+    assert window.field("Intensity [%]").evaluate(_AT_ONCE) == 2
     for where, go in STATES.items():
         go(window)
         # What is typed to search commands is text.
