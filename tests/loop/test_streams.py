@@ -294,6 +294,19 @@ def test_a_pause_brakes_and_the_next_sample_goes_on(hand: Hand) -> None:
     bench.check_limits(hand)
 
 
+def test_silence_brakes_before_the_deadline(hand: Hand) -> None:
+    bench = Bench(hand)
+    bench.begin(deadline=10.0)
+    start = bench.now
+    ramp = [sample(start + k / 50, start + k / 50, index_base=0.02 * k) for k in range(25)]
+    bench.run(1.0, ramp)
+    # At 1 rad/s, two periods further and half of three in which it brakes.
+    assert bench.positions[-1][0] == pytest.approx(0.48 + (2.0 + 1.5) / 50, abs=0.005)
+    assert bench.velocities[-1][0] == pytest.approx(0.0, abs=1e-9)
+    assert bench.kinds() == []
+    bench.check_limits(hand)
+
+
 def test_one_slow_actuator_delays_no_other(hand: Hand) -> None:
     """The slide needs half a second for its way, the index does not wait."""
     alone, both = Bench(hand), Bench(hand)
