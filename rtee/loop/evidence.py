@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from rtee.hand.config_schema import GraspSettings, StallSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
-from rtee.loop.free_motion import SURELY_FREE, FreeMotion, LearnedMotion, Stretches
+from rtee.loop.free_motion import FREELY, SURELY_FREE, FreeMotion, LearnedMotion, Stretches
 from rtee.loop.measured import Measured
 from rtee.loop.tip_levers import TipLevers
 
@@ -184,6 +184,8 @@ class ContactMonitor:
                 free.restore(learned[actuator.name])
         self._stretches = [Stretches() for _ in actuators]
         self._lessons: dict[int, tuple[float, float]] = {}
+        # Position and reference from which on an actuator is seen to follow, by index.
+        self._paced: dict[int, tuple[float, float]] = {}
         self._felt: dict[str, float] = {}
         self._now = -math.inf
         self._stall = stall
@@ -208,6 +210,7 @@ class ContactMonitor:
         """
         for i, target in targets.items():
             self._watched[i] = _WatchedActuator(tolerance[i], target, math.nan, stamp, stamp)
+            self._paced.pop(i, None)
 
     def aim(self, i: int, target: float) -> None:
         """Set another target position for a watched actuator [rad | m]."""
@@ -744,17 +747,29 @@ class ContactMonitor:
             sample = signal, velocity, (velocity - speed) / passed
             self._stretches[i].take(self._free[i], here, reference, sample)
 
-    def follows(self, i: int, lead: float, velocity: float) -> None:
-        """Learn by how much time an actuator follows its reference, from a free motion.
+    def follows(self, i: int, here: float, reference: float, velocity: float) -> None:
+        """Learn by how much time an actuator follows its reference, while it moves freely.
+
+        One that something stops falls behind by all that its reference goes on: this is no lag.
 
         Args:
             i: The actuator.
-            lead: By how far its reference leads [rad | m].
+            here: The measured position [rad | m].
+            reference: Its reference [rad | m].
             velocity: Velocity of the reference [rad/s | m/s].
         """
-        if abs(velocity) >= _MOVES * self._actuators[i].velocity:
+        if abs(velocity) < _MOVES * self._actuators[i].velocity:
+            self._paced.pop(i, None)
+            return
+        was, led = self._paced.setdefault(i, (here, reference))
+        wanted = abs(reference - led)
+        # On a shorter way, noise of the position could look like motion.
+        if wanted <= self._slow[i]:
+            return
+        self._paced[i] = here, reference
+        if (here - was) * math.copysign(1.0, reference - led) >= FREELY * wanted:
             free = self._free[i]
-            free.lag += _USUAL_SHARE * (max(lead / velocity, 0.0) - free.lag)
+            free.lag += _USUAL_SHARE * (max((reference - here) / velocity, 0.0) - free.lag)
 
     def lag(self, indices: Iterable[int]) -> float:
         """Return the longest time by which some actuators follow [s]; 0: none has moved yet."""

@@ -246,7 +246,7 @@ class Executor:
             self._turn = (self._turn + 1) % len(moving)
             i = moving[self._turn]
             if not self._reflexes.touched:
-                self._contact.follows(i, reference[i] - measured.position[i], velocity[i])
+                self._contact.follows(i, measured.position[i], reference[i], velocity[i])
             if not felt:
                 self._contact.learn(i, stamp, measured, reference[i], velocity[i])
 

@@ -111,6 +111,21 @@ async def test_slow_motion_is_no_stall(hand: Hand) -> None:
         assert not result.stalled
 
 
+async def test_only_free_motion_teaches_by_how_much_an_actuator_lags(hand: Hand) -> None:
+    lags = []
+    async with running(hand, objects={"index": 0.6}) as rig:
+        # What is stopped falls behind by ever more on the way to its posture, and then stays behind
+        # while the reference goes to and fro beyond the object.
+        for intensity in (0.5, 1.0, 0.7, 1.0, 0.65, 1.0):
+            result = await rig.do("Trig", "index", intensity=intensity)
+            assert result.stalled == (intensity > 0.6)
+            learned = rig.loop.controller.learned_motion
+            lags += [learned[name].lag for name in INDEX]
+    # The device's time constant of 0.03 s, and what braking adds to it.
+    assert min(lags) > 0.025
+    assert max(lags) < 0.05
+
+
 async def test_closing_on_an_object_completes_every_step_of_a_timed_action(hand: Hand) -> None:
     async with running(hand, objects={"index": 0.4, "thumb_base": 0.5}) as rig:
         result = await rig.do("drill")
