@@ -55,6 +55,17 @@ def tell_of_meshes(objects: Iterable[str]) -> None:
             print(f"note: {text}: {note}", file=sys.stderr)
 
 
+def tell_of_limits(hands: Iterable[str]) -> None:
+    """Print on stderr which effort limits of hands the simulation assumes."""
+    with needing_extra("a trial", "sim"):
+        from rtee.drivers.mujoco.servos import effort_note
+        from rtee.trials.bench import bench
+    for name in hands:
+        hand = bench(name).hand
+        for note in effort_note(hand):
+            print(f"note: {hand.name}: {note}", file=sys.stderr)
+
+
 def workers_for(
     hands: Iterable[str], objects: Iterable[str], jobs: int, cluster: str | None, count: int
 ) -> Workers:

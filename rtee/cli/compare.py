@@ -16,6 +16,7 @@ from rtee.cli._sweep import (
     followed,
     meshes_in,
     resolved,
+    tell_of_limits,
     tell_of_meshes,
     workers_for,
 )
@@ -81,6 +82,7 @@ def compare(
     for part in parts:
         parse_object(part, MESHES)
     tell_of_meshes(parts)
+    tell_of_limits(names)
     like = Trial("", mass=mass, variations=variations, seed=seed, wanted=wanted)
     found = Comparison(names, parts, like, pictures=pictures)
     known = Answers(out / "results")

@@ -13,7 +13,14 @@ import typer
 
 from rtee import monotonic
 from rtee.cli._common import FrictionOption, complete_hand, owned
-from rtee.cli._sweep import ClusterOption, JobsOption, meshes_in, resolved, tell_of_meshes
+from rtee.cli._sweep import (
+    ClusterOption,
+    JobsOption,
+    meshes_in,
+    resolved,
+    tell_of_limits,
+    tell_of_meshes,
+)
 from rtee.errors import ConfigError, needing_extra, suggestion
 from rtee.hand.files import make_folder
 from rtee.units import FORCE as NEWTONS
@@ -114,6 +121,7 @@ def try_(
         if intensity != 1.0:
             raise ConfigError("--task closes until contact; leave out --intensity")
         tell_of_meshes(object_ or [])
+        tell_of_limits([resolved(hand)])
         options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
         try_tasks(resolved(hand), action, elements or [], object_ or [], options, json_)
         return
@@ -128,6 +136,7 @@ def try_(
 
     name = resolved(hand)
     tell_of_meshes(object_ or [])
+    tell_of_limits([name])
     choosing = CHOOSING if choose_by is None else choose_by
     if all_:
         if action is not None or pictures is not None or log is not None:

@@ -21,6 +21,7 @@ from rtee.drivers.mujoco.model import CARRIER, add_shape
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.scene import build_hand
+from rtee.drivers.mujoco.servos import effort_note
 from rtee.hand.model import Hand
 from rtee.types import JointKind
 
@@ -81,7 +82,8 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
     )
     # Again, since the model now has the keyframe.
     model = spec.compile()
-    return _in_full(spec.to_xml(), spec, model), [*built.notes, *names, *notes]
+    told = [*effort_note(hand), *built.notes, *names, *notes]
+    return _in_full(spec.to_xml(), spec, model), told
 
 
 def _rigid_where_curved(hand: Hand) -> tuple[Hand, list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -19,10 +20,12 @@ from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.cli._common import app_of
+from rtee.cli._sweep import tell_of_limits
 from rtee.cli.try_ import try_
 from rtee.errors import ConfigError
 from rtee.hand.load import load_configured
 from rtee.hand.own_copy import copy_hand
+from rtee.trials.bench import bench
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import read_results, write_results
 
@@ -72,6 +75,20 @@ def group(leader: int) -> list[int]:
             if int(words[2]) == leader and words[0] != "Z":
                 found.append(int(place.name))
     return found
+
+
+def test_effort_limits_that_trials_assume_are_told(
+    hand: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tell_of_limits([str(hand)])
+    assert capsys.readouterr().err == ""
+    urdf = next(hand.glob("*.urdf"))
+    urdf.write_text(re.sub(r' effort="[^"]*"', "", urdf.read_text()))
+    bench.cache_clear()
+    tell_of_limits([str(hand)])
+    told = capsys.readouterr().err
+    assert told.startswith("note: mine: no effort limit for actuator finger_joint; 10 N·m is")
+    assert str(hand / "hand.yaml") in told
 
 
 @pytest.mark.heavy

@@ -106,6 +106,8 @@ class MujocoDriver(Driver):
             self._simulation = await anyio.to_thread.run_sync(self._made)
         self.object_description = self._simulation.object_description
         self.capabilities = replace(self.capabilities, touch=self._simulation.taxels.sensors)
+        for doubt in self._simulation.doubts:
+            log.warning("%s: %s", self.spec.name, doubt)
         for note in self._simulation.notes:
             log.info("%s: %s", self.spec.name, note)
 

@@ -35,7 +35,7 @@ class Servo:
         armature: Inertia of motor and gear at the joint [kg·m² | kg].
         damping: Viscous friction [N·m·s/rad | N·s/m].
         friction: Dry friction [N·m | N].
-        derived: Which of these are derived or assumed, by name.
+        derived: Which of these are derived, by name.
     """
 
     actuator: str
@@ -50,10 +50,10 @@ class Servo:
 
     @property
     def note(self) -> str:
-        """The derived values, in words; empty if everything is known."""
+        """The derived values, in words; empty if there are none."""
         if not self.derived:
             return ""
-        numbers = {"effort limit": self.limit, "kp": self.kp, "armature": self.armature}
+        numbers = {"kp": self.kp, "armature": self.armature}
         numbers |= {"damping": self.damping, "dry friction": self.friction}
         words = [f"{n} {numbers[n]:.3g}" if n in numbers else n for n in self.derived]
         return f"actuator '{self.actuator}': {', '.join(words)} derived"
@@ -65,10 +65,7 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
     slide = actuator.kind is JointKind.PRISMATIC
     unit = PRISMATIC if slide else 1.0
     derived = []
-    limit = actuator.effort
-    if not 0.0 < limit < math.inf:
-        limit = MISSING_EFFORT * (_LINEAR_EFFORT if slide else 1.0)
-        derived.append("effort limit")
+    limit = actuator.effort if math.isfinite(actuator.effort) else _assumed(actuator)
     kp = known.kp
     if kp is None:
         kp = gain_of(actuator, limit, options.stiffness)
@@ -90,6 +87,30 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
         actuator.name, limit, kp, known.kd, known.ki or 0.0, armature, damping, friction,
         tuple(derived),
     )  # fmt: skip
+
+
+def _assumed(actuator: ActuatorSpec) -> float:
+    """Return the effort limit of an actuator for which the model states none [N·m | N]."""
+    return MISSING_EFFORT * (_LINEAR_EFFORT if actuator.kind is JointKind.PRISMATIC else 1.0)
+
+
+def effort_note(hand: Hand) -> list[str]:
+    """Return a note on the actuators whose effort limit is assumed: forces follow from it."""
+    lacking = [each for each in hand.actuators if not math.isfinite(each.effort)]
+    if not lacking:
+        return []
+    limits = dict.fromkeys(
+        f"{_assumed(each):g} {'N' if each.kind is JointKind.PRISMATIC else 'N·m'}"
+        for each in lacking
+    )
+    several = len(lacking) > 1
+    where = "hand.yaml" if hand.folder is None else hand.folder / "hand.yaml"
+    return [
+        f"no effort limit for actuator{'s' * several} {', '.join(each.name for each in lacking)}; "
+        f"{' and '.join(limits)} is assumed, so the forces of a grasp are not those of the hand; "
+        f"state {'each' if several else 'it'} under limits: in {where}, as "
+        f"{lacking[0].name}: {{effort: …}}"
+    ]
 
 
 def add_motor(spec: mujoco.MjSpec, servo: Servo, joint: str) -> None:

@@ -14,7 +14,7 @@ from rtee.drivers.mujoco.finger_forces import FingerForces
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import rest_position
 from rtee.drivers.mujoco.scene_channels import SceneChannels, describe
-from rtee.drivers.mujoco.servos import Servo
+from rtee.drivers.mujoco.servos import Servo, effort_note
 from rtee.drivers.mujoco.sheet_forces import SheetForces
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.drivers.mujoco.tangents import Couplings
@@ -36,6 +36,7 @@ class Simulation:
         actuators: Names of the actuators in the order of all arrays here.
         effort_limit: Their effort limits ``(n,)`` [N·m | N].
         notes: Assumptions about the hand, one sentence each.
+        doubts: Those from which all forces follow; they are no notes.
         object_description: Shape and colour of the object, if there is one.
         taxels: The touch sensors.
 
@@ -57,6 +58,7 @@ class Simulation:
         mujoco.set_mju_user_warning(log.warning)
         self.model = model
         self.notes = tuple(notes)
+        self.doubts = tuple(effort_note(hand))
         self.data = mujoco.MjData(model)
         # Views of the state, kept because MuJoCo makes a new one at each access.
         self._positions: FloatArray = self.data.qpos

@@ -15,6 +15,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import build_hand, grasp_centre, make_simulation
+from rtee.drivers.mujoco.servos import effort_note
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.catalog import hand_names
@@ -24,6 +25,7 @@ from rtee.hand.model import Hand
 from rtee.trials.grasp_placement import Places
 from rtee.trials.trial import Trial
 from rtee.trials.work import attempt
+from rtee.types import JointKind
 
 
 def simulate(hand: Hand, **options: object) -> Simulation:
@@ -95,9 +97,19 @@ def test_fingers_have_weight(tmp_path: Path) -> None:
 
 def test_a_large_effort_limit_is_no_missing_one(tmp_path: Path) -> None:
     assert build_hand(rod(tmp_path, effort="25"), SimOptions()).servos["turn"].limit == 25.0
-    missing = build_hand(rod(tmp_path, effort="0"), SimOptions())
-    assert missing.servos["turn"].limit == 10.0
-    assert any("effort limit 10" in note for note in missing.notes)
+    assert effort_note(rod(tmp_path)) == []
+    lacking = rod(tmp_path, effort="0")
+    assert build_hand(lacking, SimOptions()).servos["turn"].limit == 10.0
+    (note,) = effort_note(lacking)
+    assert note.startswith("no effort limit for actuator turn; 10 N·m is assumed")
+    both = (
+        *lacking.actuators,
+        replace(lacking.actuators[0], name="slide", kind=JointKind.PRISMATIC),
+    )
+    (note,) = effort_note(replace(lacking, actuators=both))
+    assert note.startswith(
+        "no effort limit for actuators turn, slide; 10 N·m and 1000 N is assumed"
+    )
 
 
 @pytest.mark.parametrize(("name", "sheet"), [("robotiq_2f_85", 235.0), ("robotiq_2f_140", 125.0)])

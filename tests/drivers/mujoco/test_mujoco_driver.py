@@ -58,6 +58,33 @@ async def test_before_configure_there_is_nothing_to_measure() -> None:
         await make().sense()
 
 
+async def test_an_effort_limit_that_is_assumed_is_told_once_and_stated_where_that_says(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "rod"
+    folder.mkdir()
+    (folder / "rod.urdf").write_text(
+        '<robot name="rod"><link name="base"/><link name="rod"><inertial><mass value="0.1"/>'
+        '<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial>'
+        '<collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
+        '<joint name="turn" type="revolute"><parent link="base"/><child link="rod"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="2"/></joint></robot>'
+    )
+    told = []
+    for limits in ("", "limits:\n  turn: {effort: 0.5}\n"):
+        (folder / "hand.yaml").write_text(f"name: rod\nurdf: rod.urdf\n{limits}")
+        caplog.clear()
+        driver = make(str(folder))
+        await driver.configure()
+        warnings = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+        told.append((driver.simulation.effort_limit[0], warnings))
+    (limit, (warning,)), stated = told
+    assert limit == 10.0
+    assert "no effort limit for actuator turn; 10 N·m is assumed" in warning
+    assert f"state it under limits: in {folder / 'hand.yaml'}, as turn: {{effort: …}}" in warning
+    assert stated == (0.5, [])
+
+
 async def test_a_simulation_that_blows_up_is_a_fault_until_it_is_begun_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -96,7 +96,7 @@ def test_what_was_made_up_is_noted(tmp_path: Path) -> None:
     )
     notes = " ".join(build_hand(hand, SimOptions()).notes)
     assert "mass made up for 1 links: tip" in notes
-    assert "actuator 'bend': effort limit 10, kp 200, critical damping" in notes
+    assert "actuator 'bend': kp 200, critical damping" in notes
 
 
 def test_the_error_of_a_single_polynomial_is_stated() -> None:
