@@ -36,7 +36,6 @@ def remote(tmp_path: Path, repository: Path) -> Iterator[BlockingHand]:
         yield remote
 
 
-@pytest.mark.heavy
 def test_a_pose_and_a_width_are_done_in_two_stages(remote: BlockingHand) -> None:
     reached = remote.reach(width=0.03, pose=POSE)
     assert (reached.hand, reached.action) == ("mine", "PinchTight")
@@ -48,7 +47,6 @@ def test_a_pose_and_a_width_are_done_in_two_stages(remote: BlockingHand) -> None
     assert closed.opening < 0.03, "nothing is between the fingers"
 
 
-@pytest.mark.heavy
 def test_contacts_are_done_without_leaving_an_action(remote: BlockingHand) -> None:
     before = [action.name for action in remote.actions()]
     reached = remote.reach(width=0.03, pose=POSE)
@@ -83,7 +81,6 @@ def test_a_grasp_that_meets_the_object_is_refused(remote: BlockingHand) -> None:
         remote.reach(width=0.03, pose=POSE, object="sphere:0.01", object_pose=np.eye(3))
 
 
-@pytest.mark.heavy
 def test_what_cannot_be_reached_is_refused_with_the_reason(remote: BlockingHand) -> None:
     with pytest.raises(RequestRejected, match=r"grasps 300\.0 mm; the nearest"):
         remote.reach(width=0.3, pose=POSE)
