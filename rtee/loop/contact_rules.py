@@ -20,6 +20,13 @@ _LOST_MOVE: Final = 0.02
 """A grasp looks lost once the actuator has closed further by this share of its range [1], more than
 a soft object gives way."""
 
+_WEAK: Final = 0.94
+"""A force that has arrived is raised again below this share of the requested one."""
+
+STRONG: Final = 1.06
+"""It is lowered again above this share, where efforts have risen by as much: sensors also measure
+the pull of the load, which must not loosen the grasp."""
+
 _OTHER_SIDE: Final = 0.1
 """Least share of the force of one side that the other has to show: efforts of those that hold an
 object between them differ by a factor of 4 at most in simulation, and of others by 60."""
@@ -102,6 +109,19 @@ def presses(force: float, least: float, still: Iterable[bool]) -> bool:
 def pressing_share(effort: float, weight: float) -> float:
     """Return the share of an effort that presses, besides weight and friction, all [N·m | N]."""
     return min(max(1.0 - weight / effort, 0.0), 1.0) if effort and weight == weight else 0.0
+
+
+def force_rests(share: float, now: float, then: float) -> bool:
+    """Return whether a force that was reached stays unchanged.
+
+    Args:
+        share: The force in shares of the requested one.
+        now: The force by efforts [N].
+        then: That when the force was reached [N].
+    """
+    if share <= STRONG:
+        return share >= _WEAK
+    return not now > STRONG * then
 
 
 def both_press(sides: Sequence[float]) -> bool:

@@ -52,13 +52,6 @@ _NEAR = 0.04
 """The force has arrived within this share of the requested one, a little less than the error of a
 sensor."""
 
-_WEAK = 0.94
-"""A force that has arrived is raised again below this share of the requested one."""
-
-_STRONG = 1.06
-"""It is lowered again above this share, where efforts have risen by as much: sensors also measure
-the pull of the load, which must not loosen the grasp."""
-
 _UNEVEN = 0.15
 """Sides may differ by twice this share by the weight between them; then their mean is the force.
 What is more comes from fingers that press on one another."""
@@ -398,12 +391,11 @@ class Pressing:
 
     def _rests(self, share: float, measured: Measured) -> bool:
         """Return whether a force that was reached stays unchanged."""
-        if self.failed or _WEAK <= share <= _STRONG:
+        if self.failed:
             return True
-        if share < _WEAK:
-            return False
-        now = self._estimate.by_efforts(measured.effort, measured.position)
-        return not now > _STRONG * self._by_efforts
+        efforts, position = measured.effort, measured.position
+        now = self._estimate.by_efforts(efforts, position) if share > rules.STRONG else math.nan
+        return rules.force_rests(share, now, self._by_efforts)
 
     @property
     def _at_end(self) -> bool:

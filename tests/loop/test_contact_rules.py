@@ -193,3 +193,19 @@ def test_efforts_of_fingers_that_stand_still(
 def test_the_share_of_an_effort_that_presses(effort: float, weight: float, share: float) -> None:
     assert rules.pressing_share(effort, weight) == share
     assert rules.pressing_share(effort, NAN) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("share", "now", "then", "rests"),
+    [
+        (1.0, 20.0, 10.0, True),  # as asked
+        (0.9, 10.0, 10.0, False),  # too weak
+        (1.2, 10.0, 10.0, True),  # the load pulls at the sensors
+        (1.2, 12.0, 10.0, False),  # the fingers press more
+        (1.2, NAN, NAN, True),
+    ],
+)
+def test_a_force_rests_that_only_the_load_changes(
+    share: float, now: float, then: float, rests: bool
+) -> None:
+    assert rules.force_rests(share, now, then) is rests

@@ -211,6 +211,16 @@ def test_a_broken_sensor_changes_the_force_by_a_factor_of_two_at_most(reads: flo
     assert 0.45 * wanted <= gripper.limit <= 2.05 * wanted
 
 
+def test_fingers_from_all_around_may_press_four_times_as_hard_as_their_tips() -> None:
+    gripper = Gripper(0.04, reads=20.0)
+    plan = gripper.plan(grasp(0.04, 40.0))
+    around = replace(plan, grip=replace(plan.grip, around=True))
+    gripper.controller.accept(around, gripper.time)
+    for _ in range(4000):
+        gripper.tick()
+    assert gripper.limit == pytest.approx(0.25 * plan.effort[0], rel=0.05)
+
+
 def test_friction_that_nobody_knows_is_overcome_on_the_way() -> None:
     gripper = Gripper(0.04, friction=2.0)
     result = gripper.do(grasp(0.04, 40.0))
