@@ -76,7 +76,8 @@ def plan_grasps(
         compose: Compose an action of primitives where no single one is good.
 
     Raises:
-        ConfigError: if the object fits into no opening of the hand, or an argument is invalid.
+        ConfigError: if the object fits into no opening of the hand, the hand has no opening, or an
+            argument is invalid.
         ModelError: if a mesh of the hand cannot be read.
     """
     planner = Planner(hand, obj, friction, weight_axis, table)
@@ -85,6 +86,9 @@ def plan_grasps(
             f"hand '{hand.name}' has no actions; find its primitives first: "
             f"rtee extract {hand.name} --save"
         )
+    # Said before planning, which would call the missing opening one of 0 mm.
+    if planner.no_opening:
+        raise ConfigError(f"'{obj.name}' does not fit: {planner.no_opening}")
     plans, rejected = _planned(planner, library, compose)
     if planner.ground is not None and not plans:
         planner.ground.edge = True

@@ -165,6 +165,18 @@ class Planner:
         self.turns = orientations(obj, None if self.ground is None else self.ground.up)
         self.too_wide, self.widest, self.narrowest = True, 0.0, math.inf
 
+    @property
+    def no_opening(self) -> str:
+        """Why nothing fits between the fingertips, whatever its size; empty if something may."""
+        tips = [finger.name for finger in self.hand.fingers if finger.tip]
+        if len(tips) > 1:
+            return ""
+        there = f"only one fingertip, that of '{tips[0]}'" if tips else "no fingertip"
+        return (
+            f"the hand has {there}, and so no opening; if a fixed part is opposite, make it a "
+            "finger by a group in the SRDF"
+        )
+
     def plan(self, actions: Iterable[Action]) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
         """Return the grasps of actions, the best first, and why the others can't be used."""
         chosen = list(actions)

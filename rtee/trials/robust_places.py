@@ -84,7 +84,10 @@ def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variation
         return f"{mass:.3g} kg, the hand may hold {hand.payload:.3g} kg"
     if variations:
         thing = thing.scaled(1.0 + SIZE)
-    reason = too_wide(Planner(hand, thing), action, groups_of(library, action))
+    planner = Planner(hand, thing)
+    if planner.no_opening:
+        return planner.no_opening
+    reason = too_wide(planner, action, groups_of(library, action))
     return f"{reason}, {1.0 + SIZE:g} times as large" if reason and variations else reason
 
 

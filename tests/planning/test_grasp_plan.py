@@ -34,6 +34,7 @@ from rtee.planning.question import Question, ask
 from rtee.planning.result import from_document, to_document
 from rtee.sample import FloatArray
 from rtee.trials.result import OBJECTS
+from rtee.trials.robust_places import misfit
 
 ROOT = Path(__file__).parents[2]
 
@@ -157,13 +158,25 @@ def test_an_object_that_is_too_wide_does_not_fit(library: ActionLibrary) -> None
         plan_grasps(library.hand, library, read_object("box:0.14x0.15x0.16"))
 
 
-def test_a_finger_that_is_alone_has_no_room(tmp_path: Path) -> None:
-    """Numbers of its missing counterpart were not a number, and the width infinite."""
-    (tmp_path / "jaw.urdf").write_text(re.sub(r'(?s)<joint name="follower".*</link>', "", JAWS))
+@pytest.mark.parametrize(
+    ("left_out", "said"),
+    [
+        ('<joint name="follower".*</link>', "the hand has only one fingertip, that of 'left', and"),
+        ('<collision><origin xyz="-?0.005.*?</collision>', "the hand has no fingertip, and"),
+    ],
+)
+def test_a_finger_that_is_alone_has_no_opening(tmp_path: Path, left_out: str, said: str) -> None:
+    """It was said to open to 0 mm, as if another object might fit."""
+    (tmp_path / "jaw.urdf").write_text(re.sub(f"(?s){left_out}", "", JAWS))
     hand = load_model(tmp_path / "jaw.urdf")
     library = ActionLibrary(hand, (generic(hand, "Close", {"jaw": 0.05}),))
-    with pytest.raises(ConfigError, match="width 40 mm, the hand opens to 0 mm"):
-        plan_grasps(hand, library, read_object("sphere:0.02"))
+    thing = read_object("sphere:0.02")
+    with pytest.raises(ConfigError, match=f"'sphere:0.02' does not fit: .*{said}") as refused:
+        plan_grasps(hand, library, thing)
+    tried = misfit(library, library.find("Close"), thing, variations=1)
+    assert str(refused.value).endswith(tried)
+    assert said in tried
+    assert " mm" not in tried
 
 
 def test_a_mesh_is_planned_for_as_the_shape_it_has(library: ActionLibrary, tmp_path: Path) -> None:
