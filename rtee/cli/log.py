@@ -49,7 +49,7 @@ def info(
     """Show the contents of a recording.
 
     Arguments and options:
-        deep: Read the whole file, which also finds damage inside it.
+        deep: Read recordings above 64 MB whole, too, which finds damage inside them.
     """
     from rtee.log.info import info as summarise
 
@@ -87,6 +87,8 @@ def _show(summary: RecordingInfo) -> None:
         _print_safely(f"{event.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
     for note in summary.notes:
         _print_safely(f"note: {note}")
+    if not summary.checked:
+        print("only the end was read; --deep also looks for damage in the rest")
 
 
 @app.command()

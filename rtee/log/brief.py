@@ -26,6 +26,9 @@ LARGEST_DIGEST = 1 << 25
 SECOND = 1_000_000_000
 """A second [ns]: here, too, as the modules of messages import NumPy."""
 
+INDEX_ENTRY = 16
+"""Bytes of an entry of a message index: log time and offset."""
+
 _FIRST = 65536  # bytes in which the metadata are, behind the header alone
 _HEAD = struct.Struct("<BQ")  # opcode and length of a record
 _FOOTER = struct.Struct("<BQQQI")  # its head, beginning of the summary, of its offsets, checksum
@@ -52,6 +55,7 @@ class Brief:
             them: each with its kind and its log time [ns since 1970] first.
         finished: Whether the file was closed.
         notes: Sentences about problems of the file.
+        damage: Those notes that report damage.
     """
 
     path: Path
@@ -66,6 +70,7 @@ class Brief:
     told: Sequence[Sequence[Any]]
     finished: bool = True
     notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
     def of(self, kind: str) -> Iterator[Sequence[Any]]:
         """Yield the entries of a kind, without the kind itself."""

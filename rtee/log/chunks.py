@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord
 from numpy.typing import NDArray
 
+from rtee.log.brief import INDEX_ENTRY
 from rtee.messages.tick_columns import encode_ticks
 
 MESSAGE = struct.Struct("<BQHIQQ")
@@ -24,9 +25,6 @@ MESSAGE = struct.Struct("<BQHIQQ")
 
 INDEX = struct.Struct("<BQHI")
 """Layout of the head of a message index record: opcode, length, channel, bytes of entries."""
-
-INDEX_ENTRY = 16
-"""Bytes of an entry of a message index: log time and offset."""
 
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _INDEX_AFTER_LENGTH = INDEX.size - 9  # the same of a message index

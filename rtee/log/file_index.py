@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -15,8 +15,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rtee.errors import LogError
 from rtee.hand.files import reason
-from rtee.log.brief import DIGEST, MAGIC
-from rtee.log.chunks import INDEX_ENTRY
+from rtee.log.brief import DIGEST, INDEX_ENTRY, MAGIC, SECOND
 from rtee.log.record_scanner import (
     DAMAGE,
     HEAD,
@@ -29,7 +28,6 @@ from rtee.log.record_scanner import (
     scan,
 )
 from rtee.log.rotation import METADATA
-from rtee.messages.codec import SECOND
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
@@ -121,6 +119,13 @@ class FileIndex:
         """Return the number of messages on a channel, according to the indexes."""
         return sum(chunk.count(channel) for chunk in self.chunks)
 
+    def lost(self, place: ChunkPlace, error: DamagedRecordError) -> str:
+        """Describe a damaged chunk and what is lost with it."""
+        count = sum(map(place.count, place.indexes))
+        what, verb = (f"{count} messages", "are") if count > 1 else ("anything", "is")
+        start, end = ((at - self.start) / SECOND for at in (place.start, place.end))
+        return f"{error}; {what} recorded from {start:.2f} s to {end:.2f} s of the file {verb} lost"
+
     @property
     def start(self) -> int:
         """Earliest log time [ns since 1970]; 0 without messages."""
@@ -141,6 +146,22 @@ def index_file(path: Path | str) -> FileIndex:
         return _Indexer(path).look()
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
+
+
+def damaged_chunks(file: FileIndex) -> Iterator[tuple[ChunkPlace, DamagedRecordError]]:
+    """Read all chunks of a file, and yield those that are damaged.
+
+    Raises `LogError` if the file cannot be read.
+    """
+    try:
+        with file.path.open("rb") as stream:
+            for place in file.chunks:
+                try:
+                    messages_of(place.record.read(stream))
+                except DamagedRecordError as error:
+                    yield place, error
+    except OSError as error:
+        raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
 
 
 def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
@@ -327,7 +348,7 @@ class _Indexer:
 _SHORTEST_CHUNK = 49
 """Least length of a chunk [bytes]: its head, and the fields of one without records."""
 
-_TOLD = 5
+MOST_TOLD = 5
 """Most damaged places listed one by one, so that the notes stay readable."""
 
 
@@ -345,14 +366,19 @@ class Damage:
 
     def sentences(self, times: Sequence[tuple[int, int]]) -> tuple[str, ...]:
         """Describe the damage in sentences, given each chunk's start and end time [ns]."""
-        told = [_gap(record, chunks, times) for record, chunks in self.gaps[:_TOLD]]
-        others = self.gaps[_TOLD:]
+        told = [_gap(record, chunks, times) for record, chunks in self.gaps[:MOST_TOLD]]
+        others = self.gaps[MOST_TOLD:]
         if others:
             size = sum(record.length for record, _ in others)
             told.append(f"{size} bytes in {len(others)} further places are damaged and lost")
         if self.summary:
             told.append("the summary at the end of the file is damaged; nothing recorded is lost")
         return tuple(told)
+
+
+def others_damaged(chunks: int) -> str:
+    """Describe so many damaged chunks that are not listed one by one."""
+    return f"further damaged chunks, which are lost: {chunks}"
 
 
 def _gap(record: Record, chunks: int, times: Sequence[tuple[int, int]]) -> str:

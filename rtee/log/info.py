@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from operator import itemgetter
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from rtee.log.brief import SECOND, Brief, brief, check_hands, rate_of, spans_of
+
+_READ_WHOLE = 64_000_000
+"""Size up to which recordings are read whole [bytes]: some four minutes of a large hand at 1 kHz,
+for a third of a second."""
 
 _STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
 
@@ -59,6 +64,8 @@ class RecordingInfo:
         attachments: Names with sizes [bytes].
         loop: The last loop statistics by name (`rtee.types.LoopStatistics`).
         notes: Sentences about problems of the files.
+        damage: Those notes that report damage, one for each damaged file.
+        checked: Whether all of the files was read, so that all damage is known.
     """
 
     files: tuple[tuple[Path, int], ...]
@@ -74,6 +81,8 @@ class RecordingInfo:
     events: tuple[EventInfo, ...]
     loop: Mapping[str, float] | None
     notes: tuple[str, ...]
+    damage: tuple[str, ...]
+    checked: bool
 
     @property
     def rate(self) -> float:
@@ -113,10 +122,15 @@ def iso(wall_ns: int) -> str:
 def info(paths: Sequence[Path], *, deep: bool = False) -> RecordingInfo:
     """Return the summary of a recording's files.
 
-    Of files that rtee has closed, only the end is read; with ``deep`` every record is, so that
-    damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
+    Of files that rtee has closed, only the end is read if they are large. With ``deep`` all of
+    them are read, so that damage in between is noticed. Raises `LogError` as `rtee.log.read` does.
     """
-    files = [(None if deep else brief(path)) or _whole(path) for path in paths]
+    ends = [brief(path) for path in paths]
+    checked = deep or sum(each.size for each in ends if each is not None) <= _READ_WHOLE
+    files = [
+        _whole(path) if end is None else _checked(end) if checked else end
+        for path, end in zip(paths, ends, strict=True)
+    ]
     check_hands({each.path: each.hand for each in files})
     start = min((each.start for each in files if each.end), default=0)
     duration = (max(each.end for each in files) - start) / SECOND
@@ -154,6 +168,28 @@ def info(paths: Sequence[Path], *, deep: bool = False) -> RecordingInfo:
         events=tuple(EventInfo(*event) for event in all_of("event")),
         loop=loop[-1][1] if loop else None,
         notes=tuple(note for each in files for note in each.notes),
+        damage=tuple(note for each in files for note in each.damage),
+        checked=checked,
+    )
+
+
+def _checked(end: Brief) -> Brief:
+    """Return the summary of a file with what is damaged in the rest of it.
+
+    Goals and events of a damaged chunk remain: the end of the file has them, too.
+    """
+    from rtee.log.file_index import MOST_TOLD, damaged_chunks, index_file, others_damaged
+
+    file = index_file(end.path)
+    lost = [*damaged_chunks(file)]
+    told = [file.lost(place, error) for place, error in lost[:MOST_TOLD]]
+    if len(lost) > MOST_TOLD:
+        told.append(others_damaged(len(lost) - MOST_TOLD))
+    return _noted(
+        replace(end, finished=file.finished),
+        file.notes,
+        (*file.damage, *told),
+        recoverable=bool(file.repairable or lost),
     )
 
 
@@ -166,8 +202,8 @@ def _whole(path: Path) -> Brief:
     from rtee.messages.topics import DIGESTED
 
     file = index_file(path)
-    recording = read_indexed([file], DIGESTED)
-    return Brief(
+    recording = read_indexed([file], DIGESTED, every=True)
+    summary = Brief(
         path=path,
         size=file.size,
         library=file.library,
@@ -183,5 +219,23 @@ def _whole(path: Path) -> Brief:
         end=recording.end,
         told=list(lines_of(recording)),
         finished=recording.finished,
-        notes=recording.notes,
     )
+    return _noted(
+        summary,
+        recording.notes,
+        recording.damage,
+        recoverable=bool(file.repairable or len(recording.damage) > len(file.damage)),
+    )
+
+
+def _noted(file: Brief, notes: Iterable[str], damage: Sequence[str], *, recoverable: bool) -> Brief:
+    """Return the summary of a file with one note about all damage, and its other notes."""
+    name = f"{file.path.name}: "
+    told: tuple[str, ...] = ()
+    if damage:
+        text = "; ".join(sentence.removeprefix(name) for sentence in damage)
+        if recoverable:
+            text += f"; `rtee log recover {quote(str(file.path))}` writes a file of the rest"
+        told = (name + text,)
+    others = (f"{name}{note.removeprefix(name)}" for note in notes if note not in damage)
+    return replace(file, notes=(*told, *others), damage=told)

@@ -15,7 +15,13 @@ from rtee.errors import GoalRejected, LogError, MessageError
 from rtee.hand.files import reason
 from rtee.log import column_reader
 from rtee.log.brief import Brief, actuators_of, brief, check_hands
-from rtee.log.file_index import ChunkPlace, FileIndex, index_file
+from rtee.log.file_index import (
+    MOST_TOLD,
+    ChunkPlace,
+    FileIndex,
+    index_file,
+    others_damaged,
+)
 from rtee.log.plans import GRIP, plan_of
 from rtee.log.record_scanner import LATEST, DamagedRecordError, messages_of
 from rtee.log.recording import (
@@ -78,9 +84,11 @@ def read(
     return read_indexed([index_file(each) for each in paths_of(path, series=series)], only)
 
 
-def read_indexed(file_indexes: Sequence[FileIndex], only: Iterable[str] | None = None) -> Recording:
-    """Read files that were indexed."""
-    return _Collector(file_indexes, _wanted(only)).read()
+def read_indexed(
+    file_indexes: Sequence[FileIndex], only: Iterable[str] | None = None, *, every: bool = False
+) -> Recording:
+    """Read files that were indexed; with ``every``, also look for damage in the other chunks."""
+    return _Collector(file_indexes, _wanted(only), every=every).read()
 
 
 def windows(
@@ -143,8 +151,11 @@ class _Collector:
         file_indexes: Sequence[FileIndex],
         wanted: set[str],
         span: tuple[int, int] | None = None,
+        *,
+        every: bool = False,
     ) -> None:
         self._file_indexes = file_indexes
+        self._every = every
         self._wanted = wanted
         self._hand = file_indexes[0].hand
         check_hands({each.path: each.hand for each in file_indexes})
@@ -229,7 +240,9 @@ class _Collector:
         if not file.values and not any(c.topic in self._names for c in file.channels.values()):
             raise LogError("contains no recording of a hand", path=file.path)
         wanted = [
-            place for place in places if not place.indexes or channels.keys() & place.indexes.keys()
+            place
+            for place in places
+            if self._every or not place.indexes or channels.keys() & place.indexes.keys()
         ]
         try:
             with file.path.open("rb") as stream:
@@ -238,7 +251,8 @@ class _Collector:
                         self._chunk(place, data, stream, channels)
                     elif id(place) not in self._told:  # not yet reported by the previous piece
                         self._told.add(id(place))
-                        self._note_damage(str(data))
+                        if len(self._told) <= MOST_TOLD:
+                            self._note_damage(f"{file.path.name}: {file.lost(place, data)}")
         except OSError as error:
             raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
 
@@ -340,6 +354,8 @@ class _Collector:
             },
         )
         self._skipped += sum(table.skipped for table in self._rows.values())
+        if len(self._told) > MOST_TOLD and ended:
+            self._note_damage(others_damaged(len(self._told) - MOST_TOLD))
         if self._damaged and ended:
             self._note_damage(f"messages that make no sense and are left out: {self._damaged}")
         if self._skipped and ended:

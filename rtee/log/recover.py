@@ -19,7 +19,7 @@ from rtee.hand.files import reason
 from rtee.log import column_reader
 from rtee.log.chunks import PackedChunk, index_records
 from rtee.log.digest import lines_of
-from rtee.log.file_index import ChunkPlace, FileIndex, index_file
+from rtee.log.file_index import FileIndex, damaged_chunks, index_file
 from rtee.log.mcapfile import McapFile, Preamble
 from rtee.log.reader import read_indexed
 from rtee.log.record_scanner import HEAD, DamagedRecordError, messages_of
@@ -80,7 +80,7 @@ def recover(
     temporary: Path | None = None
     try:
         with path.open("rb") as stream:
-            damaged = sum(1 for chunk in content.chunks if not _sound(chunk, stream))
+            damaged = sum(1 for _ in damaged_chunks(content))
             whole = content.finished and not damaged and not content.repairable
             if whole and output is None:
                 return _report(content, path, 0, untouched=True)
@@ -141,14 +141,6 @@ def _preamble(content: FileIndex) -> Preamble:
         schemas=tuple(content.schemas.values()),
         channels=tuple(content.channels.values()),
     )
-
-
-def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
-    try:
-        messages_of(place.record.read(stream))
-    except DamagedRecordError:
-        return False
-    return True
 
 
 def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:

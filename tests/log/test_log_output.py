@@ -42,11 +42,12 @@ from rtee.log.export import TABLES, Format, Spool, export, tables
 from rtee.log.export import read_for as export_pieces
 from rtee.log.figure import MOST_POINTS, PlotSubject, bands_of, figure, labels_of, thinned
 from rtee.log.figure import read_for as plot_pieces
-from rtee.log.file_index import index_file
+from rtee.log.file_index import ChunkPlace, index_file
 from rtee.log.info import info
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
 from rtee.log.plots import write_html, write_png
+from rtee.log.recover import recover
 from rtee.loop.settings import LoopSettings
 from rtee.messages import topics
 from rtee.types import Event, Goal, Named
@@ -89,6 +90,85 @@ def test_info_of_a_cut_off_file_says_so(story: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(story.read_bytes()[:-300])
     assert any("not closed" in note for note in info([path]).notes)
+
+
+@pytest.mark.parametrize("options", [(), ("--deep",)])
+@pytest.mark.parametrize("number", [0, 2])  # the first has nothing that a summary tells
+def test_info_says_what_a_damaged_chunk_held_and_what_to_do(
+    story: Path, tmp_path: Path, number: int, options: tuple[str, ...]
+) -> None:
+    path = tmp_path / "damaged.mcap"
+    place = with_damage(story, path, number)
+    status, out = run("info", path, *options)
+    # As of all commands that go on with the rest; only `replay --check` fails.
+    assert status == 0
+    (told,) = [line for line in out.splitlines() if line.startswith("note: ")]
+    what, lost, remedy = told.rsplit("; ", 2)
+    assert what.startswith("note: damaged.mcap: a chunk ")
+    begin, end = ((at - info([story]).start) / 1e9 for at in (place.start, place.end))
+    count = sum(map(place.count, place.indexes))
+    span = f"from {begin:.2f} s to {end:.2f} s of the file"
+    assert lost == f"{count} messages recorded {span} are lost"
+    assert remedy == f"`rtee log recover {path}` writes a file of the rest"
+    found = json.loads(run("info", path, "--json", *options)[1])
+    assert found["damage"] == found["notes"] == [told.removeprefix("note: ")]
+    # The digest at the end still has those of the damaged chunk.
+    assert [goal["outcome"] for goal in found["goals"]] == ["reached", "held"]
+    rest = info([recover(path, tmp_path / "rest.mcap").path])
+    assert rest.damage == ()
+    left, all_there = (sum(t.messages for t in each.topics) for each in (rest, info([story])))
+    assert left == all_there - count
+
+
+def test_info_says_what_a_damaged_chunk_of_a_cut_off_file_held(story: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    with_damage(story, path, 0)
+    path.write_bytes(path.read_bytes()[:-300])
+    damage, unclosed = info([path]).notes
+    assert "a chunk cannot be decompressed" in damage
+    assert f"`rtee log recover {path}` writes a file of the rest" in damage
+    assert "the file was not closed" in unclosed
+
+
+def test_info_of_a_large_recording_says_that_only_its_end_was_read(
+    story: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "damaged.mcap"
+    with_damage(story, path, 2)
+    monkeypatch.setattr("rtee.log.info._READ_WHOLE", path.stat().st_size - 1)
+    _, out = run("info", path)
+    assert "only the end was read; --deep also looks for damage in the rest" in out
+    assert "are lost" not in out
+    assert json.loads(run("info", path, "--json")[1])["checked"] is False
+    _, out = run("info", path, "--deep")
+    assert "only the end" not in out
+    assert "are lost" in out
+
+
+def test_many_damaged_chunks_are_told_in_few_words(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 450)
+    log.writer.close()
+    (path,) = recorded(tmp_path)
+    chunks = len(index_file(path).chunks)
+    for number in range(1, chunks):
+        with_damage(path, path, number)
+    *first, others = read(path).damage
+    assert len(first) == 5
+    assert others == f"further damaged chunks, which are lost: {chunks - 6}"
+    (told,) = info([path]).damage
+    assert told.count(" are lost; ") == 5
+    assert others in told
+
+
+def with_damage(recording: Path, path: Path, number: int) -> ChunkPlace:
+    """Write a recording with some bytes in the middle of a chunk overwritten; return its place."""
+    place = index_file(recording).chunks[number]
+    data = bytearray(recording.read_bytes())
+    middle = place.record.offset + place.record.length // 2
+    data[middle : middle + 20] = b"\xa5" * 20
+    path.write_bytes(data)
+    return place
 
 
 def test_pieces_give_the_same_tables_and_the_same_plot(
