@@ -73,6 +73,7 @@ def test_a_damaged_chunk_is_left_out_and_the_rest_kept(story: Path, tmp_path: Pa
     output = tmp_path / "sound.mcap"
     done = recover(path, output)
     assert done.damaged == 1
+    assert done.lost_bytes == 0  # it was closed
     assert path.read_bytes() == data
     ticks = read(output).actuator_states.tick.tolist()
     assert 0 < len(ticks) < 200
