@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patient import patient_gripper
 
 import rtee
 from rtee.remote.directory import VARIABLE
@@ -35,6 +36,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(VARIABLE, str(folder / "run"))
         patch.setenv("MPLBACKEND", "agg")
+        patch.setenv("RTEE_CONFIG_PATH", str(folder / "config"))
+        patient_gripper(folder / "config", ROOT)
         patch.chdir(folder)
         with (
             running_hand("robotiq_2f_85", folder=folder, object="50mm"),
