@@ -62,6 +62,7 @@ class AllTests(pytest.Item):
     def run(self, nextitem: pytest.Item | None) -> None:
         """Collect the tests and run them; ``nextitem`` comes after the last."""
         session, hook = self.session, self.config.hook
+        gc.collect()  # what is frozen now is never looked at again
         with collecting():
             tests = list(session.genitems(self.parent.module))
         hook.pytest_collection_modifyitems(session=session, config=self.config, items=tests)

@@ -116,8 +116,9 @@ def _mark_as_heavy(items: list[pytest.Item], *, one: bool) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let the processes of ``-n`` share out files, unless some tests are chosen by their names."""
-    chosen = config.option.markexpr or config.option.keyword or config.option.deselect
+    """Let the processes of ``-n`` share out files, unless an option chooses or orders tests."""
+    names = ("markexpr", "keyword", "deselect", "lf", "failedfirst", "newfirst", "stepwise")
+    chosen = any(getattr(config.option, name, None) for name in names)
     if hasattr(config, "workerinput") and not chosen and not any("::" in w for w in config.args):
         config.pluginmanager.register(by_file)
 

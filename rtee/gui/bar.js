@@ -99,7 +99,7 @@
     const text = typing(event.target) && event.target !== sent;
     if (text && event.key === "Enter") {
       const field = sent = event.target;
-      return setTimeout(() => { field.blur(); sent = null; }); // once viser has sent it
+      return setTimeout(() => { field.blur(); if (sent === field) sent = null; }); // once viser has sent it
     }
     if (text || !(event.key === "Escape" || event.key.toLowerCase() === "s")) return;
     stop();

@@ -1,4 +1,4 @@
-"""Summarise a recording without reading all of it."""
+"""Summarise a recording, a large one without reading all of it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from rtee.errors import LogError
 from rtee.log.brief import SECOND, Brief, brief, check_hands, rate_of, spans_of
 
 _READ_WHOLE = 64_000_000
@@ -180,8 +181,11 @@ def _checked(end: Brief) -> Brief:
     """
     from rtee.log.file_index import MOST_TOLD, damaged_chunks, index_file, others_damaged
 
-    file = index_file(end.path)
-    lost = [*damaged_chunks(file)]
+    try:
+        file = index_file(end.path)
+        lost = [*damaged_chunks(file)]
+    except LogError as error:  # the disk does not give all of it
+        return _noted(end, end.notes, [str(error)], recoverable=False)
     told = [file.lost(place, error) for place, error in lost[:MOST_TOLD]]
     if len(lost) > MOST_TOLD:
         told.append(others_damaged(len(lost) - MOST_TOLD))
@@ -189,7 +193,7 @@ def _checked(end: Brief) -> Brief:
         replace(end, finished=file.finished),
         file.notes,
         (*file.damage, *told),
-        recoverable=bool(file.repairable or lost),
+        recoverable=not file.loose and bool(file.repairable or lost),
     )
 
 
@@ -197,7 +201,7 @@ def _whole(path: Path) -> Brief:
     """Read all of a file, which need not be closed or written by rtee."""
     # Only here: NumPy and what imports it take longer than most summaries.
     from rtee.log.digest import lines_of
-    from rtee.log.file_index import index_file
+    from rtee.log.file_index import damaged_chunks, index_file
     from rtee.log.reader import read_indexed
     from rtee.messages.topics import DIGESTED
 
@@ -220,11 +224,12 @@ def _whole(path: Path) -> Brief:
         told=list(lines_of(recording)),
         finished=recording.finished,
     )
+    repairable = file.repairable or any(True for _ in damaged_chunks(file))
     return _noted(
         summary,
         recording.notes,
         recording.damage,
-        recoverable=bool(file.repairable or len(recording.damage) > len(file.damage)),
+        recoverable=not file.loose and bool(repairable),
     )
 
 

@@ -69,6 +69,9 @@ _CHUNK = 65536
 _LINK_WITHIN = 5.0
 """Time for a gateway to reach the hand on the same computer [s]."""
 
+_LOOK_FOR = 1.0
+"""Time for the hand to answer that it is alive [s]: a round trip or two."""
+
 _POLL = 0.01
 """Interval of checks for something that takes milliseconds [s]."""
 
@@ -218,7 +221,7 @@ class _Gate:
         # Clients look for this token first, which arrives some time after the link is open.
         alive = network_key(hand_name, ALIVE)
         while not any(
-            reply.ok for reply in self._session.liveliness().get(alive, timeout=_LINK_WITHIN)
+            reply.ok for reply in self._session.liveliness().get(alive, timeout=_LOOK_FOR)
         ):
             if monotonic.now() > until:
                 self.close()

@@ -49,8 +49,8 @@ RUNTIME: Final = _runtime(1)
 
 _RELAY: Final = _runtime(CONNECTIONS_OF_CERTIFICATE + CONNECTIONS_FOR_STOPS + 2)
 """Zenoh's threads in a process that passes messages on. Each connection keeps one for as long as
-the hand is slow to take what it sends, and no certificate must keep all of them from others. The
-last two receive from the hand and from those others."""
+the hand is slow to take what it sends, and no certificate must keep all of them from others at the
+door, which limits its connections. The last two receive from the hand and from those others."""
 
 os.environ.setdefault(RUNTIME_VARIABLE, RUNTIME)
 
