@@ -135,6 +135,34 @@ async def test_connections_that_say_nothing_keep_nobody_out(
                 assert (await remote.status()).hand == "small"
 
 
+STOPS = """
+import asyncio, sys
+import rtee
+from rtee.remote.client import stop_hand
+
+async def main():
+    for _ in range(int(sys.argv[2])):
+        async with rtee.connect(endpoint=sys.argv[1]) as remote:
+            print(await remote.stop())
+    for _ in range(int(sys.argv[3])):
+        print((await stop_hand(endpoint=sys.argv[1]))[1])
+
+asyncio.run(main())
+"""
+"""Stops the hand at an address so often after connecting, and so often without."""
+
+
+async def stopped(endpoint: str, connecting: int, without: int) -> None:
+    """Stop the hand so often in another process.
+
+    In this one, one thread receives for the hand, for the flood and for its other clients.
+    """
+    stops = child.python("-c", STOPS, endpoint, str(connecting), str(without))
+    done = await anyio.run_process(stops, env=child.environment(), check=False)
+    said = done.stdout.decode().splitlines()
+    assert said == ["{'sim': True}"] * (connecting + without), done.stderr.decode()[-500:]
+
+
 async def test_a_flood_of_hello_keeps_no_other_certificate_out(
     hand: Hand,
     library: ActionLibrary,
@@ -156,26 +184,12 @@ async def test_a_flood_of_hello_keeps_no_other_certificate_out(
         try:
             await anyio.sleep(0.5)
             as_user(people.add("bob", Role.OBSERVER))
-            for _ in range(4):
-                async with rtee.connect(endpoint=endpoint) as remote:
-                    assert await remote.stop() == {"sim": True}
+            await stopped(endpoint, 4, 1)
             assert await stop_hand("small") == ("small", {"sim": True})
         finally:
             ended.set()
             thread.join()
             session.close()
-
-
-STOPS = """
-import asyncio, sys
-from rtee.remote.client import stop_hand
-
-async def main():
-    for _ in range(8):
-        print(await stop_hand(endpoint=sys.argv[1]))
-
-asyncio.run(main())
-"""
 
 
 async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
@@ -210,15 +224,11 @@ async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
         try:
             await anyio.sleep(0.5)
             as_user(bob)
-            # In another process: here, one thread receives for the hand and for its clients.
-            stops = child.python("-c", STOPS, endpoint)
-            done = await anyio.run_process(stops, env=child.environment(), check=False)
+            await stopped(endpoint, 0, 8)
         finally:
             ended.set()
             for thread in threads:
                 thread.join()
-    said = done.stdout.decode().splitlines()
-    assert said == ["('small', {'sim': True})"] * 8, done.stderr.decode()[-500:]
 
 
 async def test_a_door_that_dies_is_opened_again(
