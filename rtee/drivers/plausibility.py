@@ -227,7 +227,9 @@ class Plausibility:
             if travel > self._leap[i]:
                 # A device may repeat an answer until it has a new one.
                 repeated = min(stamp - self._changed[i], _SPARE)
-                self._leaping_until[i] = stamp + _AGREEING * max(stamp - before, repeated)
+                # After a silence, as of a cable that was out, it is measured as often as before.
+                interval = min(stamp - before, _LONGEST_INTERVAL)
+                self._leaping_until[i] = stamp + _AGREEING * max(interval, repeated)
             rest = left + rate * (stamp - before) - travel
             self._left[i] = most if rest > most else rest if rest > 0.0 else 0.0
             if rest < 0.0:

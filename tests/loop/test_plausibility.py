@@ -180,6 +180,15 @@ def test_what_is_not_measured_anew_leaves_the_time_for_its_way() -> None:
     assert len(told) == 1
 
 
+def test_a_silence_is_no_interval_between_measurements() -> None:
+    plausible, _ = watched()
+    for tick in range(100):
+        plausible.step(tick * 0.001, [0.5], [True], [True], [0.0])
+    plausible.step(5.0, [1.2], [True], [True], [0.0])  # somebody has moved it meanwhile
+    assert plausible.leaping([0], 5.1)
+    assert not plausible.leaping([0], 5.7), "as if it were measured every five seconds"
+
+
 def test_far_outside_of_the_limits_is_told_but_may_come_back() -> None:
     plausible, told = watched()
     for tick in range(2000):
