@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 TEST_PROCESSES ?= 6
-# The processes learn of the tests file by file, so nobody knows what share has been done.
+# The processes learn of the tests file by file, so a percentage of them would be wrong.
 TOGETHER = -n $(TEST_PROCESSES) -o console_output_style=classic
 
 # Where it is set, each process would compile all modules anew.

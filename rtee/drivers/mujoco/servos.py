@@ -103,11 +103,11 @@ def effort_note(hand: Hand) -> list[str]:
         f"{_assumed(each):g} {'N' if each.kind is JointKind.PRISMATIC else 'N·m'}"
         for each in lacking
     )
-    several = len(lacking) > 1
+    several, are = len(lacking) > 1, "are" if len(limits) > 1 else "is"
     where = "hand.yaml" if hand.folder is None else hand.folder / "hand.yaml"
     return [
         f"no effort limit for actuator{'s' * several} {', '.join(each.name for each in lacking)}; "
-        f"{' and '.join(limits)} is assumed, so the forces of a grasp are not those of the hand; "
+        f"{' and '.join(limits)} {are} assumed, so forces of a grasp are not those of the hand; "
         f"state {'each' if several else 'it'} under limits: in {where}, as "
         f"{lacking[0].name}: {{effort: …}}"
     ]

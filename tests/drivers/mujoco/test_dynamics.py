@@ -108,7 +108,7 @@ def test_a_large_effort_limit_is_no_missing_one(tmp_path: Path) -> None:
     )
     (note,) = effort_note(replace(lacking, actuators=both))
     assert note.startswith(
-        "no effort limit for actuators turn, slide; 10 N·m and 1000 N is assumed"
+        "no effort limit for actuators turn, slide; 10 N·m and 1000 N are assumed"
     )
 
 
