@@ -244,6 +244,7 @@ class Controller:
         self._holding: set[int] = set()
         self._kept: frozenset[int] = frozenset()
         self._settling: dict[int, float] = {}
+        self._jogged: dict[int, float] = {}
         self._thermal_due = self._limited_reported = -math.inf
         self.starts.set(dict(enumerate(hand.rest.tolist())))
         nothing = [math.nan] * n
@@ -428,6 +429,7 @@ class Controller:
     def _leave_hold(self, indices: Iterable[int]) -> None:
         for i in indices:
             self._settling.pop(i, None)
+            self._jogged.pop(i, None)
             self._holding.discard(i)
         self._contact.forget(indices)
         self._reflexes.forget(indices)
@@ -446,6 +448,8 @@ class Controller:
             self.max_velocity[i] = limit
         others = set(range(self._profile.size)) - set(targets) if running else ()
         self._profile.go(targets, brake=others, velocity=velocity)
+        # What has just become active starts from where this tick measures it, and goes on then.
+        self._jogged |= {i: value for i, value in targets.items() if i in self.starts.unplaced}
 
     def _set_active(self, active: Mapping[str, bool], stamp: float) -> None:
         for name, flag in active.items():
@@ -545,6 +549,11 @@ class Controller:
         # A goal may have begun between activation, or a freeze, and this tick.
         if started := starts.step(stamp, measured):
             self._executor.seeded(started, stamp, measured)
+        if self._jogged:
+            again = {i: value for i, value in self._jogged.items() if i in started}
+            self._profile.go(again, velocity={i: self.max_velocity[i] for i in again})
+            # Not at a later tick: a hand must not move long after somebody asked for it.
+            self._jogged = {}
         if starts.unplaced and (doubts := self.doubts(starts.unplaced)):
             self._fail(starts.unplaced, stamp, doubts)
         if stamp >= self._thermal_due:

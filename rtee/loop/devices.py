@@ -98,11 +98,13 @@ class Devices:
         """Whether any device may be moved."""
         return any(self._active.values())
 
-    def follow(self, steer: Steer, on_lost: Callable[[str], None]) -> None:
+    def follow(self, begin: Steer, steer: Steer, on_lost: Callable[[str], None]) -> None:
         """Detect devices that became active or inactive, or that refused a reference.
 
         Args:
-            steer: Called with the resulting commands for the controller.
+            begin: Called with commands for the controller when a device became active: they come
+                before the goals that wait, which may have arrived since then.
+            steer: Called with all others, which come afterwards: what waits may be the reason.
             on_lost: Called with the reason when a device became inactive while others are active.
         """
         active = self._active
@@ -111,11 +113,13 @@ class Devices:
             if not device.indices:  # it only measures, and moves nothing
                 continue
             if (link.lifecycle is Lifecycle.ACTIVE) is not active[device.name]:
-                self._follow(device, steer, on_lost)
+                self._follow(device, begin, steer, on_lost)
             if link.rejected:
                 self._refused(device, steer)
 
-    def _follow(self, device: Supervisor, steer: Steer, on_lost: Callable[[str], None]) -> None:
+    def _follow(
+        self, device: Supervisor, begin: Steer, steer: Steer, on_lost: Callable[[str], None]
+    ) -> None:
         names = device.actuators
         if device.active:
             # The reference starts from the measured position, so there must be a valid one.
@@ -123,8 +127,8 @@ class Devices:
                 self._active[device.name] = True
                 accepts = "max_effort" in device.guarded.capabilities.accepts
                 # Before `SetActive`, after which the first references are sent.
-                steer(SetAcceptsEffort(dict.fromkeys(names, accepts)))
-                steer(SetActive(dict.fromkeys(names, True)))
+                begin(SetAcceptsEffort(dict.fromkeys(names, accepts)))
+                begin(SetActive(dict.fromkeys(names, True)))
             return
         self._active[device.name] = False
         text = f"device '{device.name}': {device.connection.trouble}"
@@ -154,11 +158,13 @@ class Devices:
             self.by_name[device].warn(kind, text)
 
     def movable(self) -> frozenset[int]:
-        """Return the actuators that may be moved."""
+        """Return the actuators that may be moved, from the next tick on; any thread may ask."""
         active = (
             device
             for device in self._all
-            if self._active[device.name] and "position" in device.guarded.capabilities.accepts
+            if device.active
+            and (self._active[device.name] or self.state.known(device))
+            and "position" in device.guarded.capabilities.accepts
         )
         return frozenset().union(*(device.indices for device in active))
 

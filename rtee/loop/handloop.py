@@ -151,13 +151,8 @@ class HandLoop:
         Raises:
             UserError: if a mistake in the configuration keeps a device from ever connecting.
         """
-        try:
-            for device in self.devices.values():
-                await device.ready()
-        finally:
-            # A goal may arrive before the first tick, which otherwise detects the active devices.
-            self._devices.state.collect()
-            self._devices.follow(self._pending.append, self._on_lost)
+        for device in self.devices.values():
+            await device.ready()
 
     def end(self) -> None:
         """End all goals after the last tick; the observers receive their results."""
@@ -184,7 +179,11 @@ class HandLoop:
         devices, state, controller = self._devices, self._devices.state, self.controller
         # Sense: collect the states that the devices have returned since the last tick.
         state.collect(stamp)
-        devices.follow(self._pending.append, self._on_lost)
+        devices.follow(
+            lambda command: self._begin(command, tick.number, stamp),
+            self._pending.append,
+            self._on_lost,
+        )
         # Start goals and apply commands, in the order of their arrival.
         while self._pending:
             self._begin(self._pending.popleft(), tick.number, stamp)

@@ -27,7 +27,7 @@ from rtee.hand.model import Hand
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
-from rtee.types import DeviceStatus, Goal, Lifecycle, Named, Reference
+from rtee.types import DeviceStatus, Goal, Intensity, Lifecycle, Named, Reference
 
 from .hands import Rig, Watcher, device, make_library, running
 
@@ -165,6 +165,30 @@ async def test_after_recovery_the_reference_begins_where_the_hand_is(hand: Hand)
         assert [plant.position for plant in driver.plants] == [0.2, 0.9, -0.4, 0.03]
         assert status(rig).lifecycle is Lifecycle.ACTIVE
         assert (await rig.do("open")).reached
+
+
+@pytest.mark.parametrize("how", ["goal", "jog"])
+async def test_what_is_recovered_moves_without_waiting_for_a_tick(hand: Hand, how: str) -> None:
+    """A goal right after `recover` was refused, unless a tick came between them."""
+    one = device(hand)
+    driver = Trouble(one.spec, BusPool())
+    name, target = hand.actuator_names[0], float(hand.upper[0]) / 2.0
+
+    def move(rig: Rig) -> None:
+        if how == "goal":
+            rig.loop.submit(Goal(Named("Trig", ("index",)), Intensity(0.5)))
+        else:
+            rig.loop.jog({name: target})
+
+    async with running(hand, None, [(one, driver)]) as rig:
+        await rig.loop.disable()
+        await rig.run(0.1)
+        with pytest.raises(GoalRejected, match="recover"):
+            move(rig)
+        await rig.loop.recover()
+        move(rig)
+        await rig.run(2.0)
+        assert driver.plants[0].position == pytest.approx(target)
 
 
 async def test_a_device_may_be_configured_to_come_back_active(hand: Hand) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.commands import BeginStream, EndStream, StreamSample
 from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.errors import GoalRejected
 from rtee.hand.config_schema import Behaviour
 from rtee.hand.model import Hand
 from rtee.loop.handloop import bring_to_rest
@@ -145,6 +147,8 @@ async def test_an_unmeasured_device_gets_no_reference_until_it_is_measured(
         driver.how = how
         driver.sent.clear()
         await rig.loop.recover()
+        with suppress(GoalRejected):
+            rig.loop.jog({hand.actuator_names[0]: hand.actuators[0].lower})
         await rig.run(0.3)
         assert next(iter(rig.loop.devices.values())).lifecycle is Lifecycle.ACTIVE
         assert driver.sent == []
@@ -152,6 +156,7 @@ async def test_an_unmeasured_device_gets_no_reference_until_it_is_measured(
         await rig.run(1.5)  # half a second until what was far outside is believed again
         upper = [actuator.upper for actuator in hand.actuators]
         assert driver.sent[0].position == pytest.approx(upper)
+        assert driver.sent[-1].position == pytest.approx(upper), "not moved by what came too early"
 
 
 @pytest.mark.parametrize("how", ["invalid", "one invalid", "old", "repeated"])
