@@ -170,7 +170,7 @@ def plot(
 
     if by is not None and by not in list(PlotSubject):
         raise LogError(f"--by should be 'actuator' or 'finger', not '{by}'")
-    pieces = read_for(_paths(file, series), start, end)
+    pieces = _telling(read_for(_paths(file, series), start, end))
     recording = next(pieces)
     drawing = figure(
         chain((recording,), pieces),
@@ -247,7 +247,7 @@ def export(
         kind = "npz" if output.suffix == ".npz" else "csv"
     if kind not in list(Format):
         raise LogError(f"--format should be csv, parquet or npz, not '{kind}'")
-    pieces = read_for(_paths(file, series), topic or ())
+    pieces = _telling(read_for(_paths(file, series), topic or ()))
     for path in write(pieces, output, Format(kind), topic or ()):
         print(path)
 

@@ -120,6 +120,19 @@ def test_info_says_what_a_damaged_chunk_held_and_what_to_do(
     assert left == all_there - count
 
 
+@pytest.mark.parametrize("command", ["plot", "export"])
+def test_what_is_made_of_a_damaged_recording_says_what_is_missing(
+    story: Path, tmp_path: Path, command: str
+) -> None:
+    path = tmp_path / "damaged.mcap"
+    with_damage(story, path, 2)
+    options = ("--no-png", "--out") if command == "plot" else ()
+    status, out = run(command, path, *options, tmp_path / "made")
+    assert status == 0
+    (note,) = [line for line in out.splitlines() if line.startswith("note: ")]
+    assert "are lost" in note
+
+
 def test_info_says_what_a_damaged_chunk_of_a_cut_off_file_held(story: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     with_damage(story, path, 0)
