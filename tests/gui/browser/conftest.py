@@ -50,12 +50,13 @@ for (const name of ["clear", ...kinds.map((kind) => `draw${kind}`)]) {
 }
 const frame = window.requestAnimationFrame.bind(window);
 window.requestAnimationFrame = (seen) =>
-  window.drawing ? frame(seen) : setTimeout(() => seen(performance.now()), 100);
+  window.drawing ? frame(seen) : -setTimeout(() => seen(performance.now()), 100);
 const cancel = window.cancelAnimationFrame.bind(window);
-window.cancelAnimationFrame = (number) => (clearTimeout(number), cancel(number));
+window.cancelAnimationFrame = (number) => (number < 0 ? clearTimeout(-number) : cancel(number));
 """
 """Draws the 3D view, in which the processor draws each frame for 0.4 s, only while somebody looks
-at it; and prepares ten frames a second at other times, not sixty."""
+at it; and prepares ten frames a second at other times, not sixty. Numbers of timers are negated:
+one may be that of a frame, too, which nobody has cancelled."""
 
 _NOTE_WHAT_IS_TOLD = """
 window.told = [];

@@ -44,11 +44,15 @@ WebSocket.prototype.send = function (data) {
 _DRAW = """
 async () => {
   window.drawing = true;
-  await new Promise((go) => setTimeout(go, 100));
-  for (let frame = 0; frame < 2; frame++) await new Promise(window.requestAnimationFrame);
+  const after = (seconds) => new Promise((go) => setTimeout(go, 1000 * seconds));
+  await after(0.1);
+  for (let frame = 0; frame < 2; frame++)
+    await Promise.race([new Promise(window.requestAnimationFrame), after(10)]);
 }
 """
-"""Draws the 3D view as it is now: the frame that was waiting, then one, and what follows it."""
+"""Draws the 3D view as it is now: the frame that was waiting, then one, and what follows it.
+
+A browser may owe a frame until the picture is taken, which makes it draw one."""
 
 _ROOM = """
 (control) => {
