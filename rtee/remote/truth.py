@@ -102,6 +102,7 @@ class Truth:
         self._since = ""
         self._fingers: tuple[str, ...] = ()
         self._word = False  # the devices' own word of a grasp
+        self._doubted = False  # by the last result, the force may be that of the hand on itself
         self._over = ""  # the goal that ended last, which the status may still call running
         self._halted = ""  # the goal that the last stop ended, as far as is known
         self._halted_until = -math.inf
@@ -121,8 +122,13 @@ class Truth:
         elif self.grip is HeldObject.HOLDING:
             if before or measured < _NOTHING:
                 self._conclude(HeldObject.UNKNOWN if self.moving else HeldObject.LOST)
-        # Without a result: a grasp from before this page, or by other means than a goal.
-        elif self.grip is HeldObject.UNKNOWN and measured > _FELT and not self.moving:
+        # Without a result: a grasp from before this page, or by other means than a goal. Tips that
+        # meet press on one another.
+        elif (
+            self.grip is HeldObject.UNKNOWN
+            and not (self._doubted or self.moving or state.opening == 0.0)
+            and measured > _FELT
+        ):
             self._conclude(HeldObject.HOLDING)
 
     def on_status(self, status: HandStatus) -> None:
@@ -134,6 +140,7 @@ class Truth:
         if self.moving:
             self._turn(status.action, status.goal_id)
             self.stopped = Words("")
+            self._doubted = False
             if not begun and not self._word:  # the object may have been released
                 self._conclude(HeldObject.UNKNOWN)
         if self.ill:
@@ -143,6 +150,7 @@ class Truth:
         """Take the result of any client's goal."""
         self._over = result.goal_id
         self._turn(result.action, result.goal_id)
+        self._doubted = result.unknown
         early = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
         if result.grasped:
             self._fingers = result.grasped_fingers

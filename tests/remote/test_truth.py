@@ -74,6 +74,19 @@ def test_what_sensors_feel_counts_without_a_result_and_against_one(truth: Truth)
     assert truth.grip is HeldObject.EMPTY
 
 
+def test_a_force_that_may_be_the_hands_own_is_no_object(truth: Truth) -> None:
+    truth.on_state(replace(PRESSED, opening=0.0))
+    assert truth.grip is HeldObject.UNKNOWN
+    truth.on_result(Result("1", "PinchTight", unknown=True))
+    truth.on_state(replace(PRESSED, opening=0.002))
+    assert truth.held().text == "not known whether something is held"
+    # Moved by other means than a goal of which a result would tell.
+    truth.on_status(status(goal_id="2", action="Grasp"))
+    truth.on_status(status())
+    truth.on_state(PRESSED)
+    assert truth.grip is HeldObject.HOLDING
+
+
 def test_what_was_held_is_not_known_while_something_moves(truth: Truth) -> None:
     truth.on_result(HELD)
     truth.on_status(status(goal_id="1"))  # asked for before the result came
