@@ -53,7 +53,7 @@ class Step:
 STEPS = (
     Step("Trig", 60, "reached", 0.6),
     Step("Grasp", 80, "reached", 0.8),
-    Step("PinchTight", 100, "held", None),
+    Step("PinchTight", 100, "closed", None),
 )
 """After each the person presses Open."""
 
@@ -165,7 +165,7 @@ class _Person:
         self._page = page
         page.goto(address)
         page.get_by_text(f"{HAND}: connected").wait_for()
-        page.get_by_role("button", name="Do", exact=True).first.wait_for()
+        page.get_by_role("button", name="Run", exact=True).first.wait_for()
         for notice in page.locator(".mantine-Notification-closeButton").all():
             notice.click()
 
@@ -176,20 +176,17 @@ class _Person:
         page = self._page
         search = self._field("Search")
         search.fill(step.action)
-        others = {other.action for other in STEPS} - {step.action}
-        for other in others:
-            page.get_by_text(other, exact=True).locator("visible=true").first.wait_for(
-                state="detached"
-            )
-        title = page.get_by_text(step.action, exact=True).locator("visible=true").first
+        for other in {other.action for other in STEPS} - {step.action}:
+            self._title(other).wait_for(state="detached")
+        title = self._title(step.action)
         title.wait_for()
         if title.locator(".tabler-icon-chevron-down").count():  # it is folded
             title.click()
         intensity = self._field("Intensity [%]")
         intensity.fill(str(step.intensity))
         intensity.press("Enter")
-        page.get_by_role("button", name="Do", exact=True).first.click()
-        word = page.get_by_text(re.compile(r"^(reached|held|stalled|timed out|aborted)"))
+        page.get_by_role("button", name="Run", exact=True).first.click()
+        word = page.get_by_text(re.compile(r"^(reached|held|closed|stalled|timed out|aborted)"))
         try:
             word.locator("visible=true").first.wait_for()
         except NotThere as error:
@@ -200,8 +197,8 @@ class _Person:
         return said, self._position(at, within)
 
     def open(self) -> float:
-        """Press Open; returns where the claw is when it stands [rad]."""
-        self._page.get_by_role("button", name="Open", exact=True).first.click()
+        """Press Open hand; returns where the claw is when it stands [rad]."""
+        self._page.get_by_role("button", name="Open hand", exact=True).first.click()
         return self._position(0.0, TOLERANCE)
 
     def look(self) -> bytes:
@@ -233,6 +230,11 @@ class _Person:
             self._page.wait_for_timeout(300)
             before, now = now, cell.inner_text()
         return float(now)
+
+    def _title(self, action: str) -> Locator:
+        """Return the title of an action's card."""
+        titles = self._page.locator("div.mantine-Paper-root > div.mantine-Paper-root:visible")
+        return titles.filter(has_text=re.compile(f"^{action}$")).first
 
     def _field(self, label: str) -> Locator:
         """Return the first visible field with a label to type into."""

@@ -271,7 +271,7 @@ class ThermalSettings(Section, frozen=True):
     warn: float = 60.0
     """Temperature above which a warning is given."""
     derate: float = 70.0
-    """Temperature above which the effort limit decreases, down to 0 at ``disable``."""
+    """Temperature above which the effort limit decreases, down to a tenth at ``disable``."""
     disable: float = 80.0
     """Temperature above which the actuator's device is disabled."""
     nominal_current: Mapping[str, Positive] = field(default_factory=dict)
