@@ -96,7 +96,7 @@ class TickStatistics:
         rate: Configured rate [Hz].
 
     Attributes:
-        started: Whether the first tick has passed, which has no busy time yet.
+        started: Whether the first tick has passed; it has no busy time.
     """
 
     def __init__(self, rate: float) -> None:
@@ -179,13 +179,13 @@ class Tick:
 
 
 class AnyClock(Protocol):
-    """The interface of a clock that the loop needs."""
+    """The clock interface that the loop needs."""
 
     rate: float
     period_ns: int
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
-        """Call a function at every tick, until cancelled, it raises, or the clock ends."""
+        """Call a function at every tick until cancelled, or until it raises or the clock ends."""
 
 
 def _period_ns(rate: float) -> int:
@@ -204,7 +204,7 @@ class _TickTimer(timerfd.Timer):
         super().__init__(self._start, period_ns)
 
     def tick(self, passed: int) -> Tick:
-        """Return the tick for some expiries since the last tick; all but one were missed."""
+        """Return the tick after the given number of expiries, all but one of which were missed."""
         woken, wall = monotonic.now_ns(), time.time_ns()
         if self._number < 0:
             # Late for the first tick: counting starts here, so that nothing counts as missed.
@@ -236,7 +236,7 @@ class Clock:
         self.uses_timerfd = use_timerfd and timerfd.available() and not on_simulated_time()
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
-        """Call a function at every tick, until cancelled or it raises."""
+        """Call a function at every tick until it raises or the task is cancelled."""
         await (self._by_timer if self.uses_timerfd else self._by_sleep)(function)
 
     async def _by_timer(self, function: Callable[[Tick], None]) -> None:
@@ -294,7 +294,7 @@ class ManualClock:
         rate: Ticks per second of the clock's own time [Hz].
         ticks: Number of ticks after which `drive` returns; ``None``: never.
         start: The clock's time at the beginning [s].
-        turns: Most turns of the event loop that the other tasks get between two ticks; in
+        turns: Largest number of event-loop turns that the other tasks get between two ticks; in
             simulated time, fewer if all of them wait.
     """
 

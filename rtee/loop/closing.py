@@ -1,4 +1,4 @@
-"""Speeds at which fingers go around an object, and meet it."""
+"""Speeds at which fingers move around an object and meet it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rtee.loop.plan import Plan
 from rtee.types import Around
 
 _CONTACT_SPEED: Final = 0.01
-"""Least closing speed of the opening for a goal with a force [m/s]: that of a touch, which crosses
+"""Lowest closing speed of the opening for a goal with a force [m/s]: that of a touch, which crosses
 the margin within a second."""
 
 _SPEED_PER_FORCE: Final = 2e-3
@@ -21,50 +21,50 @@ _SPEED_PER_FORCE: Final = 2e-3
 a 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
 
 _AROUND_SPEED: Final = 0.15
-"""Largest speed of the opening of fingers of several actuators on their path around an object
-[m/s]: servos that integrate their error overshoot by some 20 ms of their motion, less than the
-margin."""
+"""Highest speed of the opening on the path around an object, for fingers with several actuators
+[m/s]: servos with integral control overshoot by some 20 ms of motion, less than the margin."""
 
 _BLOW: Final = 0.8
-"""Share of the requested force that the blow of the closing fingers may have: the force itself is
-built up later."""
+"""Share of the requested force that the impact of the closing fingers may reach: the force itself
+is built up later."""
 
 _MOST_BLOW: Final = 1.3
-"""Such a share on the path around the object, where fingers should not meet it yet, but may if it
-lies askew or deep in the hand."""
+"""The same share on the path around the object, where fingers meet it only if it lies askew or deep
+in the hand."""
 
 _LEAST_BLOW: Final = 1.0
-"""A blow may be as large as this in any case, or exceed the force by it on the path around [N]."""
+"""An impact of this size is always allowed, as is an excess of this size on the path around [N]."""
 
 _STOPPING: Final = 0.0013
-"""Time in which an object stops what moves with the fingers [s]: in MuJoCo, an EGU that closes at
-90 mm/s strikes with 140 N (1.5 ms), an SVH at 52 mm/s with 2.6 N (1.1 ms). Rubber pads take longer,
-and the blow is then softer."""
+"""Time in which an object stops the moving mass of the fingers [s]: in MuJoCo, an EGU that closes
+at 90 mm/s strikes with 140 N (1.5 ms), an SVH at 52 mm/s with 2.6 N (1.1 ms). Rubber pads take
+longer, which softens the impact."""
 
 _YIELDING: Final = 6.0
-"""Fingers that bend, of whose mass nothing is known, go around an object, and on once they met it,
-at this multiple of the speed at which they meet it: with less, light things fall before a SoftHand
-presses; with more, a 3-Finger strikes harder with its middles."""
+"""Multiple of the meeting speed at which bending fingers of unknown mass move around an object and
+continue after meeting it: with less, light objects fall before a SoftHand presses; with more, a
+3-Finger strikes harder with its middle links."""
 
 _CHATTERING: Final = 2.0
-"""They close at this multiple once most of the force is there: on what slides between them, they
-chatter the harder the faster they are; with less, light things slide out of a SoftHand."""
+"""The same multiple once most of the force is there: the faster the fingers, the harder they
+chatter on a sliding object; with less, light objects slide out of a SoftHand."""
 
 _DEPTH: Final = 1e-3
-"""Fingers of several actuators press with about the force when their references lead so far into an
-object [m]: they and their servos yield by that, or more."""
+"""Depth of the references inside an object at which fingers with several actuators press with about
+the force [m]: fingers and servos yield by this much or more."""
 
 _NOTICED: Final = 0.9
-"""A speed below this share of the one that was asked for is told: people see no less."""
+"""A speed below this share of the requested one is reported: a smaller difference goes
+unnoticed."""
 
 _SLOWEST: Final = 0.002
-"""Least closing speed by mass and lag [m/s]: the margin around an object takes five seconds."""
+"""Lowest closing speed by mass and lag [m/s]: crossing the margin then takes five seconds."""
 
 
 def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float) -> float:
     """Return the share of the velocity limits at which the opening changes at a speed [m/s].
 
-    Above 1 if the action is slower than that, at an intensity ``at``.
+    The share is above 1 if the action cannot reach that speed at an intensity ``at``.
     """
     slope = grip.slope_at(at)  # of the opening [m per unit of intensity]
     # The slowest actuator sets the time; all arrive together.
@@ -90,11 +90,10 @@ def checked_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) ->
 def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
     """Return the share of the velocity limits for a leg of a plan.
 
-    Around an object, fingers of several actuators are slower, since what is thrown past its place
-    there strikes the object. On the path, they strike with no more than a grasp may.
-    As they close on it, the force of the impact, before any reflex acts, comes from the inertia of
-    the motors and grows with the speed: the smaller the requested force, the slower the fingers
-    meet the object.
+    Around an object, fingers with several actuators move more slowly, since any overshoot strikes
+    the object. An impact on that path is no harder than a grasp allows. As they close on it, the
+    force of the impact, before any reflex acts, comes from the inertia of the motors and grows with
+    the speed: the smaller the requested force, the slower the fingers meet the object.
     """
     grip, force = plan.grip, plan.force
     if not isinstance(plan.to, Around) or force is None or grip is None:
@@ -109,14 +108,14 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
 
 
 def squeezing_speed(plan: Plan, hand: Hand) -> float:
-    """Return the share of the velocity limits once most of the force is there; 1: as before."""
+    """Return the share of the velocity limits once most of the force is there; 1: unchanged."""
     if plan.grip is None or not plan.grip.bends:
         return 1.0
     return min(_CHATTERING * leg_speed(plan, len(plan.legs) - 1, hand), 1.0)
 
 
 def slowed(plan: Plan, hand: Hand) -> str:
-    """Return the speed at which the fingers meet the object, in words; empty: as asked for."""
+    """Return a note that the fingers meet the object more slowly than requested, or empty."""
     share, grip, force = leg_speed(plan, len(plan.legs) - 1, hand), plan.grip, plan.force
     if grip is None or plan.width is None or force is None:
         return ""
@@ -149,10 +148,10 @@ def around_speed(force: float, grip: Grip, at: float) -> float:
 
 
 def _struck(blow: float, grip: Grip, at: float) -> float:
-    """Return the speed of the opening at which what moves strikes with a force [m/s].
+    """Return the opening speed at which the moving parts strike with a force [m/s].
 
-    What moves with the fingers, of mass ``m`` at the opening, is stopped within a time ``t`` by
-    ``m v / t``; infinite if the mass is not known.
+    Stopping a mass ``m`` that moves with the opening within a time ``t`` takes ``m v / t``. The
+    speed is infinite if the mass is not known.
     """
     mass = grip.moving_mass(at)
     return math.inf if mass != mass else blow * _STOPPING / mass
@@ -164,9 +163,9 @@ def _usual(force: float) -> float:
 
 
 def meeting_speed(force: float, grip: Grip, at: float, lag: float = 0.0) -> float:
-    """Return the closing speed of the opening at which the blow is not above a force [m/s].
+    """Return the closing speed of the opening at which the impact does not exceed a force [m/s].
 
-    It is in proportion to the force, and less where the mass that moves with the fingers is known
+    It is proportional to the force, and lower where the mass that moves with the fingers is known
     and would strike with more than `_BLOW` of it, or where the references lead too deep into the
     object before the fingers react.
 
@@ -184,6 +183,6 @@ def meeting_speed(force: float, grip: Grip, at: float, lag: float = 0.0) -> floa
 def closing_time(to: Around, force: float, grip: Grip) -> float:
     """Return the additional time of a goal that closes slowly on its object [s]."""
     at = grip.intensity_at(to.width)
-    # What is met on the way around is closed on from there.
+    # An object met on the way around is closed on from there.
     way = max(grip.width[0], to.width + MARGIN)
     return way / meeting_speed(force, grip, at) + way / around_speed(force, grip, at)

@@ -1,7 +1,7 @@
 """The rules by which evidence becomes a decision: touched, held, lost, slipped.
 
 Each is a pure function of what `rtee.loop.evidence.ContactMonitor` has found. To change when
-something counts as a contact is to change a function here, its test, and `VERSION`.
+something counts as a contact, change a function here, its test, and `VERSION`.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from rtee.loop.free_motion import FREELY
 
 VERSION: Final = 13
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
-was made by others."""
+was made with other rules."""
 
 _LOST_MOVE: Final = 0.02
-"""A grasp looks lost once the actuator has closed further by this share of its range [1], more than
-a soft object gives way."""
+"""A grasp looks lost once the actuator has closed further by this share of its range [1]: more than
+a soft object yields."""
 
 _WEAK: Final = 0.94
-"""A force that has arrived is raised again below this share of the requested one."""
+"""A force that was reached is raised again below this share of the requested one."""
 
 STRONG: Final = 1.06
-"""It is lowered again above this share, where efforts have risen by as much: sensors also measure
-the pull of the load, which must not loosen the grasp."""
+"""It is lowered again above this share if efforts have risen as much: sensors also measure the pull
+of the load, which must not loosen the grasp."""
 
 _OTHER_SIDE: Final = 0.1
-"""Least share of the force of one side that the other has to show: efforts of those that hold an
-object between them differ by a factor of 4 at most in simulation, and of others by 60."""
+"""Least share of one side's force that the other side must show: in simulation, efforts of sides
+that hold an object between them differ by a factor of 4 at most, those of other sides by 60."""
 
 _CREEP: Final = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
@@ -53,7 +53,7 @@ def any_touch(forces: Sequence[float], least: float, *, every: bool = False) -> 
         every: Whether each finger must touch, not just one.
 
     Returns:
-        ``None`` if a force is not measured, or there is none: that finger may be the one.
+        ``None`` if there are no forces, or one is not measured: that finger may be the one.
     """
     if not forces or any(force != force for force in forces):
         return None
@@ -77,7 +77,7 @@ def both_sides_touch(sides: Iterable[Sequence[float]], least: float) -> bool | N
 
 
 def one_touches(fingers: Sequence[bool | None]) -> bool | None:
-    """Return whether one of some fingers touches; ``None`` if one of them might, unmeasured."""
+    """Return whether any finger touches; ``None`` if only an unmeasured one might."""
     return True if True in fingers else None if None in fingers or not fingers else False
 
 
@@ -96,18 +96,17 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
 def presses(force: float, least: float, still: Iterable[bool]) -> bool:
     """Return whether fingers that stand still press on something, by their efforts alone.
 
-    Args:
-        force: The force between them by the efforts of those that stand still, besides weight and
+    force: The force between them by the efforts of those that stand still, net of weight and
+        friction [N].
             friction [N].
         least: The force to press with [N].
-        still: Whether on each side an actuator that presses, and whose friction is known, stands
-            still.
+        still: For each side, whether a pressing actuator of known friction stands still.
     """
     return force >= least and all(still)
 
 
 def pressing_share(effort: float, weight: float) -> float:
-    """Return the share of an effort that presses, besides weight and friction, all [N·m | N]."""
+    """Return the part of an effort that presses, net of weight and friction; all [N·m | N]."""
     return min(max(1.0 - weight / effort, 0.0), 1.0) if effort and weight == weight else 0.0
 
 
@@ -115,9 +114,9 @@ def force_rests(share: float, now: float, then: float) -> bool:
     """Return whether a force that was reached stays unchanged.
 
     Args:
-        share: The force in shares of the requested one.
+        share: The force as a share of the requested one.
         now: The force by efforts [N].
-        then: That when the force was reached [N].
+        then: The same when the force was reached [N].
     """
     if share <= STRONG:
         return share >= _WEAK
@@ -125,9 +124,9 @@ def force_rests(share: float, now: float, then: float) -> bool:
 
 
 def both_press(sides: Sequence[float]) -> bool:
-    """Return whether each side presses, by the forces that efforts show [N].
+    """Return whether each side presses, by the forces that follow from efforts [N].
 
-    Where one alone does, its fingers press on one another beside the object.
+    If only one side does, its fingers press on one another beside the object.
     """
     return not sides or min(sides) >= _OTHER_SIDE * max(sides)
 
@@ -160,16 +159,16 @@ def holds(
     """Return whether a blocked actuator holds something.
 
     A sensor at the fingertip is better evidence than efforts, which include friction: an actuator
-    that has not moved at all may be held by nothing else.
+    that has not moved at all may be stopped by friction alone.
 
     Args:
         felt: The verdict of the forces on its fingers, if any.
-        word: Whether its device says so, of this motion.
-        denied: Whether its device says that it holds nothing.
+        word: Whether its device reports so for this motion.
+        denied: Whether its device reports that it holds nothing.
         away: Whether the motion leads away from what is, or just was, held.
         moved: Whether it has moved in this motion, or held something before it.
         effort: Size of its effort [N·m | N]; ``NaN``: not measured.
-        least: Effort from which on it may hold something [N·m | N].
+        least: Least effort at which it may hold something [N·m | N].
     """
     if felt is not None:
         return felt and not away
@@ -177,15 +176,15 @@ def holds(
 
 
 def shows(grasping: bool, *, word: bool, effort: float, hard: float) -> bool:
-    """Return whether more than its position shows that an actuator presses on something.
+    """Return whether evidence other than its position shows that an actuator presses on something.
 
-    It is not enough that it stands still: a broken encoder does so, too.
+    Standing still is not enough: a broken encoder looks the same.
 
     Args:
         grasping: Whether it holds something.
         word: Whether its device says that it holds something.
         effort: Size of its effort [N·m | N]; ``NaN``: not measured.
-        hard: Effort from which on it presses [N·m | N].
+        hard: Least effort at which it presses [N·m | N].
     """
     return effort >= hard or word or grasping
 
@@ -198,21 +197,21 @@ def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
 
     Args:
         opening: The opening by the actuators' positions [m]; ``NaN``: not known.
-        doubt: How wide it may seem to be when the tips touch one another [m].
+        doubt: Largest opening that may be measured while the tips touch one another [m].
         word: Whether the device itself says that it holds something.
     """
     return opening <= doubt and not word
 
 
 def came_as_far(came: float, meets: float, early: float) -> bool:
-    """Return whether an actuator came as far as in the empty hand, all [rad | m].
+    """Return whether an actuator came as far as it does in the empty hand; all [rad | m].
 
     If so, another finger, or the hand, may have stopped it. What stops it earlier is an object.
 
     Args:
-        came: The farthest that it came from rest; a stronger one may have pushed it back.
+        came: The farthest it came from rest; a stronger actuator may have pushed it back.
         meets: Where a link that it moves first meets another one, or its target.
-        early: How far before that it may be stopped in the empty hand.
+        early: How far short of that the empty hand may stop it.
     """
     return came >= meets - early
 
@@ -238,7 +237,7 @@ def lost(
         tolerance: Position error that counts as none [rad | m].
         span: Its range [rad | m].
         effort: Size of its effort [N·m | N]; ``NaN``: not measured.
-        least: Effort from which on it may hold something [N·m | N].
+        least: Least effort at which it may hold something [N·m | N].
     """
     if felt is False:
         return True
@@ -256,7 +255,7 @@ def settled(*, steady: float, least: float, building: bool) -> bool:
     """Return whether a grasp has come to rest, so that a result may report it.
 
     Args:
-        steady: How long all actuators have been where they are, or blocked [s].
+        steady: How long all actuators have been in place or blocked [s].
         least: How long that must be [s].
         building: Whether the force is still being built up or corrected.
     """
@@ -297,7 +296,7 @@ def enough_touch(
     """
     if not touching:
         return False
-    # With one finger on either side, nothing is pushed away; a fixed jaw waits for the object.
+    # With one finger on either side, nothing is pushed away; a fixed jaw need not touch first.
     if sides:
         return all(touching & side for side in sides if fingers & side)
     return len(touching) >= min(least, len(fingers))

@@ -48,7 +48,7 @@ from rtee.types import Around, Event, Feedback, Result
 
 
 class ReferenceStart:
-    """Starts the references of a hand's actuators from measured positions, nowhere else.
+    """Starts the references of a hand's actuators, only from measured positions.
 
     Args:
         profile: Moves the reference.
@@ -60,8 +60,8 @@ class ReferenceStart:
         pressing: Effort at which an actuator presses, as a fraction of its limit.
 
     Attributes:
-        unplaced: Actuators that became active, but were not validly measured since; they have no
-            reference yet.
+        unplaced: Actuators that have become active but not been validly measured since; they have
+            no reference yet.
     """
 
     def __init__(
@@ -264,7 +264,7 @@ class Controller:
 
     @property
     def channels(self) -> Mapping[str, FloatArray]:
-        """Values computed besides the reference, by channel."""
+        """Values computed in addition to the reference, by channel."""
         found = {} if self.stream is None else dict(self.stream.channels)
         if self._reflexes.felt[0] == self._reflexes.felt[0]:
             found[GRIP_FORCE] = np.array(self._reflexes.felt)
@@ -339,10 +339,10 @@ class Controller:
             self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
 
     def _in_place(self, plan: Plan) -> tuple[Plan, dict[int, float]]:
-        """Return a grasp, without its approach if the object is held, and the grip's efforts.
+        """Return a plan, without its approach if the object is held, and the grip's efforts.
 
-        Opening first would drop the object. The new force is built up from the effort limits with
-        which it is held, by actuator [N·m | N].
+        Opening first would drop the object. The new force is built up from the effort limits that
+        hold it, by actuator [N·m | N].
         """
         held = [i for i in plan.involved if self._contact.grasping(i)]
         if not isinstance(plan.to, Around) or len(plan.legs) < 2 or not held:
@@ -448,7 +448,7 @@ class Controller:
             self.max_velocity[i] = limit
         others = set(range(self._profile.size)) - set(targets) if running else ()
         self._profile.go(targets, brake=others, velocity=velocity)
-        # What has just become active starts from where this tick measures it, and goes on then.
+        # A newly active actuator starts from the position measured in this tick.
         self._jogged |= {i: value for i, value in targets.items() if i in self.starts.unplaced}
 
     def _set_active(self, active: Mapping[str, bool], stamp: float) -> None:

@@ -102,9 +102,10 @@ class Devices:
         """Detect devices that became active or inactive, or that refused a reference.
 
         Args:
-            begin: Called with commands for the controller when a device became active: they come
-                before the goals that wait, which may have arrived since then.
-            steer: Called with all others, which come afterwards: what waits may be the reason.
+            begin: Called with commands for the controller when a device has become active; they
+                come before waiting goals, which may have arrived since then.
+            steer: Called with all other commands, which come after waiting ones: those may be the
+                reason.
             on_lost: Called with the reason when a device became inactive while others are active.
         """
         active = self._active
@@ -158,7 +159,7 @@ class Devices:
             self.by_name[device].warn(kind, text)
 
     def movable(self) -> frozenset[int]:
-        """Return the actuators that may be moved, from the next tick on; any thread may ask."""
+        """Return the actuators that may be moved, from the next tick on; any thread may call it."""
         active = (
             device
             for device in self._all

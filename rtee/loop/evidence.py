@@ -1,6 +1,6 @@
-"""Evidence of contacts: what speaks for one, of which actuator and finger, and since when.
+"""Evidence of contacts: which actuators and fingers show one, by what sign, and since when.
 
-The only place that reads measurements for contacts: forces on the fingers, the device's own word,
+The only place that reads measurements for contacts: forces on the fingers, the device's own report,
 effort above that of free motion, and stalls. What follows from them is decided by the rules in
 `rtee.loop.contact_rules`.
 """
@@ -32,15 +32,15 @@ driver measures before it sends, and may return the answer to the exchange befor
 margin."""
 
 _SILENCE = 3.0
-"""A measurement that comes later than this many usual intervals ends a silence, in which the
-actuator may or may not have been at rest."""
+"""A measurement later than this many usual intervals ends a silence, during which it is unknown
+whether the actuator was at rest."""
 
 _CONFIRMED = 2
 """Measurements in succession whose effort must show a contact: a single one may be noise."""
 
 _STEP_WAYS = 1.5
-"""Its effort must show a contact while the reference moves on by so many counts of the position: a
-servo that moves in steps of it has moved by then."""
+"""Counts of the position by which the reference must move on while the effort shows a contact: a
+servo that moves in single counts has moved by then."""
 
 _UNKNOWN_SHARE = 0.05
 """Threshold of a contact for an actuator that moves no fingertip, as a share of its effort limit
@@ -60,7 +60,7 @@ _SURGE = 1.5
 less over a motion."""
 
 _SURGED = 4
-"""Measurements in succession that must show so, while the actuator stands still: a step of a slow
+"""Successive measurements that must show this while the actuator stands still: a step of a slow
 motion takes fewer."""
 
 _LEARN_EVERY = 0.02
@@ -71,14 +71,15 @@ _RESOLUTION = 0.01
 """Least threshold of a contact as a share of the effort limit: devices measure no better."""
 
 _ALL = 0.9
-"""An actuator exerts all that it may from this share of its limit on: motors keep it no better."""
+"""Share of its limit above which an actuator exerts all that it may: motors keep to it no
+better."""
 
 _USUAL_SHARE = 0.125
 """Weight of the newest interval in the usual one, which follows a change of rate within 8
-intervals; of the newest lag likewise."""
+intervals; likewise of the newest lag."""
 
 _MOVES = 0.1
-"""The lag is measured from this share of the velocity limit on: below, friction decides."""
+"""Share of the velocity limit above which the lag is measured: below, friction dominates."""
 
 
 @dataclass(slots=True)
@@ -113,7 +114,7 @@ class _WatchedActuator:
 
 @dataclass(slots=True)
 class _EffortApproach:
-    """An actuator that approaches a contact, by its effort.
+    """Effort data of an actuator that approaches a contact.
 
     Attributes:
         ahead: Direction in which it closes.
@@ -125,11 +126,11 @@ class _EffortApproach:
         over: Number of successive measurements above the threshold.
         in_effort: Whether the device measures its effort.
         most: Largest current of its free motion [A].
-        steps: Number of measurements of it.
-        was: Where it was measured last [rad | m].
+        steps: Number of measurements of that motion.
+        was: Its last measured position [rad | m].
         led_from: Its reference when its effort first showed a contact [rad | m].
-        surge: Size of the largest acceleration of its reference of late [rad/s² | m/s²].
-        surged: When it was that [s].
+        surge: Size of the largest recent acceleration of its reference [rad/s² | m/s²].
+        surged: When that acceleration occurred [s].
     """
 
     ahead: float
@@ -151,12 +152,12 @@ class _EffortApproach:
 class ContactMonitor:
     """Watches the actuators of the last goal or stream for contacts.
 
-    An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
-    nor keeps pace with a slow reference, or when its device reports that it holds an object. Time
-    in which its device is silent does not count as time at rest. A blocked actuator *grasps* when
-    its effort is above a threshold, or when its device reports a grasp. Where the forces at its
-    fingertips are measured, they decide instead: it grasps with those fingers whose tips touch, and
-    does not grasp if no tip touches.
+    An actuator is *blocked* when it stays behind its reference, hardly moves for the stall time and
+    does not keep pace with a slow reference, or when its device reports that it holds an object.
+    Time in which its device is silent does not count as time at rest. A blocked actuator *grasps*
+    when its effort is above a threshold, or when its device reports a grasp. Where the forces at
+    its fingertips are measured, they decide instead: it grasps with those fingers whose tips touch,
+    and does not grasp if no tip touches.
 
     The device's report doesn't count at the end of the range, where devices report the mechanical
     stop. It counts only for the motion it belongs to: a report that the device made before it can
@@ -184,7 +185,7 @@ class ContactMonitor:
                 free.restore(learned[actuator.name])
         self._stretches = [Stretches() for _ in actuators]
         self._lessons: dict[int, tuple[float, float]] = {}
-        # Position and reference from which on an actuator is seen to follow, by index.
+        # Position and reference at the start of the motion that shows an actuator's lag, by index.
         self._paced: dict[int, tuple[float, float]] = {}
         self._felt: dict[str, float] = {}
         self._now = -math.inf
@@ -193,7 +194,7 @@ class ContactMonitor:
         self._watched: dict[int, _WatchedActuator] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
-        # Over several goals: one that was pushed back stays there when it is to close once more.
+        # Kept across goals: an actuator that was pushed back stays there when it is to close again.
         self._farthest = [math.nan] * len(actuators)
         # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
         self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
@@ -288,7 +289,7 @@ class ContactMonitor:
         return watched is not None and watched.grasping
 
     def says(self, indices: Iterable[int]) -> bool:
-        """Return whether one of some actuators holds an object by its device's own word."""
+        """Return whether the device of one of some actuators reports that it holds an object."""
         return any(
             (w := self._watched.get(i)) is not None and w.grasping and w.own_report for i in indices
         )
@@ -299,7 +300,7 @@ class ContactMonitor:
         Args:
             i: The actuator.
             measured: The measured state.
-            hard: Effort from which on it presses [N·m | N].
+            hard: Least effort at which it presses [N·m | N].
         """
         word = bool(measured.grasped) and measured.grasped[i] == 1
         return rules.shows(self.grasping(i), word=word, effort=abs(measured.effort[i]), hard=hard)
@@ -415,7 +416,7 @@ class ContactMonitor:
                 self._farthest[i] = position
             lag = (reference[i] - position) * ahead
             if watched.new and lag > 0.0:
-                # It hung behind before it set out, as a servo under load does.
+                # It lagged before it set out, as a servo under load does.
                 watched.hung = min(lag, tolerance)
             behind = lag > tolerance + watched.hung
             watched.led = watched.led + 1 if behind else 0
@@ -496,13 +497,13 @@ class ContactMonitor:
     def _has_moved(
         self, i: int, watched: _WatchedActuator, measured: Measured, ahead: float
     ) -> bool:
-        # Half of the tolerance: what grips from the start on moves no further. As long as nobody
-        # knows what friction takes, gears that yield to it move as far.
+        # Half of the tolerance: an actuator that grips from the start moves no further. As long as
+        # the friction is unknown, gears that yield to it may move as far.
         least = (0.5 if self._free[i].known else 1.0) * watched.tolerance
         return (measured.position[i] - watched.start) * ahead > least
 
     def moved(self, i: int, measured: Measured) -> bool:
-        """Return whether a watched actuator has moved towards its target, not only its gears."""
+        """Return whether a watched actuator has moved towards its target, not just its gears."""
         watched = self._watched.get(i)
         if watched is None:
             return False
@@ -510,9 +511,9 @@ class ContactMonitor:
         return self._has_moved(i, watched, measured, ahead)
 
     def _pressing(self, i: int, limit: float) -> float:
-        """Return the effort from which on an actuator may press on something [N·m | N].
+        """Return the least effort at which an actuator may press on something [N·m | N].
 
-        A limit hardly above what free motion takes lets friction stop it anywhere.
+        With a limit hardly above the effort of free motion, friction may stop it anywhere.
         """
         free, least = self._free[i], self._grasp.effort * limit
         full = self._actuators[i].effort
@@ -596,7 +597,7 @@ class ContactMonitor:
             return not watched.presses
         word = None
         if watched.own_report:
-            # Trusted only while the target is at rest: devices clear their word when they move.
+            # Trusted only while the target is at rest: devices clear their report when they move.
             resting = abs(reference - watched.target) <= watched.tolerance
             word = not (measured.grasped[i] == 0 and resting)
         push = reference - watched.hold_position
@@ -638,7 +639,7 @@ class ContactMonitor:
         self._stretches[i].restart()
 
     def threshold(self, i: int) -> float:
-        """Return the effort of a contact of an approaching actuator, besides friction [N·m | N]."""
+        """Return the effort of a contact of an approaching actuator, above friction [N·m | N]."""
         return self._approaching[i].threshold
 
     def friction(self, i: int) -> float:
@@ -708,7 +709,7 @@ class ContactMonitor:
         return rules.any_touch(forces, least, every=every)
 
     def unknown(self, i: int, measured: Measured) -> bool:
-        """Return whether contacts of an actuator are felt by effort, and free motion is unknown."""
+        """Return whether effort shows an actuator's contacts while its free motion is unknown."""
         if rules.any_touch(self.forces(i, measured), self._grasp.touch) is not None:
             return False
         effort, current = measured.effort[i], measured.current[i] if measured.current else math.nan
@@ -722,7 +723,7 @@ class ContactMonitor:
         reference: float,
         velocity: float,
     ) -> None:
-        """Learn from an actuator's motion away from rest that reacts to no contact.
+        """Learn an actuator's free motion from a motion away from rest that reacts to no contact.
 
         Args:
             i: The actuator.
@@ -748,9 +749,10 @@ class ContactMonitor:
             self._stretches[i].take(self._free[i], here, reference, sample)
 
     def follows(self, i: int, here: float, reference: float, velocity: float) -> None:
-        """Learn by how much time an actuator follows its reference, while it moves freely.
+        """Learn by how much time an actuator lags behind its reference while it moves freely.
 
-        One that something stops falls behind by all that its reference goes on: this is no lag.
+        An actuator that is stopped falls behind by the full travel of its reference: this is no
+        lag.
 
         Args:
             i: The actuator.
@@ -763,7 +765,7 @@ class ContactMonitor:
             return
         was, led = self._paced.setdefault(i, (here, reference))
         wanted = abs(reference - led)
-        # On a shorter way, noise of the position could look like motion.
+        # Over a shorter distance, noise of the position could look like motion.
         if wanted <= self._slow[i]:
             return
         self._paced[i] = here, reference
@@ -772,7 +774,7 @@ class ContactMonitor:
             free.lag += _USUAL_SHARE * (max((reference - here) / velocity, 0.0) - free.lag)
 
     def lag(self, indices: Iterable[int]) -> float:
-        """Return the longest time by which some actuators follow [s]; 0: none has moved yet."""
+        """Return the largest lag of some actuators [s]; 0: none has moved yet."""
         return max((self._free[i].lag for i in indices), default=0.0)
 
     @property
@@ -833,7 +835,7 @@ class ContactMonitor:
         if not approach.over:
             approach.led_from = reference
         approach.over += 1
-        # A servo that moves in steps of its position takes as much before each of them.
+        # A servo that moves in single counts needs as much before each of them.
         led = abs(reference - approach.led_from)
         return approach.over >= _CONFIRMED and led >= _STEP_WAYS * stretch.count
 

@@ -58,7 +58,7 @@ _ASTRAY = 0.05
 from elsewhere, fingers meet elsewhere."""
 
 _UNKNOWN_PATH: tuple[str, tuple[str, ...], bool] = ("", (), False)
-"""No action, and that the hand did not set out on its path from rest."""
+"""No action; the hand did not set out on its path from rest."""
 
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
@@ -176,7 +176,7 @@ class Executor:
         self._run = run = _Run(plan, stamp)
         run.progress, run.reached, run.stalled = [0.0] * legs, [False] * legs, [False] * legs
         self._contact.forget(plan.involved)
-        # What stopped an action once has pushed fingers off its path when it is done again.
+        # What stopped an action may have pushed fingers off the path of its repetition.
         if self._path[:2] != (plan.action, plan.elements):
             self._path = plan.action, plan.elements, self._on_path(plan, measured)
         self._wait(run, stamp)
@@ -236,9 +236,9 @@ class Executor:
         *,
         felt: bool,
     ) -> None:
-        """Learn from the motion, of one actuator in a tick for the sake of the tick's time.
+        """Learn from the motion of one actuator per tick, to keep the tick short.
 
-        Reflexes learn from efforts themselves where these are ``felt``.
+        Where efforts are ``felt``, the reflexes learn from them themselves.
         """
         velocity = self._profile.velocity
         moving = [i for i in targets if velocity[i] != 0.0 and measured.fresh[i]]
@@ -305,7 +305,7 @@ class Executor:
                 timed_out=timed_out,
                 aborted=aborted,
                 reason=reason,
-                # Of two units, the larger: zero only if both are.
+                # The larger of two different units: zero only if both are.
                 error=max(self._norms(targets, measured.position)),
                 duration=stamp - run.started,
                 position=dict(
@@ -474,7 +474,7 @@ class Executor:
             run.plan = replace(run.plan, lag=self._contact.lag(run.plan.effort))
         speed = leg_speed(run.plan, run.leg, self._hand)
         for i, actuator in enumerate(self._hand.actuators):
-            # Never 0, by which times are divided, and which some devices take for no limit.
+            # Never 0: times are divided by it, and some devices take 0 for no limit.
             self.max_velocity[i] = speed * actuator.velocity or math.ulp(0.0)
         top = dict(enumerate(self.max_velocity))
         self._profile.go(leg.targets, brake=self._moving(except_for=leg.targets), velocity=top)

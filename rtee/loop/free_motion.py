@@ -22,7 +22,7 @@ exceeds once in some thousand measurements."""
 
 _ROUGH: Final = 1.5
 """A deviation counts above this many times the largest recent one of free motion: devices that move
-in steps, as a slow reference lets them, need now much and now no effort."""
+in steps, as with a slow reference, need effort at one moment and none at the next."""
 
 _COUNTS: Final = 3.0
 """A deviation counts above this many least counts of the device: one more or less is its noise."""
@@ -124,7 +124,7 @@ class FreeMotion:
         return direction, velocity * self._scale[0], acceleration * self._scale[1]
 
     def knows(self, velocity: float, acceleration: float) -> bool:
-        """Return whether the effort of such a motion was learned, not only that of others."""
+        """Return whether the effort of such a motion was learned, not just that of others."""
         if not self.known:
             return False
         features = self._features(velocity, acceleration)
@@ -150,8 +150,8 @@ class FreeMotion:
         """
         expected = self.expected(velocity, acceleration)
         if not threshold > 0.0:
-            # Above the largest effort, not the mean: a device that moves in steps takes now all of
-            # it and now nothing.
+            # Above the largest effort, not the mean: a device that moves in steps takes all of it
+            # at one moment and nothing at the next.
             threshold = (1.0 + _RELATIVE) * self.most - abs(expected)
         deviation = effort - expected
         # Servos lag behind their references, so the effort of inertia comes at another time.
@@ -243,7 +243,7 @@ class LearnedMotion:
 
 
 class Stretches:
-    """Efforts of a moving actuator, from which its free motion is learned once it has gone on.
+    """Collects efforts of a moving actuator, to learn its free motion once it has kept moving.
 
     A single measurement does not show whether anything is in the way: servos move in steps, and
     stand still in between with the effort that friction takes. So the motion is divided into
@@ -275,7 +275,7 @@ class Stretches:
         reference: float,
         sample: tuple[float, float, float] | None,
     ) -> None:
-        """Take a measurement, and learn when a stretch has shown to be free.
+        """Take a measurement; learn once a stretch has proved to be free.
 
         Args:
             free: The model.

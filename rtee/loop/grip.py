@@ -42,15 +42,15 @@ _SHARED: Final = 0.25
 levers assume: in simulation, a 3-Finger presses with 18 % more."""
 
 ELSEWHERE: Final = 0.6
-"""Error of an estimate by the efforts of several actuators, likewise, and the least of one whose
-fingers touch elsewhere than at their tips: where exactly decides how much of an effort a joint
-bears, and which part its friction takes. In simulation, HERI II, Allegro and the SoftHand are off
-by 0.53 to 0.58; a claw presses with a third more at its heel, and a fifth less askew."""
+"""Error, likewise, of an estimate from the efforts of several actuators, and the least error where
+fingers touch elsewhere than at their tips: the point of contact decides how much of an effort a
+joint bears, and how much its friction takes. In simulation, HERI II, Allegro and the SoftHand are
+off by 0.53 to 0.58; a claw presses with a third more at its heel, and a fifth less askew."""
 
 ONE_SIDE: Final = 1.25
-"""One side presses no further above this multiple of the force: a palm, or another finger, holds
-against it, and the other side may never come. A blow may have 1.3 times the force, and the force is
-kept within some percent."""
+"""One side presses no harder than this multiple of the force: a palm or another finger may hold
+against it, and the other side may never come. An impact may reach 1.3 times the force, and the
+force is kept within some percent."""
 
 _LIMIT_SHARE: Final = 0.25
 """Error of an estimate from effort limits, likewise: motors do not keep them more exactly."""
@@ -70,12 +70,11 @@ _TABLE: Final = 5e-4
 """Error of the table of openings, and of measured positions, at the tips [m]: that of goals."""
 
 _JOINTS: Final = 3e-3
-"""Such an error where several actuators press [m]: each yields, and the tips miss the points of the
+"""The same where several actuators press [m]: each yields, and the tips miss the points of the
 table. In MuJoCo, an empty Ability Hand's tips meet at 1.4 mm by its table."""
 
 _FIRST_ORDER: Final = 0.5
-"""Error of a correction by levers, as a share of it: they change over the distance they are used
-for."""
+"""Error of a correction by levers, as a share of it: levers change over the corrected distance."""
 
 _AHEAD: Final = 0.01
 """A reference presses if it leads by more than this share of the action's travel: above
@@ -105,7 +104,7 @@ class Grip:
         sheet: Force by effort limit from the device's data sheet, for a single actuator.
         inertia: Inertia of motor and gear at each actuator [kg·m² | kg]; 0: not known.
         empty: Opening at which the empty hand's fingertips meet one another [m].
-        strongest: Largest force by the sheets of fingers whose effort limits would give more [N].
+        strongest: Largest force by the data sheets of fingers whose limits would give more [N].
     """
 
     indices: tuple[int, ...]
@@ -168,7 +167,7 @@ class Grip:
                 for i, k in zip(indices, known, strict=True)
             ),
             empty,
-            # Of tips all around, the force is the sum.
+            # With tips all around, the force is the sum.
             min((k.finger_force for k in known if k.finger_force), default=math.inf)
             * (len(sides) if opening.around else 1),
         )
@@ -197,10 +196,10 @@ class Grip:
         return max(width, 0.0)
 
     def doubt(self, position: Sequence[float]) -> float:
-        """Return how wide the opening may seem to be when the tips touch one another [m].
+        """Return the largest opening that may be measured while the tips touch one another [m].
 
-        Off the action's line, the table is corrected to first order alone: half of the correction
-        is in doubt.
+        Off the action's line, the table is corrected to first order only: half of the correction is
+        uncertain.
         """
         share = self._nearest(position)
         if share != share:
@@ -231,7 +230,7 @@ class Grip:
             return self.intensity[0]
         if width <= widths[-1]:
             return self.intensity[-1]
-        # The widths fall, and bisect wants them to rise.
+        # The widths fall, and `bisect` needs rising values.
         k = bisect_right(widths, -width, key=lambda each: -each) - 1
         share = (widths[k] - width) / (widths[k] - widths[k + 1])
         return self.intensity[k] + share * (self.intensity[k + 1] - self.intensity[k])
@@ -283,7 +282,7 @@ class Grip:
 
     @property
     def bends(self) -> bool:
-        """Whether the fingers bend: what moves with them is not known then."""
+        """Whether the fingers bend, so that the mass that moves with them is not known."""
         return not all(self.inertia)
 
     def moving_mass(self, intensity: float) -> float:
@@ -313,7 +312,7 @@ class Grip:
             )
         ]
         least = max(_SQUEEZES * max(closes), _LEAST_TRAVEL)
-        # Of tips all around, the opening is a diameter: each closes by a half of it.
+        # With tips all around, the opening is a diameter: each tip closes by half of it.
         share = 0.5 if self.around else 1.0
         levers = self._levers(intensity)
         return [
@@ -432,7 +431,7 @@ class Grip:
             force = self.sheet.force_for(abs(effort[i]), position[i])
             return force, _EFFORT_SHARE * force, DEVICE
         if self.around and self.sheet is None:
-            # Of fingers all around, efforts do not say how many press.
+            # With fingers all around, efforts do not show how many press.
             return math.nan, math.nan, ""
         if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
             return self._from_efforts(chosen, effort)

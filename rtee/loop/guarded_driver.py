@@ -169,7 +169,7 @@ class GuardedDriver:
             raise self._bug(f"its driver raised {type(error).__name__}") from error
 
     def _bug(self, text: str) -> DriverError:
-        return DriverError(self._name, text, hint="mend its driver")
+        return DriverError(self._name, text, hint="fix its driver")
 
     # --- states ----------------------------------------------------------------------------------
 

@@ -90,7 +90,7 @@ def stopping_velocity(distance: float, acceleration: float, dt: float) -> float:
 
 
 def approach(position: float, target: float, acceleration: float, dt: float) -> float:
-    """Return the largest velocity towards a target from which to stop there without passing it."""
+    """Return the largest velocity towards a target that still allows stopping there."""
     distance = target - position
     velocity = stopping_velocity(abs(distance), acceleration, dt)
     return velocity if distance >= 0.0 else -velocity

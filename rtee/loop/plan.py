@@ -18,7 +18,7 @@ class Leg:
     Attributes:
         name: Alias of the inner action of a timed action, else empty.
         targets: Position by actuator index [rad | m], inside the limits.
-        before: Time to wait before [s].
+        before: Time to wait before the motion [s].
         after: Time to wait after the motion [s].
     """
 

@@ -172,7 +172,7 @@ def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Acti
 def _no_action(
     fingers: Sequence[str], to: ToOpening | Around, hand: Hand, openings: Sequence[Opening]
 ) -> str:
-    """Return an error message: no action suits a width, and which width is nearest."""
+    """Return an error message that no action suits a width, and which width is nearest."""
     of = f" of {', '.join(fingers)}" if fingers else ""
     if not openings:
         return f"no action of '{hand.name}' has an opening between tips{of}"

@@ -1,9 +1,9 @@
-"""Press on an object with fingers of several actuators: the force by the depth of the reference.
+"""Press on an object with fingers of several actuators, by the depth of their references.
 
-Where each actuator presses with an effort of its own, the least error of one lets the finger fold,
-or lets one finger push the others to their stops. So the fingers keep their posture: the references
-of all move together along the action, into the object and out of it, until the force is the one
-that is asked for.
+If each actuator pressed with an effort of its own, the slightest error of one would let the finger
+fold, or let one finger push the others to their stops. So the fingers keep their posture: all
+references move together along the action, into the object and out of it, until the force is the
+requested one.
 """
 
 from __future__ import annotations
@@ -22,66 +22,65 @@ from rtee.loop.profiles import Profile
 from rtee.types import Event
 
 _FOLLOW = 0.15
-"""Time constant with which the force is brought to the requested one [s]: slower than motors and
-exchanges respond, so that nothing oscillates."""
+"""Time constant of the control of the force [s]: slower than motors and exchanges respond, so that
+nothing oscillates."""
 
 _LOOKS_AHEAD = 0.1
-"""So far ahead the force is foreseen, by its rate [s]: servos that integrate their error go on
+"""How far ahead the force is predicted from its rate [s]: servos with integral control go on
 building up effort after the reference has stopped."""
 
 _SMOOTH = 0.03
-"""Time constant of the force's rate [s]: above the noise of a few exchanges."""
+"""Time constant of the force's rate [s]: longer than the noise of a few exchanges."""
 
 _YIELDS = 1e-3
-"""Depth that is thought to give the requested force until it is known [m]: fingers and their servos
-yield by a millimetre or more."""
+"""Depth assumed to give the requested force until the true one is known [m]: fingers and their
+servos yield by a millimetre or more."""
 
 _DEPTHS = (5e-5, 2e-2)
-"""Least and largest such depth [m]: a rigid finger's, and that of a servo with a low gain."""
+"""Least and largest such depth [m]: those of a rigid finger, and of a servo with a low gain."""
 
 _FIRST = 1e-4
-"""After this depth the stiffness is known [m]: above what positions resolve."""
+"""Depth after which the stiffness is known [m]: more than the resolution of positions."""
 
 _TOUCHES = 0.1
-"""Below this share of the requested force, nothing is pressed on yet: no more than noise."""
+"""Below this share of the requested force, the fingers press on nothing yet: it is mere noise."""
 
 _HOLDS = 0.3
-"""From this share of the requested force on, something is held."""
+"""Least share of the requested force at which something is held."""
 
 _NEAR = 0.04
 """The force has arrived within this share of the requested one, a little less than the error of a
 sensor."""
 
 _UNEVEN = 0.15
-"""Sides may differ by twice this share by the weight between them; then their mean is the force.
-What is more comes from fingers that press on one another."""
+"""The weight between the sides may make them differ by twice this share; their mean is then the
+force. A larger difference comes from fingers that press on one another."""
 
 _SENSED = 0.05
 """Error of sensors at the fingertips, as a share of the force."""
 
 _SETTLE = 0.15
-"""Time for which the force must have arrived [s]: some exchanges of the slowest device."""
+"""Time for which the force must have been there [s]: some exchanges of the slowest device."""
 
 _LONGEST = 3.0
-"""Longest time in which the force is brought to the requested one, from the contact on [s]: twenty
-time constants."""
+"""Longest time for building up the force, from the contact on [s]: twenty time constants."""
 
 _SPARE = 2.0
 """Effort limits are this multiple of the efforts that the levers predict: sensors break, and
-posture takes its share."""
+keeping the posture takes effort, too."""
 
 _POSTURE = 0.25
 """Share of the effort limit that carries a finger and overcomes its friction, besides the force."""
 
 _KNOWN = 0.05
-"""Such a share once weight and friction are known from the approach."""
+"""The same share once weight and friction are known from the approach."""
 
 _FULL = 0.97
-"""An actuator counts as at its effort limit from this share of it on."""
+"""An actuator counts as at its effort limit above this share of it."""
 
 _BEYOND = 0.25
 """How far beyond the action's posture the references may lead [1]: servos yield while they press on
-what is thin."""
+a thin object."""
 
 _GENTLY = 0.5
 """Share of the acceleration limits that is used: the limiter must not step in."""
@@ -91,7 +90,7 @@ _TARE = 0.1
 of the slowest device, before the contact shows."""
 
 _BEFORE = 0.2
-"""What the approach took is known up to this long ago at least [s]: a gentle contact presses for
+"""The effort of the approach is taken from at least this long ago [s]: a gentle contact presses for
 some tenths of a second before it shows."""
 
 _SLIP = 0.75
@@ -117,7 +116,7 @@ def ceilings(
         hand: The hand.
         predicted: Efforts of those that press, by the levers [N·m | N].
         indices: The actuators.
-        weight: What each takes besides the force [N·m | N]; ``None``: not known yet.
+        weight: Effort of each besides the force [N·m | N]; ``None``: not known yet.
     """
     limits = {}
     for i in indices:
@@ -132,11 +131,11 @@ def ceilings(
 
 
 class Tare:
-    """The efforts of actuators before they touch anything: what weight and friction take."""
+    """The efforts of actuators before they touch anything: of weight and friction."""
 
     def __init__(self) -> None:
-        # For each actuator the mean now, at two times before, the older one first, since when, and
-        # how often it was put back.
+        # For each actuator the mean effort at two earlier times, the older one first, and now; the
+        # time since the later of these; and how often it was moved up.
         self._means: dict[int, tuple[float, float, float, float, int]] = {}
 
     def forget(self, i: int) -> None:
@@ -144,7 +143,7 @@ class Tare:
         self._means.pop(i, None)
 
     def learn(self, i: int, effort: float, time: float) -> None:
-        """Learn from an effort of the approach [N·m | N], and the time since the one before [s]."""
+        """Learn from an effort of the approach [N·m | N] and the time since the last one [s]."""
         if effort != effort:
             return
         older, old, mean, passed, turns = self._means.get(i, (effort, effort, effort, 0.0, 0))
@@ -159,18 +158,18 @@ class Tare:
         return self._means[i][0] if i in self._means else math.nan
 
     def sure(self, i: int) -> bool:
-        """Return whether the effort was learned in motion, not only as it set out."""
+        """Return whether the effort was learned in motion, not only while setting out."""
         return i in self._means and self._means[i][4] > 1
 
 
 class ForceEstimate:
-    """The force between the tips: by sensors at the fingertips, else by efforts.
+    """The force between the tips: from sensors at the fingertips, else from efforts.
 
-    By efforts, each finger presses with the force that fits the efforts of its actuators best, and
+    By efforts, each finger presses with the force that best fits the efforts of its actuators, and
     a side with the sum of its fingers. Both sides press equally; their mean is the force.
 
     Attributes:
-        hunts: Whether servos integrate their error: what they press with is not in their lead.
+        hunts: Whether servos integrate their error, so that their lead does not show the force.
     """
 
     def __init__(self, hand: Hand, grip: Grip, tare: Tare) -> None:
@@ -186,7 +185,7 @@ class ForceEstimate:
         return self._tare.of
 
     def known(self, measured: Measured, pressing: Iterable[int]) -> bool:
-        """Return whether the force is measured, or all efforts that make it are."""
+        """Return whether the force is measured, or all efforts that it follows from are."""
         felt = self._grip.tip_force(measured.touch)
         return felt == felt or all(math.isfinite(measured.effort[i]) for i in pressing)
 
@@ -202,9 +201,9 @@ class ForceEstimate:
         return min(0.5 * both, (1.0 + _UNEVEN) * least)
 
     def error(self, measured: Measured) -> float:
-        """Return the error of the force [N]: that of the sensors, and what one side bears more.
+        """Return the error of the force [N]: that of the sensors, and the excess of one side.
 
-        ``NaN`` for the efforts of servos that integrate, which go to and fro within dry friction.
+        ``NaN`` for efforts of servos with integral control, which hunt within dry friction.
         """
         grip, touch, force = self._grip, measured.touch, self.of(measured)
         least = grip.tip_force(touch)
@@ -232,7 +231,7 @@ class ForceEstimate:
         return sum(sides) if self._grip.around else sum(sides) / len(sides)
 
     def both_press(self, measured: Measured) -> bool:
-        """Return whether each side presses, as far as efforts tell; sensors need not be asked."""
+        """Return whether each side presses, as far as efforts show; sensors take precedence."""
         grip = self._grip
         if grip.around or not math.isnan(grip.tip_force(measured.touch)):
             return True
@@ -249,7 +248,7 @@ class ForceEstimate:
         Args:
             effort: Efforts of all actuators [N·m | N].
             position: Their positions [rad | m].
-            only: Those that press: others may take their effort to speed up; ``None``: all.
+            only: Those that press; others may need their effort to accelerate. ``None``: all.
         """
         grip, names = self._grip, self._hand.finger_names
         along: dict[int, float] = {}
@@ -451,13 +450,13 @@ class Pressing:
             self._stiffness = min(max((self.felt - self._first) / self._depth, least), most)
 
     def _one_sided(self, wanted: float, measured: Measured) -> bool:
-        """Return whether one side presses with more than the force, on what others hold against."""
+        """Return whether one side alone presses too hard, since something else opposes it."""
         touch = measured.touch
         sides = (self._grip.fingers, self._grip.others) if touch and not self._grip.around else ()
         return any(sum(touch[f] for f in side) > ONE_SIDE * wanted for side in sides)
 
     def _exhausted(self, measured: Measured) -> bool:
-        """Return whether all actuators that press do so with all that they may."""
+        """Return whether all actuators that press are at their effort limits."""
         return all(
             abs(measured.effort[i]) >= _FULL * self.effort[i]
             for i in self._predicted
@@ -465,7 +464,7 @@ class Pressing:
         )
 
     def _arrive(self, stamp: float, share: float, measured: Measured) -> None:
-        """Judge whether something is held, and keep it."""
+        """Judge whether something is held, and record the result."""
         self.built = True
         self.failed = share < _HOLDS or not self._estimate.both_press(measured)
         for i in self.held:
@@ -487,7 +486,7 @@ class Pressing:
         return found
 
     def _slips(self, stamp: float, measured: Measured) -> bool:
-        """Answer a slip, or a pull, by more force; return whether there is one."""
+        """Answer a slip, or a pull, with more force; return whether there is one."""
         now = self._touches(measured)
         pulled = [
             i

@@ -185,7 +185,7 @@ def _schedule(priority: int) -> list[str]:
 
 
 def affinity() -> frozenset[int]:
-    """Return the CPUs that the calling thread may run on; empty if the system does not tell."""
+    """Return the CPUs that the calling thread may run on; empty if they are unknown."""
     if not hasattr(os, "sched_getaffinity"):
         return frozenset()
     return frozenset(os.sched_getaffinity(0))

@@ -25,8 +25,8 @@ from rtee.loop.squeeze import Held, Squeeze
 from rtee.types import Around, Event, FirstContact, OnContact
 
 _LIGHT = 2.0
-"""Effort limit of an approach besides friction, in thresholds of a contact: with less, the effort
-could not exceed the threshold."""
+"""Effort limit of an approach in addition to friction, as a multiple of the contact threshold: with
+less, the effort could not exceed the threshold."""
 
 _LAGS = 0.5
 """During an approach, an actuator that moves by less than this share of its reference, and is
@@ -37,7 +37,7 @@ _LOOKED_AT = 0.02
 is lost in rounding."""
 
 _AHEAD = 0.1
-"""An actuator runs ahead of its reference from this share of its tolerance on: more than noise."""
+"""Share of its tolerance beyond which an actuator is ahead of its reference: more than noise."""
 
 _WAITS = 0.1
 """A finger that waits for others goes on when it has felt nothing for this long [s]: contacts
@@ -77,7 +77,7 @@ class _LegReactions:
         first: Whether all actuators stop at the first contact.
         force: The requested force [N], which is not eased; ``None``: none.
         grip: Computes the force, where one was requested.
-        pressing: Actuators whose effort makes the force.
+        pressing: Actuators whose effort produces the force.
         slips: Whether slips are answered and reported.
         speed: Share of the velocity limits at which the actuators squeeze.
         slowly: The same once the force is nearly there.
@@ -108,8 +108,8 @@ class _LegReactions:
     def share(self, measured: Measured) -> float:
         """Return the share of the force to press with.
 
-        Without sensors, the force on what is touched elsewhere than with the tips may exceed what
-        efforts say by `ELSEWHERE`: it must not exceed the one that was asked for.
+        Without sensors, the force where fingers touch elsewhere than with their tips may exceed the
+        estimate from efforts by `ELSEWHERE`; it must not exceed the requested one.
         """
         grip = self.grip
         if grip is None or grip.tip_force(measured.touch) == grip.tip_force(measured.touch):
@@ -120,7 +120,7 @@ class _LegReactions:
 class Reflexes:
     """Stops fingers that touch something, squeezes once enough do, and answers slips.
 
-    What counts as a contact is found by `ContactMonitor`. Motions towards rest have no reflexes.
+    `ContactMonitor` detects contacts. Motions towards rest have no reflexes.
 
     Args:
         hand: The hand.
@@ -322,8 +322,8 @@ class Reflexes:
         if unknown:
             who = ", ".join(unknown)
             text = (
-                f"contacts of {who} cannot be felt by effort yet, since free motion is not known: "
-                "until it is, they are felt once it stands still"
+                f"contacts of {who} cannot be felt by effort yet, since free motion is not known; "
+                "until it is, they are felt once the actuator stands still"
             )
             self._report(Event("contact_unknown", who, text, stamp))
         if in_place:
@@ -344,8 +344,8 @@ class Reflexes:
     def _together(self, plan: Plan, measured: Measured) -> ForceEstimate | None:
         """Return the force between fingers that keep their posture, where a goal needs that.
 
-        A single actuator has no posture to keep; and a force that is not measured is made by effort
-        limits alone.
+        A single actuator has no posture to keep; and a force that is not measured is produced by
+        effort limits alone.
         """
         grip = plan.grip
         if plan.force is None or grip is None or grip.sheet or len(plan.effort) < 2:
@@ -454,7 +454,7 @@ class Reflexes:
     def _pressed(self, approach: _LegReactions, stamp: float, measured: Measured) -> bool:
         """Return whether efforts show that fingers press with the whole force on something.
 
-        What was met on the path around it is pressed on before its actuators set out.
+        An object met on the path around it may be pressed on before the actuators set out.
         """
         grip, force, estimate = approach.grip, approach.force, approach.together
         if grip is None or force is None or estimate is None:
@@ -517,7 +517,7 @@ class Reflexes:
     def _stop_finger(
         self, i: int, approach: _LegReactions, stamp: float, measured: Measured
     ) -> None:
-        """Stop all actuators of the fingers of one: else the finger would fold."""
+        """Stop all actuators of the fingers of one; otherwise, these would fold."""
         fingers = set(self._hand.actuators[i].fingers)
         for j, other in approach.watched.items():
             if other.touched or not fingers.intersection(self._hand.actuators[j].fingers):
@@ -588,7 +588,7 @@ class Reflexes:
         several = len(self._hand.actuators[i].fingers) > 1
         if watched.mode is OnContact.SQUEEZE and several and not together:
             return  # it moves both sides: there is nothing to wait for
-        # The reference leads on into the object: only the part of its lead stays that presses.
+        # The reference leads into the object: only the part of its lead that presses is kept.
         if self._start(i, stamp, True) is None:
             self._profile.go({}, brake=(i,))
         else:
@@ -605,7 +605,7 @@ class Reflexes:
             self.changed = True
 
     def _kept(self, i: int, measured: Measured) -> float:
-        """Return the share of an actuator's effort that presses, besides weight and friction."""
+        """Return the share of an actuator's effort that presses, net of weight and friction."""
         together = self._approach and self._approach.together
         if not together or together.hunts:
             return 0.0
@@ -642,8 +642,8 @@ class Reflexes:
     ) -> None:
         """Begin to build up the force with all actuators that squeeze, together.
 
-        They begin with some effort limits [N·m | N]; or lightly, but not with less than they press
-        with already, which would drop the object.
+        They begin with the given effort limits [N·m | N]; or lightly, but with no less than they
+        press with already, since the object would fall.
         """
         if approach.together is not None and approach.grip is not None:
             self._press(approach, approach.grip, approach.together, stamp, share)
@@ -662,8 +662,8 @@ class Reflexes:
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
-                # Only the impact needs the low speed of the approach; but what one side alone has
-                # met must not be struck by the other.
+                # Only the impact needs the low speed of the approach; but the other side must not
+                # strike an object that one side alone has met.
                 self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
                 # Its effort cannot be limited, so it closes slowly instead.

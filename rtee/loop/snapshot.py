@@ -2,8 +2,8 @@
 
 `capture` copies references only, quickly enough for a tick; `encode` turns them into JSON later, in
 another thread. `restore` sets a new controller of the same hand and settings to exactly this state.
-It creates only objects of the controller's own classes, and of their code runs only the checks of
-settings.
+It creates only objects of the controller's own classes, and runs none of their code except the
+checks of settings.
 """
 
 from __future__ import annotations

@@ -39,13 +39,13 @@ _REPORT_EVERY = 0.5
 """Slips are reported at most this often [s]: one event for people, not one for each step."""
 
 _FOLLOW = 0.1
-"""Time constant with which the measured force is brought to the requested one [s]: slower than
-motors respond, so that nothing oscillates."""
+"""Time constant of the control of the measured force [s]: slower than motors respond, so that
+nothing oscillates."""
 
 _AT_LIMIT = 0.9
-"""An actuator counts as at its effort limit from this share of it on. Below it the effort is still
-rising, or the fingers are still in their impact, and the force does not show yet what the limit
-gives. Where exactly matters little: in simulation 0.5 to 1 lead to the same force."""
+"""An actuator counts as at its effort limit above this share of it. Below, the effort is still
+rising, or the impact is not over, and the force does not yet show what the limit gives. The exact
+value matters little: in simulation 0.5 to 1 lead to the same force."""
 
 _THERE = 0.02
 """The force has arrived when its error is below this share of the requested force: less than the
@@ -57,21 +57,22 @@ _CORRECTED = 3.0
 time constants."""
 
 _NEARLY = 0.5
-"""From this share of the force on, fingers that bend close more slowly."""
+"""Share of the force above which fingers that bend close more slowly."""
 
 _BELIEVED = 2.0
 """Largest factor by which a measured force changes the effort limits: sensors break, too."""
 
 _HEEL = 0.25
-"""Least factor of fingers from all around: with their middles, they press four times as hard as
-with their tips."""
+"""Least factor of fingers from all around: with their middle links, they press four times as hard
+as with their tips."""
 
 _FELT = 0.2
 """Below this share of the requested force, nothing is corrected: the object is lost, or the sensors
 measure only a part of the force."""
 
 _RISES = 2.0
-"""Time in which an effort rises to its limit, or stays below: the reference leads no deeper [s]."""
+"""Time in which an effort rises to its limit [s]; it may stay below: the reference leads no
+deeper."""
 
 _CONFIRMED = 2
 """Measurements in succession that must show a change of force: a single one may be noise."""
@@ -104,7 +105,7 @@ class Squeeze:
     Args:
         hand: The hand.
         grasp: Settings for times and efforts.
-        profile: Has the targets of the actuators.
+        profile: Holds the targets of the actuators.
         contact: Detects whether the actuators hold an object.
         report: Called with events.
         held: The actuators, by index.
@@ -255,7 +256,7 @@ class Squeeze:
         return max(least, most / ONE_SIDE)
 
     def _nearly(self, measured: Measured) -> bool:
-        """Return whether most of the force is there: as it is felt, else by efforts."""
+        """Return whether most of the force is there: by sensors, else by efforts."""
         felt = self._felt(measured)
         if felt == felt:
             return felt >= _NEARLY * self.force
@@ -309,7 +310,7 @@ class Squeeze:
         return held.low >= _CONFIRMED
 
     def _raise(self, i: int, stamp: float) -> None:
-        """Answer a slip by more effort, and report it."""
+        """Answer a slip with more effort, and report it."""
         before = self._level
         level = min(before + max(_SLIP_STEP, _SLIP_SHARE * before), self._most)
         # Never eased below this again: the object would slip again.

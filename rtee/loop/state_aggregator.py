@@ -82,7 +82,7 @@ class TouchGatherer:
             self._lay_out(name, device, can.touch)
         values = np.asarray(reading.values, dtype=np.float64)
         if values.shape != (sum(sensor.taxels for sensor in device.sensors),):
-            self._refuse(name, f"gave {values.size} values of touch, which its sensors do not have")
+            self._refuse(name, f"gave {values.size} touch values, which do not fit its sensors")
             return False
         if device.scale is not None:
             values = values * device.scale
@@ -198,7 +198,7 @@ class StateAggregator:
         return self._touch.states
 
     def channels_with(self, computed: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
-        """Return the further channels, and what the controller has computed."""
+        """Return the further channels together with those that the controller has computed."""
         return {**self.channels, **computed} if computed else self.channels
 
     def collect(self, stamp: float = -math.inf) -> None:

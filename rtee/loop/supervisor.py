@@ -51,8 +51,8 @@ CLOSE_WITHIN = 1.0
 
 LOST_AFTER = 0.5
 """A device that has not answered for this long, and three times in a row, is lost [s]: longer than
-a bus takes to retry, and barely noticeable to a person. Three longer deadlines take as long as they
-do, even if the driver gives up sooner."""
+a bus takes to retry, and barely noticeable to a person. If three deadlines take longer, that is the
+time, even if the driver gives up sooner."""
 
 LEAST_DEADLINE = 0.05
 """An exchange is abandoned after two of its periods, but not before this time [s]: a busy computer
@@ -246,7 +246,7 @@ class DeviceConnection:
         least = max(1, math.ceil(rate / best - 1e-9)) if best > 0 else 1
         self.every = self._spec.every or least
         if self.every < least:
-            text = f"is asked for {rate / self.every:g} Hz, its wire gives {best:.0f} Hz at most"
+            text = f"is asked for {rate / self.every:g} Hz; its wire allows at most {best:.0f} Hz"
             self._report("device_rate", text, "warning")
         self.deadline = self._spec.deadline or max(2 * self.every / rate, LEAST_DEADLINE)
 
@@ -713,7 +713,7 @@ class Supervisor:
             if answer.cancelled():
                 continue
             self._exchanging = False
-            # The third of the time that a stop has left to the work before it ends with that work.
+            # The third of the time that a stop left for the running work ends with that work.
             self._runner.end()
             self._runner.begin(ACTIVATE_WITHIN)
             try:

@@ -1,6 +1,6 @@
 """Levers of the actuators on their fingertips: the effort that balances a force at a fingertip.
 
-For actions without an opening: no table of the fingertips' opening gives their levers.
+For actions without an opening, whose levers no table gives.
 """
 
 from __future__ import annotations

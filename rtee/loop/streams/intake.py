@@ -98,7 +98,7 @@ class TimeBase:
             return f"the stamp is {self._newest - placed:.3g} s before the newest one"
         least = self._least(now)
         if math.isfinite(least) and now - placed < least - _AHEAD:
-            return f"the stamp is {least - (now - placed):.3g} s in the future beside those before"
+            return f"the stamp is {least - (now - placed):.3g} s ahead of those before"
         return ""
 
     def _agrees(self, stamp: float, now: float) -> bool:
