@@ -39,7 +39,7 @@ _MESSAGES = (
     "liveliness_query",
     "declare_liveliness_subscriber",
 )
-"""All messages that Zenoh judges."""
+"""All types of message that Zenoh controls."""
 
 _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 """Protocols that admit anybody who reaches the endpoint."""
@@ -53,9 +53,9 @@ def access_control(
 ) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a hand.
 
-    The roles go by common name of the certificates that are or may later be admitted, which come
-    through the hand's door (`gate_access_control`), and so through its Unix socket, or if
-    ``routed`` through a router that has judged them (`router_access_control`); with ``plain``,
+    Roles are assigned by common name to the certificates that are, or may later be, admitted. Their
+    clients come through the hand's door (`gate_access_control`), and so through its Unix socket, or
+    if ``routed`` through a router that has judged them (`router_access_control`); with ``plain``,
     clients without certificates are admitted.
     """
     subjects: dict[str, Mapping[str, Role]] = {HERE: {HERE: Role.MAINTAINER}}
@@ -196,7 +196,7 @@ def _topics(hand: str, path: str) -> Iterable[dict[str, Any]]:
 
 
 def _requests(hand: str, role: Role, path: str) -> Iterable[dict[str, Any]]:
-    """Return the rules for the requests that clients of an access path may send, and hello."""
+    """Return the rules for the requests that clients of an access path may send, and for hello."""
     allowed = [
         request for request in REQUESTS.values() if request.group != HELLO and request.role <= role
     ]

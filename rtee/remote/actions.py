@@ -1,4 +1,4 @@
-"""Conversion of actions to fields of messages and back."""
+"""Convert actions to fields of messages and back."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class AgentLimits:
     """Limits of an agent on one hand.
 
     Attributes:
-        gate: What stands between agent and hand.
+        gate: How the agent's motions are controlled.
         force: Largest force that may be asked for [N].
         effort: Largest share of the effort limits, where no force is given.
         speed: Largest share of the velocity limits.

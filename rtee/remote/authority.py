@@ -62,8 +62,8 @@ T = TypeVar("T")
 def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     """Make a hand's authority and its certificate, valid for some days, in a folder.
 
-    This is `rtee.remote.credentials.secure_folder`. Raises `ConfigError` if there is an authority
-    already, or the folder cannot be written.
+    The folder is that of `rtee.remote.credentials.secure_folder`. Raises `ConfigError` if there is
+    an authority already, or the folder cannot be written.
     """
     if (folder / AUTHORITY_KEY).exists():
         raise ConfigError(
@@ -158,8 +158,8 @@ def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
 def revoke(folder: Path, name: str) -> list[Person]:
     """Revoke certificates in a hand's folder; return those that were admitted before.
 
-    The name is a person's, for all certificates, or that in one of them. Raises `ConfigError` if
-    there is no such name.
+    The name is a person's, for all of their certificates, or that of a single certificate. Raises
+    `ConfigError` if there is no such name.
     """
     known = _known(folder)
     matching = [client for client in known.people if name in (client.name, person(client.name))]

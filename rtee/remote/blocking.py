@@ -206,9 +206,9 @@ class BlockingHand:
     """A running hand, made by `connect_blocking`.
 
     Any thread may call its methods, several at a time; processes connect themselves.
-    It has the methods of `RemoteHand`, which wait for their results, except for
-    `collected_states`. Use it as a context, or leave the hand by `disconnect`; the end of the
-    program does so, too.
+    It has the methods of `RemoteHand`, which wait for their results, except for `collected_states`.
+    Use it as a context manager, or leave the hand with `disconnect`; the end of the program does
+    so, too.
 
     Attributes:
         name: The hand's name.
@@ -439,7 +439,7 @@ def connect_blocking(
     wait: float | str = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> BlockingHand:
-    """Connect to a running hand by an event loop in another thread.
+    """Connect to a running hand through an event loop in another thread.
 
     Takes the same arguments as `rtee.connect`, and raises the same errors.
     """

@@ -30,8 +30,8 @@ class CallQueue:
     If ``most`` calls wait, further ones are dropped; `dropped` counts them.
 
     An executor with one thread would not limit the waiting calls, and would make a future for each
-    call. That costs the caller 11 µs in the median and 20 µs in the 95th percentile, this queue 7
-    and 11 µs.
+    call. That costs the caller 11 µs at the median and 20 µs at the 95th percentile; this queue
+    costs 7 and 11 µs.
     """
 
     def __init__(self, name: str, most: int = LONGEST) -> None:

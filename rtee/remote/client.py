@@ -106,7 +106,7 @@ class LeaseClient:
             yield
         finally:
             self._holding -= 1
-            # Even if cancelled before the answer arrived: the hand may have given the lease.
+            # Even if cancelled before the answer arrived: the hand may have granted the lease.
             if not (refused or self._acquired or self._holding):
                 # Shielded: a cancelled task must not keep the lease from other clients.
                 with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
@@ -206,7 +206,7 @@ class RemoteHand:
     async def ask(
         self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN
     ) -> dict[str, Any]:
-        """Send a request of the network and return the fields of its answer.
+        """Send a network request and return the fields of its answer.
 
         For bridges to other networks, which pass on messages as they are; use the other methods for
         everything else.
@@ -253,7 +253,7 @@ class RemoteHand:
         )
 
     async def admit_agents(self) -> None:
-        """Let agents move the hand again, which any stop shuts out; see `rtee mcp`.
+        """Let agents move the hand again after a stop has locked them out; see `rtee mcp`.
 
         Raises:
             RequestRejected: if this client is an agent itself.
@@ -392,7 +392,7 @@ class HandConnection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
     ) -> None:
         await self._opened.__aexit__(kind, error, trace)
 
-    if not TYPE_CHECKING:  # checkers say by themselves what is missing here
+    if not TYPE_CHECKING:  # type checkers report by themselves what is missing
 
         def __getattr__(self, name: str) -> object:
             if hasattr(RemoteHand, name):
@@ -442,11 +442,11 @@ def connect(
 
     Raises:
         NoHand: if no such hand runs.
-        ConfigError: if several hands run and none is named, or an argument is not a text.
+        ConfigError: if several hands run and none is named, or an argument is not a string.
     """
     for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
         if not isinstance(value, str) and (value is not None or what == "client"):
-            raise ConfigError(f"the {what} to connect with should be a text, not {value!r:.100}")
+            raise ConfigError(f"the {what} to connect with must be a string, not {value!r:.100}")
     return HandConnection(_connected(hand, endpoint, client, wait, on_wait))
 
 

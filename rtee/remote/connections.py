@@ -25,7 +25,7 @@ import zenoh
 from rtee.remote.rates import CONNECTIONS_OF_USER
 
 _TOGETHER = 0.25
-"""Time between a new connection and a look at all [s]."""
+"""Time between a new connection and a check of all [s]."""
 
 _LINGER = (socket.SOL_SOCKET, socket.SO_LINGER)
 
@@ -84,7 +84,7 @@ def raise_file_limit() -> int:
 class Connections:
     """Limits each user's connections through a Unix socket; disables lingering on the others.
 
-    A thread of its own looks shortly after new ones have appeared.
+    Its own thread checks them shortly after new ones have appeared.
     """
 
     def __init__(self, session: zenoh.Session, path: str) -> None:

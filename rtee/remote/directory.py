@@ -43,7 +43,7 @@ _PAUSE = 0.01
 """Time between two of these attempts [s], many times longer than a reader's lock."""
 
 _LONGEST = 65536
-"""Most bytes that are read of a hand's file [bytes]: a valid one has some hundred."""
+"""Most bytes that are read of a hand's file [bytes]: a valid one has a few hundred."""
 
 _WATCH_PERIOD = 1.0
 """Interval of checks that a hand's file still exists [s]; until then, clients may not find it."""

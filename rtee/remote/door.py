@@ -58,7 +58,8 @@ _SILENT_FOR = 3.0
 """Time to show a certificate [s]: several round trips of a slow VPN."""
 
 _STOPPED_WITHIN = 3.0
-"""Time after which those are closed [s]: a stop takes some tenths, on a busy computer a second."""
+"""Time after which connections beyond the limit, for stops, are closed [s]: a stop takes a few
+tenths, on a busy computer a second."""
 
 _BACKLOG = 1024
 """Connections that wait in the kernel to be accepted."""

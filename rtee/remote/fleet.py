@@ -34,7 +34,7 @@ _ANSWER_WITHIN = 2.0
 """Time for all hands to answer [s]; those that have not by then are shown with the reason."""
 
 _POLL = 0.02
-"""Time between two looks whether all have answered for the first time [s]."""
+"""Interval of the checks whether all have answered for the first time [s]."""
 
 Opened = AbstractAsyncContextManager[FoundSession]
 """A hand in a session, which is closed with the context unless others share it."""

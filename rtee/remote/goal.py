@@ -44,8 +44,8 @@ _SILENT = 0.5
 feedback comes 50 times a second unless configured otherwise."""
 
 _ASK_WITHIN = 2.0
-"""Time to wait for the answer to such a question [s]: a hand on a busy computer answers within
-some tenths."""
+"""Time to wait for the answer to such a question [s]: a hand on a busy computer answers within a
+few tenths."""
 
 _ASKED_FOR = ANSWER_WITHIN
 """Time without an answer to such questions after which the hand counts as lost [s]."""
@@ -155,12 +155,12 @@ class RunningGoals:
         return goal_id in self._running
 
     def add(self, running: RunningGoal) -> RunningGoal:
-        """Deliver to a goal from now on; return it."""
+        """Deliver messages to a goal from now on; return it."""
         self._running[running.goal.goal_id] = running
         return running
 
     def discard(self, goal_id: str) -> None:
-        """Deliver nothing more to a goal, such as one that was refused."""
+        """Deliver no more messages to a goal, such as one that was refused."""
         self._running.pop(goal_id, None)
 
     def watch(self, running: RunningGoal) -> None:
@@ -194,7 +194,7 @@ class RunningGoals:
             self._end(goal_id, self._link.lost())
 
     async def _watch_silent(self) -> None:
-        """Ask for the results of goals of which nothing was heard for a while; ends with them.
+        """Ask for the results of goals that have been silent for a while; ends with the goals.
 
         A result is published once, and may be lost if the connection is congested.
         """
@@ -299,8 +299,8 @@ class GoalClient:
         """Begin an action and return at once; a running goal of this client is pre-empted.
 
         Args:
-            action: Its name; case and underscores do not matter. Or the name with elements and
-                scale, such as ``trig:ring*0.8``.
+            action: Its name, in which case and underscores do not matter; or the name with elements
+                and scale, such as ``trig:ring*0.8``.
             elements: Fingers or actuator of a primitive, in any order.
             options: See below.
 
@@ -332,7 +332,7 @@ class GoalClient:
             try:
                 await asyncio.shield(answer)
             except NoHand:
-                # The answer may be lost, and the goal run.
+                # The answer may be lost although the goal runs.
                 if self._link.gone:
                     raise
                 await self._running.check_taken(goal.goal_id)
@@ -363,8 +363,8 @@ class GoalClient:
         """Execute an action and wait for its result; cancelling the call cancels the goal.
 
         Args:
-            action: Its name; case and underscores do not matter. Or the name with elements and
-                scale, such as ``trig:ring*0.8``.
+            action: Its name, in which case and underscores do not matter; or the name with elements
+                and scale, such as ``trig:ring*0.8``.
             elements: Fingers or actuator of a primitive, in any order.
             on_feedback: Called with the feedback until the goal ends; an error in it cancels the
                 goal.
@@ -424,7 +424,7 @@ class GoalClient:
         """Open or close the fingertips to an opening and wait for the result.
 
         Args:
-            opening: The opening [m]; or a text such as ``40mm``.
+            opening: The opening [m]; or a string such as ``40mm``.
             fingers: The fingers that open or close; by default those of the hand's best action for
                 that opening.
             tip_speed: Speed at which the opening changes [m/s]; by default as fast as the hand can.
@@ -456,7 +456,7 @@ class GoalClient:
         closed with.
 
         Args:
-            width: Width of the object [m]; or a text such as ``30mm``.
+            width: Width of the object [m]; or a string such as ``30mm``.
             on_feedback: Called with the feedback until the goal ends.
             options: See below.
 

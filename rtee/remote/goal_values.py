@@ -18,7 +18,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 Reaction = OnContact | Literal["stop", "hold", "squeeze"]
 
 OnContactWords = Mapping[str, Reaction] | Reaction
-"""One reaction for all fingers, or reactions by finger, "" for all others."""
+"""One reaction for all fingers, or reactions by finger, with "" for all others."""
 
 StageWord = Stage | Literal["both", "pre_grasp", "grasp"]
 
@@ -29,7 +29,7 @@ class GoalOptions(TypedDict, total=False):
     """Options of a goal that names an action.
 
     Attributes:
-        intensity: 0 (rest) to 1 (the action's posture); or a text such as ``60%``.
+        intensity: 0 (rest) to 1 (the action's posture); or a string such as ``60%``.
         effort: Effort limit by actuator [N·m | N]; or one share of the limit of every actuator,
             above 0 up to 1, such as ``40%``.
         tolerance: Norm of the error at which the goal counts as reached [rad | m].
@@ -63,7 +63,7 @@ class GraspOptions(TypedDict, total=False):
     """Options of a grasp of an object.
 
     Attributes:
-        force: Force between the fingertips [N]; by default by the effort limits.
+        force: Force between the fingertips [N]; by default as the effort limits allow.
         tip_speed: Speed at which the opening changes [m/s]; by default as fast as the hand can.
         fingers: The fingers that hold the object; by default those of the hand's best action for
             that width.
@@ -113,7 +113,7 @@ _DEFAULTS: Final = {
 
 
 def spelled_out(method: F) -> F:
-    """Give a method with ``**options: Unpack[…]`` the signature and the help of all of them."""
+    """Give a method with ``**options: Unpack[…]`` the signature and the help of all options."""
     signature = inspect.signature(method)
     *given, last = signature.parameters.values()
     kind: Any = globals()[str(last.annotation).removeprefix("Unpack[").removesuffix("]")]
@@ -157,7 +157,7 @@ def finite(value: object, what: str) -> float:
 
 
 def numbers(values: object, what: str) -> dict[str, float]:
-    """Return numbers by name; raises `GoalRejected` for other values and names the wrong one."""
+    """Return numbers by name; raises `GoalRejected` that names any other value."""
     if not isinstance(values, Mapping):
         raise GoalRejected(
             f"give each {what} by name, such as {{'thumb': 0.4}}, not {values!r:.100}"
@@ -238,7 +238,7 @@ def grasp_goal(width: float | str, **options: Unpack[GraspOptions]) -> Goal:
     """Return the goal to grasp an object of a width; see `rtee.RemoteHand.grasp`.
 
     Args:
-        width: Width of the object [m]; or a text such as ``30mm``.
+        width: Width of the object [m]; or a string such as ``30mm``.
         options: See below.
 
     Raises:
@@ -313,7 +313,7 @@ def _closing(values: dict[str, Any]) -> ActionReference:
 
 
 def _names(fingers: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the names of fingers; raises `GoalRejected` for a single text."""
+    """Return the names of fingers; raises `GoalRejected` for a single string."""
     if isinstance(fingers, str) or not all(isinstance(name, str) for name in fingers or ()):
         raise GoalRejected(
             f"the fingers must be a list of names, such as ['index'], not {fingers!r:.100}"

@@ -30,7 +30,7 @@ def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     u = np.array(hand.rest)
     for name, value in positions.items():
         spec = hand.actuator(name)
-        # Clients may round the limits to few digits.
+        # Clients may round the limits to a few digits.
         if not spec.lower - 1e-6 <= value <= spec.upper + 1e-6:
             raise GoalRejected(
                 f"the position {value:g} of '{name}' is outside its limits "
@@ -175,10 +175,10 @@ def _missing(hand: Hand) -> Iterator[str]:
     stiff = [name for name in hand.actuator_names if math.isnan(_stiffness(hand, name))]
     tips = [f.name for f in hand.fingers if f.tip is not None and f.name not in hand.tip_friction]
     if stiff:
-        yield f"the stiffness is not known of {_named(stiff, hand.actuator_names, 'actuators')}"
+        yield f"the stiffness of {_named(stiff, hand.actuator_names, 'actuators')} is not known"
     if tips:
         fingers = _named(tips, hand.finger_names, "fingers")
-        yield f"the friction is not known of the tips of {fingers}"
+        yield f"the friction of the tips of {fingers} is not known"
 
 
 def _named(some: Sequence[str], whole: Sequence[str], plural: str) -> str:

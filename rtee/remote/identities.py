@@ -99,8 +99,8 @@ class IdentifiedClient:
 class Identities:
     """The clients of a hand. Any thread may call its methods.
 
-    ``admit`` returns the rights of the clients on an access path; `present` is called with name and
-    access path of each client that arrives, or comes back.
+    ``admit`` returns the rights of the clients on an access path; `present` is called with the name
+    and access path of each client that arrives, or comes back.
     """
 
     def __init__(self, admit: Admit = admit_local) -> None:

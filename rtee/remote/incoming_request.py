@@ -33,7 +33,7 @@ _NAMES = {
     group: ", ".join(each.name for each in REQUESTS.values() if each.group == group)
     for group in {each.group for each in REQUESTS.values()}
 }
-"""The names of the requests of each group, for messages: joined once; junk must cost little."""
+"""The names of each group's requests, for messages; joined once, since junk must cost little."""
 
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")

@@ -267,7 +267,7 @@ class Monitoring:
         timeout: float | None = READY_WITHIN,
         on_wait: Callable[[str], object] | None = None,
     ) -> None:
-        """Wait until the hand ticks and all its devices are active, homing and activation done.
+        """Wait until the hand ticks and all its devices are active, after homing and activation.
 
         Args:
             timeout: Longest time to wait [s]; ``None``: without limit.

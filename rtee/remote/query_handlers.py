@@ -160,7 +160,7 @@ _LOOK_EVERY = 0.005
 """Interval at which the first tick is looked for [s]: that of a slow loop."""
 
 _MOST_KEPT = 64
-"""Cached answers: more than user interfaces request; each takes up to some hundred kilobytes."""
+"""Cached answers: more than user interfaces request; each takes up to a few hundred kilobytes."""
 
 
 class RecordingStatus(Protocol):

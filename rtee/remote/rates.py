@@ -19,7 +19,7 @@ CONNECTIONS_OF_USER = 100
 """Most connections of one user of this computer, less than a hand accepts in all."""
 
 CLIENTS_OF_SHARE = 64
-"""Most clients with one certificate, or of one user on the hand's computer: far more than work
+"""Most clients with one certificate, or of one user on the hand's computer: far more than ever work
 together."""
 
 TOGETHER = 8.0
@@ -28,8 +28,8 @@ programs that are busy all the time. Otherwise a person's share would grow with 
 
 RESERVED = 1.0 / 16.0
 """Allowance of a client that others of its share cannot use up, in multiples of one client's: a
-lone client goes on working, slowly. For all of `CLIENTS_OF_SHARE` that is half of `TOGETHER`
-again."""
+lone client goes on working, slowly. For all of `CLIENTS_OF_SHARE` together, this adds half of
+`TOGETHER`."""
 
 _BURST = 0.5
 """Burst of requests, in seconds of their rate [s]: a program's first requests come at once."""

@@ -74,8 +74,8 @@ allowance grows again, and the burst that follows delays some ticks; so this tim
 client does not stop."""
 
 _LONGEST_CLOSED = 16.0
-"""Longest such time [s]: a client that goes on flooding gets one burst through in it, and one that
-has stopped is heard again after it at the latest."""
+"""Longest such time [s]: a client that goes on flooding gets one burst through in this time, and
+one that has stopped is heard again after it at the latest."""
 
 _LOOK_EVERY = 0.5
 """Interval of the checks whether to open an inbox again [s]: half of the shortest time closed."""
@@ -205,7 +205,7 @@ _MOST_QUESTIONS = 128
 """Most requests for information that wait, of all clients: each may keep 64 KiB, too."""
 
 _LARGEST_REFUSED = 4096
-"""Longest question of a refused query that waits [bytes]: frequent ones have some hundred."""
+"""Longest question of a refused query that waits [bytes]: frequent ones have a few hundred."""
 
 
 class Server:

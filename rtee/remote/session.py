@@ -36,7 +36,7 @@ RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 
 
 def _runtime(receiving: int) -> str:
-    """Return the value for one thread that sends, and so many for all else.
+    """Return the value for one sending thread, and the given number for everything else.
 
     They are separate because the sending thread may have to wait. Callbacks never wait.
     """
@@ -48,9 +48,9 @@ RUNTIME: Final = _runtime(1)
 """Zenoh's threads by default: a message wakes only two."""
 
 _RELAY: Final = _runtime(CONNECTIONS_OF_CERTIFICATE + CONNECTIONS_FOR_STOPS + 2)
-"""Zenoh's threads in a process that passes messages on. Each connection keeps one for as long as
-the hand is slow to take what it sends, and no certificate must keep all of them from others at the
-door, which limits its connections. The last two receive from the hand and from those others."""
+"""Zenoh's threads in a process that passes messages on. Each connection occupies one while the hand
+is slow to take its data; the door limits the connections of a certificate, so that none can occupy
+all threads. The last two receive from the hand and from the others."""
 
 os.environ.setdefault(RUNTIME_VARIABLE, RUNTIME)
 

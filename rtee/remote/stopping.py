@@ -65,7 +65,7 @@ class StopSocket:
     """Receives the stops of this computer in a thread of its own.
 
     Args:
-        path: The socket's file; one that is left of a killed process is replaced.
+        path: The socket's file; one left by a killed process is replaced.
         stop: Called with the sender in words, and with what to call once the devices have stopped.
     """
 
@@ -96,7 +96,7 @@ class StopSocket:
             return False
 
     def _replace(self) -> None:
-        """Make the socket again after its file was removed."""
+        """Recreate the socket after its file was removed."""
         with contextlib.suppress(OSError):
             new = _bound(self._path)
             old, self._socket, self._inode = self._socket, new, self._path.lstat().st_ino

@@ -92,7 +92,7 @@ class Stream:
     async def pace(self) -> AsyncIterator[float]:
         """Iterate at the stream's rate, over the time since the first step [s].
 
-        A step that is late is taken at once, and missed ones are left out.
+        A late step is taken at once, and missed steps are skipped.
 
         Raises:
             RequestRejected: if the stream has ended.
@@ -161,8 +161,8 @@ class StreamClient:
 
         Args:
             rate: Samples per second that will be sent [Hz].
-            deadline: Longest time without a sample [s], or a text such as ``200ms``; as configured
-                unless given.
+            deadline: Longest time without a sample [s], or a string such as ``200ms``; as
+                configured unless given.
             effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1, as a share
                 of the limit of every actuator. By default the hand's own limits.
 

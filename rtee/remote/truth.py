@@ -101,7 +101,7 @@ class Truth:
         self._received = -math.inf
         self._since = ""
         self._fingers: tuple[str, ...] = ()
-        self._word = False  # the devices' own word of a grasp
+        self._word = False  # the devices' own report of a grasp
         self._doubted = False  # by the last result, the force may be that of the hand on itself
         self._over = ""  # the goal that ended last, which the status may still call running
         self._halted = ""  # the goal that the last stop ended, as far as is known

@@ -85,6 +85,6 @@ def test_planners_are_told_stiffness_and_friction_and_what_is_not_known(tmp_path
     assert stiffness["r"] == 3.5
     assert stiffness["l"] != stiffness["l"], "NaN"
     assert info.missing == (
-        "the stiffness is not known of l",
-        "the friction is not known of the tips of right",
+        "the stiffness of l is not known",
+        "the friction of the tips of right is not known",
     )

@@ -136,9 +136,9 @@ def test_another_event_loop_is_named() -> None:
 
 
 def test_what_is_no_name_is_said() -> None:
-    with pytest.raises(ConfigError, match="the hand to connect with should be a text, not 3"):
+    with pytest.raises(ConfigError, match="the hand to connect with must be a string, not 3"):
         rtee.connect_blocking(3)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="the client to connect with should be a text, not None"):
+    with pytest.raises(ConfigError, match="the client to connect with must be a string, not None"):
         rtee.connect_blocking("small", client=None)  # type: ignore[arg-type]
 
 

@@ -44,7 +44,7 @@ def test_info_says_what_is_not_known(served: Served) -> None:
     said = run(info)
     assert "near" in said
     assert "unknown" in said
-    assert "the stiffness is not known of all actuators" in said
+    assert "the stiffness of all actuators is not known" in said
     found = json.loads(run(info, "--json", "--at", "near=0.5"))
     assert found["actuators"][0]["stiffness"] is None
     assert found["posture"][0] == 0.5
