@@ -68,7 +68,7 @@ def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
         tuple(name for name, axis in axes.items() if abs(float(axis @ axes[first])) >= _PARALLEL)
         for first in axes
     ]
-    # By the sum of their ranges instead of their number, in which joints of small range count less.
+    # By the sum of their ranges, not their number, so that joints of small range count less.
     return max(groups, key=lambda group: sum(_span(hand.actuator(n)) for n in group), default=())
 
 

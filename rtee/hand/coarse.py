@@ -25,8 +25,8 @@ _BITS: Final = 21
 def coarsened(points: FloatArray, faces: Faces, kept: FloatArray) -> FloatArray:
     """Merge the corners in each cell of a grid into one of them; return the remaining triangles.
 
-    Closed surfaces stay closed, and the corners that are left stay where they are: those of the
-    convex hull first, unless it is round, with too many, and then shrinks by micrometres.
+    Closed surfaces stay closed, and the remaining corners stay where they are, those of the convex
+    hull first; a round hull with too many of them shrinks by micrometres.
 
     Args:
         points: The corners ``(v, 3)`` [m].
@@ -70,7 +70,7 @@ def welded(corners: FloatArray) -> tuple[FloatArray, Faces]:
 
 def _number(points: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """Return a number for each point ``(k, 3)``; two share one with a probability of 1e-8."""
-    # As files of STL have them: the same corner of two triangles is equal in every bit.
+    # As in STL files: the same corner of two triangles is equal in every bit.
     bits = np.ascontiguousarray(points, dtype=np.float32).view(np.uint32).astype(np.uint64)
     mixed = bits[:, 0]
     for column in (1, 2):

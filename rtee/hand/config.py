@@ -66,11 +66,12 @@ class HandConfig(Section, frozen=True, kw_only=True):
     limits: dict[str, ActuatorLimits] = field(default_factory=dict)
     """Limits that tighten or complete the URDF's, by actuator; ``defaults``: all others."""
     dynamics: dict[str, ActuatorDynamics] = field(default_factory=dict)
-    """Dynamics by actuator: gains, inertia, friction and the way joints follow; ``defaults`` holds
-    for all others. The simulation uses them, and planners that ask for the hand's description."""
+    """Dynamics by actuator: gains, inertia, friction and the way joints follow; ``defaults``
+    applies to all others. Used by the simulation, and by planners that ask for the hand's
+    description."""
     tip_friction: dict[str, Annotated[float, Meta(ge=0, le=10)]] = field(default_factory=dict)
-    """Coefficient of friction of the fingertips' surfaces by finger; ``defaults`` holds for all
-    others. Planners that ask for the hand's description use it. Unless given, the URDF's ``mu1``,
+    """Coefficient of friction of the fingertips' surfaces by finger; ``defaults`` applies to all
+    others. Used by planners that ask for the hand's description. Unless given, the URDF's ``mu1``,
     if any."""
     touch: dict[str, TouchSection] = field(default_factory=dict)
     """Places of its touch sensors, by the names that their devices give them."""

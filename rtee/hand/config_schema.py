@@ -1,7 +1,7 @@
 """The sections of ``hand.yaml``: settings with defaults, bounds and meaning.
 
 The loop, the recorder and the server use them directly; what is read from a file is checked against
-their types and bounds, and `rtee.hand.schema` makes the JSON schema for editors of them.
+their types and bounds, and `rtee.hand.schema` makes the editors' JSON schema from them.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Behaviour(StrEnum):
     OPEN = "open"
     """Go to the rest posture, then hold."""
     DISABLE = "disable"
-    """Take the drive power away, so that the actuators are limp."""
+    """Cut the drive power, so that the actuators are limp."""
 
 
 class Outside(StrEnum):
@@ -275,7 +275,7 @@ class ThermalSettings(Section, frozen=True):
     disable: float = 80.0
     """Temperature above which the actuator's device is disabled."""
     nominal_current: Mapping[str, Positive] = field(default_factory=dict)
-    """Largest continuous current by actuator [A]; ``defaults`` holds for all others. The
+    """Largest continuous current by actuator [A]; ``defaults`` applies to all others. The
     temperature of an actuator without a sensor is estimated from its measured current."""
     time_constant: Positive = 30.0
     """Time in which an estimated temperature comes within 37 % of its final value [s]."""

@@ -1,4 +1,4 @@
-"""The convex solids that a mesh counts as, for planning and for simulation."""
+"""The convex solids that stand for a mesh in planning and simulation."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _METHOD: Final = {
 of 70 mm becomes 12 pieces, 1.4 mm inside its hole, in a second instead of five."""
 
 _FINE: Final = 10_000
-"""Triangles beyond which the surface is resampled first: cuts would take minutes."""
+"""Number of triangles above which the surface is resampled first: otherwise, cuts take minutes."""
 
 _PLACES: Final = 6
-"""Digits behind the point of corners [m]: readers of files differ by less."""
+"""Decimal places of corners [m]: readers of files differ by less."""
 
 
 def convex_solids(corners: FloatArray, parts: Sequence[Faces]) -> list[Solid]:
-    """Return the solids whose convex hulls a mesh counts as.
+    """Return the solids whose convex hulls stand for a mesh.
 
     A part with hollows, handles or holes is divided by CoACD (X. Wei et al., *ACM Trans. Graphics*
     41(4), 2022), once: its pieces are kept in ``$XDG_CACHE_HOME/rtee/convex`` (else ``~/.cache``).
@@ -63,7 +63,7 @@ def convex_solids(corners: FloatArray, parts: Sequence[Faces]) -> list[Solid]:
 
 def _pieces(corners: FloatArray, faces: Faces, most: int) -> list[Solid]:
     """Return the pieces of a part, at most ``most``; none if it cannot be divided."""
-    # In an order of their own, so that every reader of the file gets the same pieces.
+    # Sorted, so that every reader of the file gets the same pieces.
     corners, place = np.unique(np.round(corners, _PLACES) + 0.0, axis=0, return_inverse=True)
     faces = place.reshape(-1)[faces]
     turn = faces.argmin(axis=1)[:, None] + np.arange(3)

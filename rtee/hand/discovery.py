@@ -57,7 +57,7 @@ def make_fingers(
         _tips(given, urdf, srdf)  # before linkages join fingers that have the same tip by mistake
         linked = join_linkages(given, branches, urdf, movers)
         notes += [
-            f"'{chain.name}' is a bar of a linkage, and no finger of its own"
+            f"'{chain.name}' is a bar of a linkage, not a finger of its own"
             for chain in given
             if all(chain is not each.chain for each in linked)
         ]

@@ -13,8 +13,8 @@ from rtee.hand.config_schema import ActuatorDynamics
 from rtee.types import ActuatorSpec, JointKind
 
 PRISMATIC: Final = 1000.0
-"""Inertia, damping and stiffness of a prismatic joint for those assumed of a revolute one [1/m²]:
-the inverse square of a lever of about 30 mm."""
+"""Factor from the inertia, damping and stiffness assumed of a revolute joint to those of a
+prismatic one [1/m²]: the inverse square of a lever of about 30 mm."""
 
 STIFFNESS: Final = 0.05
 """Position error at full effort [rad]."""
@@ -26,11 +26,11 @@ ARMATURE: Final = 5e-4
 """Least inertia of motor and gear [kg·m²]."""
 
 _LINEAR_SPAN: Final = 0.01
-"""Factor of the position error at full effort in m for one in rad: a lever of 10 mm [m/rad]."""
+"""Factor from the position error at full effort in rad to that in m [m/rad]: a lever of 10 mm."""
 
 _ROTOR_TIME: Final = 0.003
-"""Mechanical time constant of a gripper's motor [s]: in it, full effort brings it to two thirds of
-its speed. Catalogues of small brushless motors have 2 to 7 ms."""
+"""Mechanical time constant of a gripper's motor [s]: within it, full effort brings the motor to two
+thirds of its speed. Catalogues of small brushless motors have 2 to 7 ms."""
 
 
 def gain_of(spec: ActuatorSpec, limit: float, stiffness: float = STIFFNESS) -> float:
@@ -60,7 +60,7 @@ def inertia_of(
         known: Its values in hand.yaml.
         kp: Its position gain [N·m/rad | N/m]; ``None``: as known, or derived.
         bandwidth: Its bandwidth [Hz].
-        armature: Least inertia [kg·m²]; a thousand times as many kg of a prismatic one.
+        armature: Least inertia [kg·m²]; for a prismatic actuator, a thousand times the number [kg].
 
     Returns:
         0 if it is not known.

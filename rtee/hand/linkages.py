@@ -17,7 +17,7 @@ _PARALLEL: Final = 0.9
 """Least cosine of the angle between parallel axes: 26 degrees."""
 
 _TOGETHER: Final = 0.5
-"""Least cosine of the angle between the ways of the ends of a linkage's bars: 60 degrees. The
+"""Least cosine of the angle between the paths of the ends of a linkage's bars: 60 degrees. The
 fingers of an iris, which turn in one direction about parallel axes, go 90 degrees or more apart."""
 
 _SAME_AXIS: Final = 1e-4
@@ -56,7 +56,7 @@ def join_linkages(
 
     Args:
         chains: The fingers as given or found.
-        spare: Further branches, which are no fingers of their own.
+        spare: Further branches, which are not fingers by themselves.
         urdf: The hand's URDF.
         movers: What moves each joint; joints that no actuator moves are missing.
     """
@@ -144,7 +144,7 @@ class _Branch:
             behind = {
                 actuator for branch in (self, other) for _, actuator in branch.moved[len(common) :]
             }
-            # They part behind a joint of the actuator that alone moves both of them from there on.
+            # They separate behind a joint of the one actuator that moves both from there on.
             if behind <= {common[-1][1]}:
                 return True
         if not self.actuators or self.actuators != other.actuators:

@@ -65,11 +65,11 @@ def load_model(
         urdf: The URDF.
         srdf: The SRDF that names the fingers; without one they are found from the tree.
         name: The hand's name; the robot's in the URDF unless given.
-        package_dirs: Folders to look mesh packages up in.
+        package_dirs: Folders in which to look up mesh packages.
         rest: Rest positions by actuator [rad | m]; they override the SRDF's and 0.
         ignore: Actuators that stay at rest and take no part.
-        passive: Joints without a motor, besides the SRDF's.
-        actuators: The actuators, where they are known; other joints that could be one stay fixed.
+        passive: Joints without a motor, in addition to the SRDF's.
+        actuators: The actuators, if they are known; other joints that could be one stay fixed.
         edits: Changes of the URDF, such as which part of a whole robot is the hand.
 
     Raises:
@@ -107,7 +107,7 @@ def load_hand(name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = (
 
     Args:
         name_or_path: Its name, or the path of its folder or hand.yaml.
-        config_dirs: Folders to look the name up in, before the usual ones.
+        config_dirs: Folders in which to look up the name, before the usual ones.
 
     Raises:
         ConfigError: if there is no such hand, or its hand.yaml is wrong.
@@ -171,7 +171,7 @@ def hand_folder(
         return folder, folder / FILE_NAME
     path = Path(name_or_path)
     option = _MODELS.get(path.suffix)
-    # Unlike Path.is_dir, os.path.isdir takes names too long and folders that may not be entered.
+    # Unlike Path.is_dir, os.path.isdir accepts overlong names and folders that may not be entered.
     if option is not None and not os.path.isdir(path):
         text = f"is a model, not a hand; `rtee new NAME {option} {path}` makes a hand of it"
         raise ConfigError(text, path=path)
@@ -329,7 +329,7 @@ def _outside(
         return [], []
     names = ", ".join(f"'{name}'" for name in apart)
     are = "is" if len(apart) == 1 else "are"
-    them = "it takes no part and stands" if len(apart) == 1 else "they take no part and stand"
+    them = "it takes no part and stays" if len(apart) == 1 else "they take no part and stay"
     return apart, [f"{names} {are} {what}: {them} at rest"]
 
 

@@ -80,7 +80,7 @@ def resolve_mesh(
 def _elsewhere(address: str, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
     """Yield the possible paths of a file in given folders.
 
-    An absolute path may be one of another computer, of which only the end is the same here.
+    An absolute path may come from another computer; only its end is then the same here.
     """
     parts = Path(address).parts
     begins = range(1, len(parts)) if Path(address).is_absolute() else (0,)

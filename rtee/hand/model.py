@@ -93,7 +93,7 @@ class Finger:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A robotic hand, gripper or any other end-effector; equal to itself alone.
+    """A robotic hand, gripper or any other end-effector; compared by identity.
 
     Attributes:
         name: Its name.

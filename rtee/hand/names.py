@@ -88,7 +88,7 @@ def shared_length(parts: Sequence[Sequence[str]]) -> int:
 def common_prefix(names: Collection[str]) -> str:
     """Return the words with which all names begin, to leave them out where space is scarce.
 
-    Words end in ``_``, ``-``, ``.``, ``/`` or a blank. The prefix is empty for a single name, if it
+    Words end in ``_``, ``-``, ``.``, ``/`` or a space. The prefix is empty for a single name, if it
     would be short, or if nothing of a name would be left.
     """
     same = next(iter(names), "")[: shared_length(list(names))]

@@ -1,4 +1,4 @@
-"""The hand alone, out of the description of a whole robot: the subtree below a link."""
+"""Extract the hand from the description of a whole robot: the subtree below a link."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Subtree:
     """Selection of the hand in a robot.
 
     Attributes:
-        root: The link in whose frame the hand is: its base.
-        outside: What becomes of everything that is not below it.
+        root: The hand's base link, whose frame is that of the hand.
+        outside: Treatment of everything that is not below it.
     """
 
     root: str

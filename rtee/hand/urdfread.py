@@ -38,8 +38,8 @@ MOST_LINKS: Final = 300
 grows with the square."""
 
 MOST_SHAPES: Final = 1000
-"""Most collision shapes; hands whose links are decomposed into convex parts have up to 500. So
-does the work on them."""
+"""Most collision shapes; hands whose links are decomposed into convex parts have up to 500. The
+work on them grows likewise."""
 
 _NO_AXIS: Final = 1e-9
 """Length below which an axis has no direction, since rounding errors would determine it."""
@@ -53,7 +53,7 @@ class Edit(Protocol):
     """A change to a robot's description that is made before anything is derived from it."""
 
     def of(self, robot: Element, whole: Urdf) -> Element:
-        """Return the changed ``<robot>``, given the present one, also as it was read."""
+        """Return the changed ``<robot>``, given the present one and the robot as it was read."""
 
 
 def read_urdf(path: Path | str, edits: Sequence[Edit] = ()) -> Urdf:

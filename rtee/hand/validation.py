@@ -2,9 +2,9 @@
 
 msgspec does the check: `Section` is the base of what people write, and dataclasses hold what
 programs write; bounds are `msgspec.Meta`. Values are converted only where YAML and JSON lack the
-type: a mapping becomes a section or a dataclass, a list a tuple or a set, a text a path or a member
-of an enumeration, an integer a ``float``. msgspec stops at the first mistake and does not say the
-key of a mapping, so wrong data is examined once more, to locate every mistake.
+type: a mapping becomes a section or a dataclass, a list a tuple or a set, a string a path or a
+member of an enumeration, an integer a ``float``. msgspec stops at the first mistake and does not
+say the key of a mapping, so wrong data is examined once more, to locate every mistake.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NONE: Final = (NODEFAULT, dataclasses.MISSING)
 _LARGEST: Final = 1.7976931348623157e308
 
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
-"""A number of a file that may hold NaN and infinity; with other bounds, ``le`` is enough."""
+"""A finite number of a file that may hold NaN and infinity; with other bounds, ``le`` is enough."""
 Amount = Annotated[float, Meta(ge=0, le=_LARGEST)]
 """One that is at least 0."""
 
@@ -49,7 +49,7 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Misfit(ValueError):
-    """A value inside a section is not as it should be.
+    """A value inside a section is invalid.
 
     Attributes:
         at: Its location in the section.
@@ -272,7 +272,7 @@ _BOUNDS: Final[Mapping[str, str]] = {
 
 
 def _own(kind: Any, value: Any, at: Location, error: ValidationError) -> Mistake:
-    """Return the mistake of a value whose parts are as they should be."""
+    """Return the mistake of a value whose parts are valid."""
     cause = error.__cause__
     if cause is not None and kind is not Path:
         inner = cause.at if isinstance(cause, Misfit) else ()

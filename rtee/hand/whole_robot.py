@@ -91,10 +91,10 @@ def arm_joints(
 
 
 def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
-    """Return the links that move and have no collision geometry, nor has anything below them.
+    """Return the moving links with no collision geometry in them or below.
 
-    The shaft of a motor and a tendon are not among them: links without any shape, whose joint
-    others follow that move collision geometry.
+    Motor shafts and tendons are not among them: links without any shape, whose joint is followed by
+    others that move collision geometry.
     """
 
     def moved(joint: UrdfJoint) -> list[UrdfLink]:
@@ -113,7 +113,7 @@ def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
 
 
 def check_one_hand(hand: Hand) -> None:
-    """Refuse a robot of which a part, or several, are hands; say which ones.
+    """Refuse a robot of which only one or several parts are hands, and name these.
 
     Raises:
         ModelError: if the robot has several hands, or other parts besides one, or limbs and no

@@ -126,7 +126,7 @@ _DEEPEST: Final = 64
 """Most open brackets: deeper text takes long to parse, and no file of rtee has more than three."""
 
 MAX_SIZE: Final = 1_000_000
-"""Largest hand.yaml [characters]; they have some hundreds."""
+"""Largest hand.yaml [characters]; usual ones have a few hundred."""
 
 Location = tuple[str | int, ...]
 
@@ -261,7 +261,7 @@ def parse_yaml(
             allowed, as other programs write them; such a key becomes a tuple of strings.
 
     Raises:
-        UserError: if as `read_yaml`.
+        UserError: in the same cases as `read_yaml`.
     """
     data = read_emitted(text)
     if data is None:
