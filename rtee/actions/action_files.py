@@ -146,7 +146,7 @@ class ActionFiles:
 
     @property
     def openings(self) -> str:
-        """Path of the file of their openings, beside the folder, which becomes that of a copy."""
+        """Path of the file of their openings, beside the folder; changes if the hand is copied."""
         return os.path.join(self.folder.parent, OPENINGS)
 
     def read(self, keep: Sequence[Action] = ()) -> ActionIndex:

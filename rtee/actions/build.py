@@ -1,4 +1,4 @@
-"""Construction of composed, timed and generic actions, by the paper's rules.
+"""Construct composed, timed and generic actions by the paper's rules.
 
 A set-point is scaled from the rest posture: ``value = rest + scale * (set-point - rest)``. An
 actuator that several parts of a composed action set gets the mean of their values.

@@ -338,7 +338,7 @@ class ActionLibrary:
 
 
 def listed(elements: Sequence[str]) -> tuple[str, ...]:
-    """Return elements as a tuple; raise `ActionError` for a text, which is a list of letters."""
+    """Return elements as a tuple; raise `ActionError` for a string, which is a list of letters."""
     if isinstance(elements, str):
         raise ActionError(f"elements must be a list of names, such as ['{elements:.100}']")
     return tuple(elements)

@@ -44,8 +44,8 @@ MARGIN: Final = 0.01
 """Excess of the opening over the object's width before a hand closes, if it opens so far [m]."""
 
 _ASTRIDE: Final = 0.01
-"""Steps in which neighbouring fingertips farther apart than the object is wide are worse [m]: about
-half of a fingertip, by whose edge they may still hold it."""
+"""Step in which the gap between neighbouring fingertips beyond the object's width counts as worse
+[m]: about half of a fingertip, by whose edge they may still hold it."""
 
 _SQUARE: Final = 0.1
 """Difference of the tips' angles to the object below which actions count as equally good [rad]."""
@@ -192,14 +192,14 @@ class Opening:
 
 @dataclass(frozen=True)
 class Meeting:
-    """Where the empty hand meets itself on the path of one action from rest.
+    """Contacts of the empty hand with itself on the path of one action from rest.
 
     Attributes:
         action: Name of the action.
         elements: Elements of a primitive.
         posture: Fingerprint of the posture, and the path to it, for which this was found.
         at: Intensity of the first contact of links that an actuator moves against each other, by
-            the actuator's name; without those that meet nothing.
+            the actuator's name; actuators without a contact are left out.
     """
 
     action: str
@@ -277,7 +277,7 @@ def best_for(
     """Return the action that suits an object of a width best, and its opening; the first of equals.
 
     The criteria, in order: collision-free and in force closure; opens by the whole margin; fingers
-    of one side clear of one another; those of one side not astride of the object; force in the
+    of one side clear of one another; those of one side not astride the object; force in the
     direction of pressing, in coarse classes; tips meet the object squarely; few actuators; a pinch
     before the motion of one finger.
 
@@ -339,7 +339,7 @@ class Openings:
         hand: The hand.
         tables: The stored tables.
         meetings: Where the empty hand meets itself, of all actions but timed ones.
-        made: Whether tables were made at all.
+        meetings: Contacts of the empty hand with itself, of all actions but timed ones.
         outdated: Whether they were made for another model of the hand.
     """
 
@@ -383,7 +383,7 @@ class Openings:
         self, action: Action
     ) -> tuple[Opening | str, Mapping[str, float] | None, Action]:
         """Return opening and meeting of an action, which are looked up once."""
-        # By name: what opens the hand, for one, is a new action for every goal.
+        # By name: the action that opens the hand, for one, is a new object for every goal.
         name = action.name, action.elements
         known = self._known.get(name)
         if known is None or known[2] is not action:

@@ -1,4 +1,4 @@
-"""Detection of a rest posture that is a pinch, from the stored primitives alone."""
+"""Detect a rest posture that is a pinch, from the stored primitives alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Importer of the action files of ROS End-Effector.
+"""Import the action files of ROS End-Effector.
 
 Its files hold, per action, a posture of all actuators (``JointPos``, a list per joint) and a count
 per actuator, which is not 0 for involved ones. Primitives are keyed by their fingers (``[index,

@@ -119,7 +119,7 @@ SHALLOW: Final = 0.5
 """Share of the deepest posture's depth below which a note mentions that posture."""
 
 _SEPARATOR: Final = re.compile("[:,]")
-"""Separator of an action's name and elements in a text, instead of a space."""
+"""Separator of an action's name and elements in a string, instead of a space."""
 
 FARTHEST_CLEARANCE: Final = 0.005
 """Largest clearance measured [m]: at this distance, no link is in danger of a collision."""
@@ -178,14 +178,14 @@ class ActionReference(Value):
 
     @classmethod
     def of(cls, what: ActionReference | str, elements: Sequence[str] = ()) -> ActionReference:
-        """Return the use that a text describes; a use is returned unchanged.
+        """Return the use that a string describes; a use is returned unchanged.
 
         Args:
-            what: The use, or its text.
-            elements: Its elements, if the text has none.
+            what: The use, or its string.
+            elements: Its elements, if the string has none.
 
         Raises:
-            ActionError: if the text has another form.
+            ActionError: if the string has another form.
         """
         if isinstance(what, str):
             body, star, factor = what.partition("*")
@@ -203,7 +203,7 @@ class ActionReference(Value):
                 )
             what = cls(words[0], tuple(words[1:]), scale)
         elif not isinstance(what, cls):
-            raise ActionError(f"an action is a text such as 'trig:ring*0.8', not {what!r:.100}")
+            raise ActionError(f"an action is a string such as 'trig:ring*0.8', not {what!r:.100}")
         if isinstance(elements, str):
             raise ActionError(f"elements must be a list of names, such as ['{elements:.100}']")
         if not elements:
