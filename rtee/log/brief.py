@@ -127,7 +127,7 @@ def check_hands(hands: Mapping[Path, str]) -> None:
 
 
 def metadata_of(path: Path, name: str) -> dict[str, str] | None:
-    """Return a metadata record among a file's first; ``None`` without an intact one.
+    """Return one of a file's first metadata records; ``None`` if it is not there, or not intact.
 
     Raises `OSError` if the file cannot be read.
     """

@@ -30,8 +30,8 @@ _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and l
 _INDEX_AFTER_LENGTH = INDEX.size - 9  # the same of a message index
 _LEAST_ROOM = 65536  # first size of a chunk's buffer [byte]: a second of a small hand
 _SPARE = 1.25
-"""A buffer is this many times as large as the chunk that it was made for: those that follow are
-about as large."""
+"""A buffer is this many times as large as the chunk that it was made for: later chunks are about as
+large."""
 
 
 Entries = Mapping[int, tuple[NDArray[np.uint64], NDArray[np.uint64]]]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def line_of(item: object, wall: int) -> list[Any]:
-    """Return a digest's line for a recorded item at a time [ns since 1970], or ``""``."""
+    """Return a digest's line for a recorded item at a time [ns since 1970], or an empty list."""
     match item:
         case Goal():
             what = item.what

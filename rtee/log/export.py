@@ -101,7 +101,7 @@ class Spool:
             yield self._read(piece, name, kind)
 
     def tables(self, pieces: int = 1) -> Iterator[Table]:
-        """Yield the table in parts of so many pieces."""
+        """Yield the table in parts of the given number of pieces."""
         kinds = self.kinds()
         for begin in range(0, len(self._pieces), pieces):
             some = self._pieces[begin : begin + pieces]
@@ -226,7 +226,7 @@ def export(
 
 
 def _write_csv(path: Path, spool: Spool) -> None:
-    # Line ends are up to the writer of CSV, as its documentation asks.
+    # The CSV writer sets the line ends, as its documentation asks.
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(spool.kinds())

@@ -242,7 +242,7 @@ class _Indexer:
                     "the file was not closed: it is being written, or its writer was killed"
                 )
                 if left:
-                    self._notes[-1] += f"; {left} bytes at its end are of no use"
+                    self._notes[-1] += f"; {left} bytes at its end are unusable"
             elif left:
                 self._lose(Record(DAMAGE, good, left))
                 good = size
@@ -377,7 +377,7 @@ class Damage:
 
 
 def others_damaged(chunks: int) -> str:
-    """Describe so many damaged chunks that are not listed one by one."""
+    """Describe the damaged chunks, by their number, that are not listed one by one."""
     return f"further damaged chunks, which are lost: {chunks}"
 
 

@@ -101,7 +101,7 @@ def text_of(report: ContactReport) -> str:
     return f"""# First contact: {report.device}
 
 Driver `{report.driver}`, {_VERSION}, {time.strftime("%Y-%m-%d %H:%M")}.
-The device says of itself: {identity or "nothing"}.
+The device identifies itself as: {identity or "nothing"}.
 
 {ended}## Assumptions
 

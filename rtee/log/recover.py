@@ -111,7 +111,7 @@ def recover(
         if temporary is not None:
             with contextlib.suppress(OSError):
                 shutil.rmtree(temporary.parent)
-    # Behind the data of a file that was closed is its summary, which is written anew.
+    # Behind the data of a file that was closed is its summary, which is written again.
     lost = 0 if content.finished else content.size - content.good
     done = _report(index_file(target), target, damaged, untouched=False, lost=lost)
     lasting = tuple(note for note in content.damage if note not in content.repairable)

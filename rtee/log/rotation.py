@@ -186,9 +186,9 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
 class Retention:
     """Limits the disk space of recordings by removing the oldest.
 
-    The limits of the settings are that of the hand's own recordings, that of all hands', and what
-    stays free of the disk. Removes only files that are recordings by name and by content, and none
-    that is being written; parts of running recordings go last.
+    The settings limit the hand's own recordings and those of all hands, and keep some of the disk
+    free. Removes only files that are recordings by name and by content, and none that is being
+    written; parts of running recordings go last.
     """
 
     def __init__(self, settings: RecorderSettings, hand: str) -> None:

@@ -212,7 +212,7 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
 
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
 _GRIP_PERIOD = 0.02
-"""Time between recorded openings and forces [s]: a grip builds up in some tenths of a second."""
+"""Time between recorded openings and forces [s]: a grip builds up in a few tenths of a second."""
 
 _AROUND = 5 * SECOND
 """Time recorded before and after an occurrence [ns]: seconds later, a hand rests."""

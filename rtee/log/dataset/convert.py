@@ -60,9 +60,9 @@ def episodes_of(recording: Recording, by: EpisodeBoundary) -> list[Episode]:
     if not found:
         why = (
             f"has no episodes: no mark begins with '{BEGIN}' (rtee log mark \"{BEGIN} the task\");"
-            " give --episodes goals to take each goal for one"
+            " give --episodes goals to make each goal one"
             if by is EpisodeBoundary.MARKS
-            else "has no episodes: no goal in it was reached, or grasped something"
+            else "has no episodes: no goal in it was reached or grasped anything"
         )
         raise LogError(why, path=recording.paths[0])
     return found
