@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rtee.remote.fleet import Look
 
 _EVERY = 2.0
-"""Time between two looks [s]: as often as a person reads a table."""
+"""Interval of the updates [s]: as often as a person reads a table."""
 
 ConnectOptions = Annotated[
     list[str] | None,

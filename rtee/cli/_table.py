@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table as Grid
 
 _GAP: Final = 2
-"""Blanks between columns [characters]: a single one could be part of a cell."""
+"""Spaces between columns [characters]: a single one could be part of a cell."""
 
 _INDENT: Final = 2
 """Indentation of rows below a heading [characters]."""
@@ -97,7 +97,7 @@ class TextTable:
         return Group(*parts)
 
     def lines(self) -> list[str]:
-        """Return one line per row, with at least two blanks between cells."""
+        """Return one line per row, with at least two spaces between cells."""
         head = tuple(column.name for column in self.columns)
         cells = [head, *(row.cells for row in self.rows)]
         if self.heading:

@@ -414,7 +414,7 @@ def _show_check(comparison: ReplayCheck, as_json: bool) -> None:
         if comparison.note:
             print(comparison.note)
         if not comparison.results:
-            print("the goals ended otherwise than recorded")
+            print("the goals did not end as recorded")
         if comparison.missing:
             print(f"{comparison.missing} ticks are not in the recording: missed, or dropped")
     if not comparison.same:
@@ -473,7 +473,7 @@ def recover(
             chunks = "chunk" if recovery.damaged == 1 else "chunks"
             text += f"; {recovery.damaged} damaged {chunks} left out"
         if recovery.lost_bytes:
-            text += f"; {recovery.lost_bytes} bytes at the end were of no use"
+            text += f"; {recovery.lost_bytes} bytes at the end were unusable"
         for sentence in recovery.left_out:
             text += f"; {sentence}"
         if recovery.damage:

@@ -63,7 +63,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "new-driver": ("rtee.cli.new:new_driver", "Write the skeleton of a driver package."),
     # dynamics
     "try": ("rtee.cli.try_:try_", "Try an action on an object in simulation."),
-    "compare": ("rtee.cli.compare:compare", "Tell which hands hold which parts, in simulation."),
+    "compare": ("rtee.cli.compare:compare", "Show which hands hold which parts, in simulation."),
 }
 """Each command with its function, or group of commands, and its one-line help."""
 

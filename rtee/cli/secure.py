@@ -66,7 +66,7 @@ def renew(hand: HandArgument, days: DaysOption = 825) -> None:
     """Make a new certificate of the hand; those of clients stay valid."""
     folder = _folder(hand)
     _authority().renew(folder, hand, days)
-    print(f"made a new certificate of {hand}; it is used from its next start on")
+    print(f"made a new certificate of {hand}; it is used from the hand's next start")
 
 
 @app.command(name="add-client")
@@ -97,10 +97,10 @@ def add_client(
         authority.revoke(folder, person.name)
         raise
     print(f"{person.name}: {role}, until {_date(person.until)}, in {path}")
-    print("The file is as good as a key: bring it to the client's computer in a safe way, there as")
+    print("Like a key, the file needs a safe way to the client's computer. Store it there as")
     print("~/.config/rtee/identity.pem or where RTEE_IDENTITY says, and delete it here.")
     print(
-        "A hand that runs admits it within a second, the next 8 of each role without a new start."
+        "A running hand admits it within a second, and the next 8 of each role without a restart."
     )
 
 
@@ -134,7 +134,7 @@ def revoke(hand: HandArgument, name: PersonArgument) -> None:
         print(f"{person.name} is refused")
     if not revoked:
         print(f"{name} was refused already")
-    print("Within a second a hand that runs closes its connections, and lets in no new ones.")
+    print("Within a second, a running hand closes its connections and accepts no new ones.")
 
 
 @app.command(name="list")

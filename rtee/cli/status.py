@@ -282,7 +282,7 @@ def _show_info(description: HandInfo) -> None:
         for each in description.actuators
     ]
     TextTable(tuple(Column(name, right=name in numbers) for name in columns), tuple(rows)).show()
-    print("rad, rad/s, N·m, N·m/rad; of prismatic ones m, m/s, N, N/m\n")
+    print("rad, rad/s, N·m, N·m/rad; prismatic ones: m, m/s, N, N/m\n")
     tips = [
         Row(
             (
