@@ -1,4 +1,4 @@
-"""Plans one grasp for a hand that runs: reads a question from stdin, writes the answer to stdout.
+"""Plan one grasp for a running hand: read a question from stdin, write the answer to stdout.
 
 A separate process, so that planning neither takes Python's lock from the loop nor needs
 Pinocchio and Coal in its process. See `rtee.planning.question`.

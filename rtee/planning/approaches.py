@@ -34,7 +34,7 @@ class PoseCandidate:
         width: Its width between the fingers [m].
         opening: How far apart they are at rest [m].
         start: Step of the action's path at which the hand approaches, and from which it closes.
-        raised: It was moved once already, so that the closing hand clears the table.
+        raised: Whether it was moved once already, so that the closing hand clears the table.
     """
 
     pose: FloatArray
@@ -51,7 +51,7 @@ class Approach:
 
     Attributes:
         pose: Pose of the object at depth 0 ``(4, 4)``.
-        direction: From where it comes, a unit vector ``(3,)``.
+        direction: Unit vector towards where it comes from ``(3,)``.
         frames: Poses of the hand's bodies during the approach ``(m + 1, 4, 4)``.
         depth: How far before the pose it stops [m]; negative beyond it; ``None`` if the path is
             blocked.

@@ -28,7 +28,8 @@ STEPS: Final = 16
 """Steps of the table of an action's path; a step of a finger is about 6 mm."""
 
 TICKS: Final = 120
-"""Intensities at which the hand is checked; less than 1 mm of a fingertip's path apart."""
+"""Number of intensities at which the hand is checked: less than 1 mm of a fingertip's path
+apart."""
 
 _STEP: Final = 4
 """Ticks of a step while links touch: about 3 mm of a fingertip's path."""
@@ -52,7 +53,8 @@ SEVERAL: Final = 3
 """Number of fingertips that may close along one axis, or from all around."""
 
 _DECIDED: Final = 4.0
-"""They close along an axis whose squared motion is this many times that of the next axis."""
+"""Fingertips close along an axis if their squared motion along it is this many times that along the
+next axis."""
 
 _TAKES_PART: Final = 0.1
 """A fingertip moves along that axis if it travels this share of the fastest one's path."""
@@ -135,7 +137,7 @@ class ActionPath:
 
     @property
     def moving(self) -> BoolArray:
-        """Which actuators it moves ``(n,)``."""
+        """Mask of the actuators that it moves ``(n,)``."""
         moves: BoolArray = np.ptp(self.knots, axis=0) > _MOVES
         return moves
 
@@ -171,7 +173,7 @@ class HandClosing:
         grid: Intensities of the table ``(STEPS + 1,)``.
         table: Poses of the hand at these.
         frames: Poses of the bodies at `TICKS` intensities and rest ``(TICKS + 1, m + 1, 4, 4)``.
-        speed: How fast each shape moves at most ``(shapes,)`` [m per unit of intensity].
+        speed: Largest speed of each shape ``(shapes,)`` [m per unit of intensity].
         drives: Which moving actuators move each shape ``(shapes, n)``.
     """
 
@@ -199,7 +201,7 @@ class HandClosing:
 
 
 def close_all(asked: Sequence[tuple[HandClosing, FloatArray, int]]) -> list[Closure | None]:
-    """Close hands on an object, each by an action; together, it takes a fraction of the time.
+    """Close hands on an object, each by an action; together this takes a fraction of the time.
 
     Args:
         asked: Actions of one scene, each with the initial pose of the object ``(4, 4)``, free of
@@ -277,7 +279,7 @@ class _HandBatch:
             rows = rows[~facing & (self._ticks[rows] < TICKS)]
             steps = np.full(len(rows), _STEP)
             nothing = np.array([not self._touches[row] for row in rows.tolist()], dtype=np.bool_)
-            if nothing.any():  # over all steps after which nothing touches either
+            if nothing.any():  # skip the steps after which nothing touches either
                 free = rows[nothing]
                 least = self._near.least(self._at, _SOON, free, paces=pace[free], until=TOUCH)
                 steps[nothing] *= np.maximum(np.ceil(least / _STEP).astype(np.intp), 1)
@@ -330,7 +332,7 @@ class _HandBatch:
         return balanced(cones(normals, self._friction).reshape(-1, 3))
 
     def _rest_closed(self, rows: Slots) -> list[Closure]:
-        """Move the actuators on that are not blocked, where contacts oppose each other."""
+        """Move on the actuators that are not blocked, where contacts oppose each other."""
         paths = [self._closings[row].path for row in rows.tolist()]
         drives = np.array([self._closings[row].drives for row in rows.tolist()])
         touches = [self._touches[row] for row in rows.tolist()]
@@ -390,6 +392,6 @@ class _HandBatch:
 
 
 def _clear_of(touch: Touch) -> FloatArray:
-    """Return the shift that moves an object out of a link, still in touch ``(3,)`` [m]."""
+    """Return the shift that moves an object out of a link until they just touch ``(3,)`` [m]."""
     shift: FloatArray = (TOUCH / 2.0 - touch.distance) * touch.normal
     return shift

@@ -20,7 +20,7 @@ OBJECT: Final = "object"
 """Name of the object, instead of a link, in a collision."""
 
 _DEPTH: Final = 1e-3
-"""Depth from which links overlap [m]: the accuracy of models."""
+"""Depth beyond which links overlap [m]: the accuracy of models."""
 
 _PRESSED: Final = 3e-3
 """Deepest allowed penetration of a fingertip into the object or another fingertip [m]: the error of
@@ -28,18 +28,18 @@ a contact, and the give of a soft pad."""
 
 
 class GraspCollisions:
-    """Looks for collisions of a hand, at one posture after another.
+    """Checks a hand for collisions, at one posture after another.
 
     Links count as their convex parts first; a pair that overlaps deeper than at rest is compared on
-    the geometry as given, so that what is inside of a hollow palm does not collide. Adjacent links
-    are left out, pairs that touch at rest, and those that the SRDF disables. The time is bounded:
+    the geometry as given, so that what is inside of a hollow palm does not collide. Adjacent links,
+    pairs that touch at rest and pairs that the SRDF disables are left out. The time is bounded:
     each pair of links is checked once per posture.
 
     Args:
         hand: The hand.
         geometry: Its geometry.
-        obj: The object, or anything else that is in the way, if there is something.
-        pose: Pose ``(4, 4)`` of that in the hand's base frame.
+        obj: The object, or another obstacle, if there is one.
+        pose: Its pose ``(4, 4)`` in the hand's base frame.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class GraspCollisions:
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
             fingers: Fingers whose tips are to touch the object.
-            posture: Which posture that is, for the result.
+            posture: Name of the posture, for the result.
         """
         found = [*self._own(u, posture), *self._with_object(u, fingers, posture)]
         return tuple(sorted(found, key=lambda each: -each.depth))

@@ -45,7 +45,7 @@ class DistanceBounds:
 
     Args:
         scene: The hand and the object.
-        at: Where the hand is at first in each row.
+        at: Initial pose of the hand in each row.
         poses: Poses of the object ``(k, 4, 4)`` in the base frame.
     """
 
@@ -55,7 +55,7 @@ class DistanceBounds:
         self._here: list[coal.Transform3s | None] = [None] * len(poses)
         found = [scene.gaps(there, pose) for there, pose in zip(at, poses, strict=True)]
         # Arrays (rows, shapes, pieces): a pair has one number there, its shape a slot. Its bound
-        # follows every move; where its planes were is kept as well, to look at the gap again.
+        # follows every move; the place of its planes is kept as well, to compute the gap again.
         self._bounds = np.array([gaps for gaps, _ in found])
         count, shapes, self._pieces = self._bounds.shape
         normals = np.array([normals for _, normals in found])
@@ -69,7 +69,7 @@ class DistanceBounds:
         self._known: list[dict[int, Measured]] = [{} for _ in poses]
 
     def pushed(self, shifts: FloatArray, rows: Slots | None = None) -> None:
-        """Take into account that the object has moved in some rows, by ``(len(rows), 3)`` [m]."""
+        """Update the bounds after the object has moved in some rows, by ``(len(rows), 3)`` [m]."""
         rows = self._moved(rows)
         normals = self._normals.reshape(*self._bounds.shape, 3)
         self._bounds[rows] += (normals[rows] * shifts[:, None, None]).sum(axis=-1)
@@ -78,7 +78,7 @@ class DistanceBounds:
             self._here[row] = None
 
     def closed(self, shifts: FloatArray, rows: Slots | None = None) -> None:
-        """Take into account that shapes have moved, by at most ``(len(rows), shapes)`` [m]."""
+        """Update the bounds after shapes have moved, by at most ``(len(rows), shapes)`` [m]."""
         self._bounds[self._moved(rows)] -= shifts[:, :, None]
 
     def touching(

@@ -1,4 +1,4 @@
-"""Grasps of parallel grippers, as planners put them out, for any hand: a pose and a width.
+"""Use planners' grasps of parallel grippers, each a pose and a width, with any hand.
 
 Inside rtee a gripper's pose is that of GraspNet: x is the approach, y the direction in which the
 fingers close, and the origin lies between the ends of the fingers.
@@ -186,7 +186,7 @@ def reach_gripper_pose(
     obj: GraspObject | None = None,
     object_pose: FloatArray | None = None,
 ) -> GraspSolution:
-    """Return the action, the posture and the palm's pose by which a hand takes a gripper's grasp.
+    """Return the action, posture and palm pose by which a hand executes a gripper's grasp.
 
     The midpoint between the fingertips, at the opening of the object's width, is placed at that of
     the gripper, with the same direction of closing. The tips reach as far along the approach as the
@@ -316,14 +316,14 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     moved = {f: (tips.from_tip(f, local[f]) - before[f]) / step for f in opening.fingers}
     closing = np.mean([moved[f] for f in other], axis=0) - np.mean([moved[f] for f in one], axis=0)
     closing /= np.linalg.norm(closing)
-    # Computed back from the difference: `reach` takes the hand as it was placed last.
+    # Moved back after the difference: `reach` uses the last placement of the hand.
     tips.go(from_rest(np.array(hand.rest), goal, intensity))
 
     # Perpendicular to the closing, as the axes of the gripper's pose are.
     along = direction_of(
         middle - closing * float(middle @ closing),
-        f"the fingertips of {opening.label} meet at the origin of the hand's base link: in which "
-        "direction they reach is not known",
+        f"the fingertips of {opening.label} meet at the origin of the hand's base link: their "
+        "direction of reach is not known",
     )
     # The side that reaches less decides: beyond it, only the other side would touch.
     reach = min(max(tips.reach(f, along) for f in side) for side in (one, other))

@@ -1,4 +1,4 @@
-"""Joint vectors of other models: actuator positions that come nearest to them."""
+"""Find the actuator positions that come nearest to a joint vector of another model."""
 
 from __future__ import annotations
 

@@ -19,15 +19,15 @@ _TURNED: Final = 0.15
 """… and the same for a rotation about each axis [rad]."""
 
 _PUSHED: Final = 0.05
-"""How far the open hand may push an object before it as it comes [m]; farther, the fingertips no
-longer reach it."""
+"""Largest distance by which the coming open hand may push an object ahead [m]; farther, the
+fingertips no longer reach it."""
 
 _PUSH: Final = 0.002
 """Step by which the object is pushed [m]."""
 
 
 def closed_nearby(closing: HandClosing, candidate: PoseCandidate) -> list[Closure | None]:
-    """Return a hand closed at twelve poses near a candidate; ``None`` where it does not hold."""
+    """Return the hand closed at twelve poses near a candidate; ``None`` where it does not hold."""
     nearby = _nearby(candidate.pose)
     free = [_pushed(closing, pose, candidate) for pose in nearby]
     asked = [(closing, pose, candidate.start) for pose in free if pose is not None]

@@ -108,7 +108,7 @@ class GraspObject:
 
     @cached_property
     def centre(self) -> FloatArray:
-        """Centre of mass ``(3,)`` [m], of uniform density; where pieces overlap counts twice."""
+        """Centre of mass ``(3,)`` [m], of uniform density; overlaps of pieces count twice."""
         volumes = np.array([piece.shape.computeVolume() for piece in self.pieces])
         centres = np.array([piece.shape.computeCOM() for piece in self.pieces])
         found: FloatArray = volumes @ centres / volumes.sum()

@@ -37,10 +37,10 @@ SAFETY: Final = 3.0
 """Load, in multiples of the weight, above which it does not limit a grasp: arms accelerate."""
 
 _SAFETY_OF_FINGERS: Final = 20.0
-"""Such a factor for three or more fingers that take an object from a table. The load is that of the
-best forces they could share; the forces of fingers that close on a standing object are far from
-these. Of grasps that carry 3 to 6 times the weight 1 of 54 held, of 6 to 20 times 30 of 70, and
-beyond 47 of 64."""
+"""The same factor for three or more fingers that take an object from a table. The load is that of
+the best forces they could share; the forces of fingers that close on a standing object are far from
+these. Of grasps that carry 3 to 6 times the weight, 1 of 54 held; of those that carry 6 to 20
+times, 30 of 70; and beyond, 47 of 64."""
 
 _POSES: Final = 120
 """Poses of the object that are tried for a hand, shared by its actions."""
@@ -49,7 +49,7 @@ _FEWEST: Final = 3
 """Poses tried for each action at least."""
 
 _ABOVE: Final = 3
-"""Factor on this number above a table, which rules most of them out."""
+"""Factor on this number above a table, since the table rules most poses out."""
 
 _MOST: Final = 16
 """Poses tried for each action at most."""
@@ -75,7 +75,7 @@ _SHAKEN: Final = 2.4 * np.vstack([np.eye(3), -np.eye(3)])
 `rtee try` shakes it, 15 mm to either side at 2 Hz."""
 
 _HALF_PLACE: Final = 5.1e-5
-"""Scores are rounded to four places: a lower one by no more than this may count as the same."""
+"""Scores are rounded to four places: one lower by no more than this may count as equal."""
 
 _MARGIN: Final = 0.01
 """Excess of the opening over the object's width before the hand closes [m]."""
@@ -125,13 +125,13 @@ class Planner:
     Attributes:
         scene: The hand and the object.
         task: The requirements of a grasp.
-        too_wide: No action that was tried opens as wide as the object.
+        too_wide: Whether no action that was tried opens as wide as the object.
         widest: The widest opening of these actions [m].
         narrowest: The object's least width there [m].
         out: The axis ``(3,)`` of the base frame along which the hand reaches out.
         turns: The turns ``(3, 3)`` of the object that look different.
         ground: The table on which it stands, if there is one.
-        safety: A grasp that carries so many times the weight is not limited by its load.
+        safety: Multiple of the weight above which the load does not limit a grasp.
     """
 
     def __init__(
@@ -210,7 +210,7 @@ class Planner:
         notes = [*self.obj.notes]
         if unlimited:
             notes.append(
-                f"no effort limit is known of {', '.join(unlimited)}; the load is not theirs"
+                f"no effort limit is known for {', '.join(unlimited)}; they do not limit the load"
             )
         return Ranking(
             self.hand.name,
@@ -344,7 +344,7 @@ class Planner:
         found = self._wrenches(closure, contacts)
         points = np.array([contact.point for contact in contacts])
         off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure))) / self.obj.length
-        # Scores are compared when they are rounded: half of the last place below counts as well.
+        # Scores are compared after rounding: half of the last place below counts as equal.
         wanted = least - _HALF_PLACE
         ball = quality(found, _least_quality(wanted, off))
         highest = _score(1.0, ball, off)
@@ -505,7 +505,7 @@ _ALONE: Final = frozenset({PrimitiveKind.TRIG, PrimitiveKind.TIP_FLEX, Primitive
 """Primitives that bend one finger, whatever opposes it."""
 
 _OPPOSED: Final = 0.05
-"""Advantage in score from which one of these is better than an action of opposed fingers, whose
+"""Advantage in score above which one of these is better than an action of opposed fingers, whose
 opening and force are known and can be set."""
 
 
@@ -522,9 +522,9 @@ def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
 def _score(held: float, ball: float, off: float) -> float:
     """Return the score of a grasp, 0 to 1.
 
-    It depends on how many times its weight the object can have while the arm accelerates it, as a
-    share of what is safe, on the quality, and on the distance of the contacts' middle from the
-    centre of mass, in lengths of the object.
+    It depends on the load that it carries while the arm accelerates it, in multiples of the
+    object's weight and as a share of what is safe; on the quality; and on the distance of the
+    contacts' middle from the centre of mass, in lengths of the object.
     """
     # An object that is not held against every wrench turns or slides out when disturbed.
     closed = 0.2 if ball > 0.0 else 0.0
@@ -537,8 +537,7 @@ def _score(held: float, ball: float, off: float) -> float:
 def _firmness(grasp: FoundGrasp) -> float:
     """Return the share by which the grasp of a standing object is worse than its forces suggest.
 
-    Fingers that push the object far, or miss it where it stands beside its place,
-    upset it.
+    Fingers that push the object far, or miss it when it is slightly misplaced, upset it.
     """
     push = float(np.linalg.norm(grasp.closure.pose[:3, 3] - grasp.candidate.pose[:3, 3]))
     near = closed_nearby(grasp.search.closing, grasp.candidate)

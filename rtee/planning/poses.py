@@ -44,25 +44,25 @@ _PROBE: Final = 0.004
 """Radius of the probe by which openings are measured [m]: half a fingertip's breadth."""
 
 _ROOM: Final = 0.025
-"""What jaws leave free on either side of an object that comes between them [m]: where it may be up
-to 10 mm beside its place, 10 % larger and turned by 10 degrees, a jaw that does not move stays
-clear of it."""
+"""Space that jaws leave on either side of an object that comes between them [m]: a fixed jaw stays
+clear of an object that is up to 10 mm misplaced, 10 % larger and turned by 10 degrees."""
 
 _LOW: Final = 1e-3
 """Fingertips whose heights above a table differ by less count as equally low [m]."""
 
 _SLANTED: Final = 0.5
-"""Fingertips oppose each other along the reach where it is less than 60 degrees off: the cosine."""
+"""Least cosine at which fingertips oppose each other along the reach: less than 60 degrees off
+it."""
 
 Way: TypeAlias = tuple[FloatArray, list[tuple[FloatArray, FloatArray]]]
-"""Axis of closing, side and reach of a hand that comes, as columns ``(3, 3)``, and from where the
-object comes, with shifts of it [m]."""
+"""Axis of closing, side and reach of an approaching hand, as columns ``(3, 3)``, and the directions
+from which the object comes, with shifts of it [m]."""
 
 _SHIFTS: Final = (0.0, 0.015, 0.03)
 """Jaws that turn about a hinge have room for an object farther out than their middles [m]."""
 
 _ROOMY: Final = 0.7
-"""Share of the most room that a shift must give; the least such shift is taken."""
+"""Least share of the most room that a shift must give; the smallest such shift is taken."""
 
 _PROBED: Final = 3e-4
 """A probe touches a fingertip that is this close [m]."""
@@ -134,7 +134,7 @@ class Poses:
         out: FloatArray,
         ground: Ground | None = None,
     ) -> None:
-        """Look at how the action's fingertips move; the hand reaches out along ``out``."""
+        """Examine how the action's fingertips move; the hand reaches out along ``out``."""
         self._scene, self._closing, self._out, self._ground = scene, closing, out, ground
         self._timed = isinstance(action, Timed)
         self.blocked = False
@@ -151,18 +151,18 @@ class Poses:
         self._axis, self._sides = self._opposition()
         self._probe = coal.Sphere(_PROBE)
         self._shift = 0.0
-        """How far out from the fingertips' middle there is most room between them [m]."""
+        """Distance out from the fingertips' middle at which there is most room between them [m]."""
         if len(self._fingers) < SEVERAL:
             rooms = {shift: self._room(shift) for shift in _SHIFTS}
             self._shift = next(s for s in _SHIFTS if rooms[s] >= _ROOMY * max(rooms.values()))
 
     @property
     def several(self) -> bool:
-        """Whether there are two fingertips at least."""
+        """Whether there are at least two fingertips."""
         return len(self._fingers) > 1
 
     def _involved(self, action: Action) -> tuple[str, ...]:
-        """Return the fingers that close; with the nearest other one if it is one finger alone."""
+        """Return the fingers that close; a single one together with the nearest other finger."""
         hand, moving = self._scene.hand, self._closing.path.moving
         moved = {n for n, moves in zip(hand.actuator_names, moving, strict=True) if moves}
         there = [f for f in hand.fingers if f.tip is not None]
@@ -182,7 +182,7 @@ class Poses:
     def _outermost(self, shapes: list[int]) -> list[int]:
         """Return the outermost shapes of a fingertip's link.
 
-        The link of a jaw may be all of the gripper's body.
+        The link of a jaw may be the gripper's whole body.
         """
         reach = self._closing.table[0].middles[shapes] @ self._out
         least = reach.max(initial=-np.inf) - _TIP  # the rest is the body behind it
@@ -283,7 +283,7 @@ class Poses:
     ) -> float:
         """Return the distance from the grasp centre at which a probe meets a fingertip [m].
 
-        One that passes by the fingertip comes as far as the fingertip's middle.
+        For a probe that passes the fingertip, this is the distance to the fingertip's middle.
         """
         met = self._met(at, tips, middle, towards)
         return max(0.0, self._far(at, tips, middle, towards)) if met is None else met
@@ -318,7 +318,7 @@ class Poses:
         return np.interp(np.arange(len(self._closing.table)), steps, found)
 
     def candidates(self, turns: list[FloatArray], most: int) -> Iterator[PoseCandidate]:
-        """Yield poses of the object, at most so many; see `search`."""
+        """Yield poses of the object, at most ``most``; see `search`."""
         for found in self.search(turns, most):
             if isinstance(found, Approach):
                 bring_in(self._scene, [found])
@@ -326,7 +326,7 @@ class Poses:
                 yield found
 
     def search(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
-        """Yield poses of the object, at most so many, and the approaches on which they depend.
+        """Yield poses of the object, at most ``most``, and the approaches on which they depend.
 
         First those between the fingertips, narrow sides of the object first; then those in the
         palm's front, long sides across it, which several fingers may wrap. After an approach, the
@@ -491,11 +491,11 @@ class Poses:
     ) -> list[tuple[int, float, FloatArray]]:
         """Return steps at which the hand may approach, in the order of trial.
 
-        With each the least depth at which it stays clear of the table as it closes [m], and the
-        pose of the object at depth 0: a hand that comes from the side is raised as far as it has to
-        be. The first is as open as it can be with its fingertips as low as possible, or below the
-        object's middle; the others are more open. There is none from below, and none that is too
-        far above the object.
+        Each has the least depth at which the closing hand stays clear of the table [m], and the
+        pose of the object at depth 0: a hand that comes from the side is raised as far as
+        necessary. At the first step, the hand is as open as it can be with its fingertips as low as
+        possible, or below the object's middle; at the others it is more open. No step is given for
+        an approach from below, or too far above the object.
         """
         ground = self._ground
         if ground is None:

@@ -18,7 +18,7 @@ from rtee.hand.geometry import HandGeometry
 from rtee.sample import FloatArray
 
 _BALL_AXES: Final = np.vstack([np.zeros(3), np.eye(3)])
-"""A shape moves no faster than these points of its ball, in units of the radius, nearly."""
+"""Points of a shape's ball, in units of its radius; the shape moves hardly faster than these."""
 
 Slots: TypeAlias = NDArray[np.intp]
 """Numbers of shapes, pairs or rows."""
@@ -74,7 +74,7 @@ class HandPoses:
             self._transforms[row].clear()
 
     def one(self, row: int) -> HandPose:
-        """Return where all shapes are at one posture."""
+        """Return the poses of all shapes at one posture."""
         return self._postures.posed(self._frames[row])
 
     def where(self, slot: int) -> coal.Transform3s:
@@ -101,7 +101,7 @@ class HandPoses:
 
 
 class Postures:
-    """Computes where the shapes of a hand are.
+    """Computes the poses of a hand's shapes.
 
     Attributes:
         radii: Radii of the shapes' bounding balls ``(n,)`` [m].
@@ -168,7 +168,7 @@ class Postures:
         return found
 
     def posed(self, frames: FloatArray) -> HandPose:
-        """Return where the shapes are at the poses of the bodies ``(m + 1, 4, 4)``."""
+        """Return the poses of the shapes for poses of the bodies ``(m + 1, 4, 4)``."""
         mine = frames[self.bodies]
         turns = mine[:, :3, :3]
         points = turns @ self._points + mine[:, :3, 3:]

@@ -1,4 +1,4 @@
-"""Asks a separate process for a plan; needs neither Pinocchio nor Coal."""
+"""Ask a separate process for a plan; needs neither Pinocchio nor Coal."""
 
 from __future__ import annotations
 

@@ -57,8 +57,8 @@ _ANGLE: Final = math.radians(15.0)
 """Angle between normals that weighs as much as that distance [rad]."""
 
 _POSTURE: Final = 30.0
-"""A whole range of an actuator, off its start, counts as little as 1/30 of that distance: it only
-decides between postures that are as good otherwise."""
+"""A deviation from the start by an actuator's whole range counts as little as 1/30 of that
+distance: it only decides between postures that are otherwise as good."""
 
 _STARTS: Final = 6
 """Postures of actions from which each choice of fingers is searched, the nearest ones."""
@@ -222,7 +222,7 @@ def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:
 
 
 class _PostureSearch:
-    """Looks for postures of one hand."""
+    """Searches for postures of one hand."""
 
     def __init__(
         self,

@@ -37,7 +37,7 @@ class GraspCheck(Value):
     """Result of a grasp in the simulation.
 
     Attributes:
-        held: The object was lifted, held and shaken and is still in the hand.
+        held: Whether the object was lifted, held and shaken and is still in the hand.
         reason: Why not, in words; empty if it was held.
         slip: How far the object moved in the hand from the grasp to the end [m].
         peak: The largest contact force on a finger while it was lifted and shaken [N].

@@ -57,7 +57,7 @@ def robust_poses(
         planner: The hand with the object.
         action: The action.
         groups: Actions whose fingers it moves, too: the object may be between those alone.
-        others: Poses that are compared, too.
+        others: Further poses to compare.
     """
     closing = HandClosing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
     if not closing.path.moving.any():

@@ -78,14 +78,14 @@ class GraspScene:
         self._middles, self._halves = 0.5 * (high + low), 0.5 * (high - low)
 
     def posed(self, u: FloatArray) -> HandPose:
-        """Return where the shapes are at actuator positions ``(n,)`` [rad | m]."""
+        """Return the poses of the shapes at actuator positions ``(n,)`` [rad | m]."""
         return self.postures.posed(self.postures.frames(u[None])[0])
 
     def gaps(self, at: HandPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return gaps between the shapes and the pieces, without measuring distances.
 
         Args:
-            at: Where the hand is.
+            at: Poses of the hand's shapes.
             pose: Pose of the object ``(4, 4)`` in the base frame.
 
         Returns:

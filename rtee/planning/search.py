@@ -1,4 +1,4 @@
-"""Searches for poses at which actions hold an object, for many actions at the same time.
+"""Search for poses at which actions hold an object, for many actions at the same time.
 
 The approach of the object and the closing of the hand are computed for many hands together, so
 searches proceed in rounds: the next requests of all of them are answered at once.

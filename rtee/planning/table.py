@@ -23,10 +23,10 @@ from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
 CLEAR: Final = 4e-3
-"""Least gap between a hand and the table [m] …"""
+"""Least gap between a hand and the table [m]."""
 
 _TILT: Final = math.tan(math.radians(5.0))
-"""… and its increase per metre of distance from the object: the accuracy of arms and cameras."""
+"""Increase of that gap per metre of distance from the object: the accuracy of arms and cameras."""
 
 STEEP: Final = 0.5
 """A hand comes from above if its approach is less than 60 degrees off the table's normal: the
@@ -40,7 +40,7 @@ _STANDS: Final = 0.2
 table: it then does not tip when touched, nor when it stands 10 mm from its place."""
 
 _LEAST: Final = 0.9
-"""The share of that which is enough: the steps of a closing hand are 6 mm apart."""
+"""Share of the gap that is enough: the steps of a closing hand are 6 mm apart."""
 
 _RAISED: Final = 0.02
 """Largest height by which a hand is raised to clear the table [m]: more makes another grasp."""
@@ -54,8 +54,8 @@ _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
 
 _JAWS_HELD: Final = (0.0, 0.5, 0.9), (0.0, 0.86, 0.95)
 _FINGERS_HELD: Final = (0.0, 0.28, 0.38, 0.65, 0.8), (0.0, 0.1, 0.6, 0.75, 0.95)
-"""Scores, and the share of the grasps scored so that held in simulation on a table, with 5 mm, 5
-degrees and friction varied: by two jaws, and by more fingers (docs/benchmarks/index.md)."""
+"""Scores, and the shares of grasps with these scores that held in simulation on a table, with 5 mm,
+5 degrees and friction varied: for two jaws, and for more fingers (docs/benchmarks/index.md)."""
 
 
 def share_held(fingers: int, score: float) -> float:
@@ -93,20 +93,20 @@ class Ground:
 
     Attributes:
         up: The table's normal in the object's frame ``(3,)``; ``None``: it is against the weight.
-        edge: The object stands out over the table's edge.
+        edge: Whether the object stands out over the table's edge.
     """
 
     def __init__(
         self, scene: GraspScene, table: Table, weight_axis: FloatArray, *, edge: bool = False
     ) -> None:
-        """Prepare.
+        """Set up the table for a hand and an object.
 
         Args:
             scene: The hand and the object.
             table: The table.
             weight_axis: Direction of the weight ``(3,)`` in the base frame, unless the table gives
                 it.
-            edge: The object stands out over the table's edge.
+            edge: Whether the object stands out over the table's edge.
         """
         self._scene, self._table, self._axis, self.edge = scene, table, weight_axis, edge
         up = None if table.up is None else np.array(table.up)
@@ -118,7 +118,7 @@ class Ground:
         self._block = coal.Box(*_SIZE)
 
     def top(self, pose: FloatArray, approach_from: FloatArray) -> Top:
-        """Return where the table is.
+        """Return the table top for a pose of the object.
 
         Args:
             pose: Pose of the object ``(4, 4)`` in the base frame.
@@ -184,7 +184,7 @@ class Ground:
             closing: Closes the hand.
             steps: Steps of its table until it touches the object.
             begin: Pose of the object ``(4, 4)``.
-            direction: From where it comes, a unit vector.
+            direction: Unit vector towards where it comes from.
 
         Returns:
             For one that comes at each step and closes from there ``(steps + 1,)`` [m].

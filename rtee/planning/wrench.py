@@ -315,8 +315,8 @@ def load(
 ) -> float:
     """Return how many times a weight a grasp can carry with the efforts of the actuators.
 
-    Where several are given, as of an object that is accelerated in either direction, that many
-    times each of them, one at a time.
+    Where several weights are given, as for an object accelerated in either direction, each must be
+    carried this many times, one at a time.
 
     Args:
         found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.

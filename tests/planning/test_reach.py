@@ -117,7 +117,7 @@ def test_tips_that_meet_at_the_base_take_no_pose_of_a_gripper(tmp_path: Path) ->
     close = Generic("close", Posture({"a": 0.04, "b": 0.04}, ("a", "b")))
     opening = opening_of(HandGeometry(hand), close)
     assert opening is not None
-    with pytest.raises(ConfigError, match="in which direction they reach is not known"):
+    with pytest.raises(ConfigError, match="their direction of reach is not known"):
         reach_gripper_pose(hand, [(close, opening)], GripperPose(POSE, 0.03))
 
 
