@@ -33,9 +33,9 @@ class Cell:
         hand: The hand, as tasks call it.
         object: The object, as on the command line.
         best: The result with the best rate so far.
-        why: Why the object is not held, as far as it is not.
+        why: Why the object is not held, or not always.
         picture: The best grasp as a PNG file in base64.
-        done: No further action is tried.
+        done: Whether no further action is tried.
         actions: Names and elements of the actions that are still to be tried.
     """
 
@@ -81,7 +81,7 @@ class Cell:
 
 
 class Comparison:
-    """Hands by objects; give its tasks to a sweep, and the answers back.
+    """A comparison of hands by objects: its tasks go to a sweep, whose answers come back to it.
 
     Attributes:
         hands: The hands, as tasks call them.

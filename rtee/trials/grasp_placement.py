@@ -56,7 +56,7 @@ class Place:
 
     Attributes:
         pose: Pose of the object in the hand's base frame ``(4, 4)``.
-        intensity: The fingertips' spread fits the object at this intensity of the action.
+        intensity: Intensity of the action at which the fingertips' spread fits the object.
         approach_from: From where the object can come, relative to the hand and free of contact: a
             vector ``(3,)`` [m] in the base frame; zero when every straight path is blocked.
         preshape: Intensity to which the hand closes before the object comes.
@@ -200,7 +200,7 @@ class Places:
         return found
 
     def _contact_point(self, action: Action) -> FloatArray:
-        """Return from the middle of the tips to the contact of a pinch ``(3,)`` [m]."""
+        """Return the vector from the middle of the tips to the contact of a pinch ``(3,)`` [m]."""
         if (
             isinstance(action, PrimitiveAction)
             and action.evidence
@@ -227,7 +227,7 @@ class Places:
         return bool(depth < _TOUCH)
 
     def _way(self, pose: FloatArray) -> FloatArray:
-        """Return from where the object can come to the hand at rest."""
+        """Return the offset from which the object can come to the hand at rest."""
         axis = approach(self._hand)
         others = [v for v in (*np.eye(3), *-np.eye(3)) if abs(float(v @ axis)) < 0.5]
         for direction in (axis, *others):

@@ -23,7 +23,7 @@ from rtee.objects.description import ObjectDescription
 from rtee.sample import ActuatorState, BoolArray, FloatArray, TickRecord, measured_arrays
 from rtee.types import Event, Feedback, Goal, Result
 
-_PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action takes some ten
+_PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action takes about ten
 
 
 class Plant(Protocol):

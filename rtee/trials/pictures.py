@@ -76,7 +76,7 @@ class SimulationRenderer:
         self._shading = Shading.studio(self._colours(), self._camera, self._up, extent)
 
     def picture(self) -> bytes:
-        """Return a PNG file of how it is now."""
+        """Return a PNG picture of the present state."""
         picture = Renderer(RayCaster(self._posed()), self._camera, self._shading).render()
         return encode(picture, "#ffffff", self._camera, (), "PNG")
 

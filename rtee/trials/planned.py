@@ -45,8 +45,8 @@ def check_plan(
 ) -> GraspCheck:
     """Try a planned grasp: approach, grasp, lift, hold and shake, as `rtee try` does.
 
-    What stands on a table lies there, and has its weight from the start. A variation moves and
-    turns object and table, and has a friction of its own.
+    An object on a table lies there, and has its weight from the start. A variation moves and turns
+    object and table, and has a friction of its own.
 
     Raises:
         UnknownAction: if the library does not have the action.
@@ -99,8 +99,8 @@ def checked(
 ) -> Ranking:
     """Return a ranking whose ``most`` best plans were tried in dynamics; successes come first.
 
-    Where none of these holds, the others are tried, too, until one does: geometry does not see how
-    the fingers push the object while they close.
+    If none of these holds, the others are tried, too, until one does: geometry does not see how the
+    fingers push the object while they close.
     """
     plans = list(ranking.plans)
     held = False

@@ -101,7 +101,7 @@ class _Strip:
         self._shading = Shading.studio(np.array(colours), camera, up, self._size)
 
     def picture(self, at: float) -> bytes:
-        """Return a PNG file of a time [s]."""
+        """Return a PNG picture of the state at a time [s]."""
         caster = RayCaster(self._at(at))
         picture = Renderer(caster, self._camera, self._shading).render()
         return encode(picture, "#ffffff", self._camera, (), "PNG")

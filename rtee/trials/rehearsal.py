@@ -74,7 +74,7 @@ class Rehearsal:
         if self.struck > _STRUCK:
             return f"the hand strikes itself with {self.struck:.1f} N"
         if self.force > force:
-            return f"it comes to {self.force:.1f} N, and a person allows {force:g} N"
+            return f"it reaches {self.force:.1f} N, and a person allows {force:g} N"
         return ""
 
 
@@ -91,13 +91,13 @@ def rehearse(
         position: Where the actuators are [rad | m]; with an object, the hand starts at rest.
 
     Raises:
-        UserError: if the files are others, or the hand cannot be simulated.
+        UserError: if the files differ, or the hand cannot be simulated.
         ActionError: if the goal cannot be taken, or the object fits nowhere between the fingers.
         SimulationUnstable: if the equations blew up.
     """
     hand, config = load_configured(name)
     if hand.urdf.text != urdf:
-        raise ConfigError(f"the files of '{name}' here are not those of the hand that runs")
+        raise ConfigError(f"the files of '{name}' here are not those of the running hand")
     library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
     settings = loop_settings(config, rate=RATE)
     plan = make_plan(goal, hand, library, settings)

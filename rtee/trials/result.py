@@ -82,8 +82,8 @@ class TrialResult:
 
     Attributes:
         trial: The trial.
-        held: The object was lifted, held and shaken and is where it was in the hand, within 5 mm
-            and 10 degrees, and the hand has not reported a loss.
+        held: Whether the object was lifted, held and shaken and is where it was in the hand, within
+            5 mm and 10 degrees, and the hand has not reported a loss.
         reason: Why not, in words; empty if it was held.
         outcome: How the goal ended: ``grasped``, ``reached`` and so on; empty if it never began.
         slip: How far the object moved in the hand from the grasp to the end [m].
@@ -92,9 +92,9 @@ class TrialResult:
         duration: Simulated time of the trial [s].
         places: How many places were tried.
         position: Where the object was put in the hand's base frame [m].
-        survived: In how many of the trial's variations it was held, too; what is lost without
-            variation is not varied, and counts as lost in all of them.
-        fits: It is not too wide or heavy for the hand.
+        survived: Number of the trial's variations in which it was held, too; an object that is lost
+            without variation is not varied, and counts as lost in all of them.
+        fits: Whether the object is neither too wide nor too heavy for the hand.
         left: How many variations were left out, since the others had decided.
     """
 

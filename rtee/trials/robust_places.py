@@ -36,7 +36,7 @@ def robust_places(
     """Return places for an object, the most robust ones first, each well apart from the others.
 
     Places between the fingertips, between those of fewer fingers, and in the palm's front are
-    compared. Where geometry holds it nowhere, those between the fingertips are left.
+    compared. If geometry finds it held nowhere, only those between the fingertips remain.
 
     Args:
         simulation: The hand with its object and carrier.
@@ -76,7 +76,7 @@ def groups_of(library: ActionLibrary, action: Action) -> list[Primitive]:
 def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variations: int) -> str:
     """Return why an object does not fit a hand; empty if it does.
 
-    With variations, the largest and the heaviest one has to.
+    With variations, the largest and the heaviest one must fit.
     """
     hand = library.hand
     mass = thing.mass * (1.0 + MASS if variations else 1.0)

@@ -14,7 +14,7 @@ from rtee.trials.headless import HeadlessHand
 from rtee.types import Event, Goal, Result
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
-"""Told at the moments of a scenario, such as ``start``, ``approach``, ``grasp`` and ``lift``."""
+"""Called at the moments of a scenario, such as ``start``, ``approach``, ``grasp`` and ``lift``."""
 
 
 class TrialScene:
@@ -23,10 +23,10 @@ class TrialScene:
     Attributes:
         headless: The hand.
         around: Its surroundings.
-        at: Where the carrier has to be ``(6,)``: x, y, z [m], roll, pitch, yaw [rad].
+        at: Wanted pose of the carrier ``(6,)``: x, y, z [m], roll, pitch, yaw [rad].
         before: Pose ``(4, 4)`` of the object in the world where the hand's approach begins.
         base: Pose ``(4, 4)`` of the hand's base frame there.
-        said: How the grasp ended; there is nothing before it.
+        said: Result of the grasp; not set before it.
         outcome: The same in a word; empty before.
         start: Where the object was in the hand ``(3,)`` [m] when it was grasped.
         orientation: How it was turned there ``(3, 3)``.
@@ -124,18 +124,18 @@ class TrialScene:
             self.headless.tick()
 
     def carry(self, pose: FloatArray) -> None:
-        """Set where the carrier has to be ``(6,)`` from the next tick on."""
+        """Set the wanted pose of the carrier ``(6,)`` from the next tick on."""
         self.at = pose
         self.around.carry(pose)
 
 
 Step = Callable[[TrialScene], str | None]
-"""Does one step, and returns why the scenario ends with it; nothing to continue."""
+"""Does one step, and returns why the scenario ends with it; ``None`` to continue."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Let simulated time pass [s], after which it is the moment of a name, if any."""
+    """Let simulated time pass [s], then report a moment if it has a name."""
 
     seconds: float
     moment: str = ""
@@ -194,7 +194,7 @@ class Grasp:
 
 
 def release(scene: TrialScene) -> None:
-    """Let the object bear its own weight: one that fewer than two links hold has to fall now."""
+    """Let the object bear its own weight: if fewer than two links hold it, it must fall now."""
     scene.around.remove_support()
 
 

@@ -174,7 +174,7 @@ def outdated(text: str, path: Path) -> frozenset[str]:
         return frozenset()
     if not {"present", "made_with"} <= document.keys():
         return frozenset()
-    # An older hand sends the word of all its files only.
+    # An older hand sends only the fingerprint of all its files.
     model, actions = document.get("present_model", ""), document.get("present_actions")
     present = Fingerprints(str(document["present"]), model, actions or {})
     return frozenset(_results(read, None).keys() - _results(read, present).keys())

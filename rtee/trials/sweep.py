@@ -26,7 +26,7 @@ from rtee.trials.trial import Trial
 from rtee.trials.work import Answer, MadeWith, Task, answer_of, perform, perform_apart, to_text
 
 _TRIES: Final = 3
-"""How often a task is tried: elsewhere, where there is another place."""
+"""Attempts at a task: elsewhere, where there is another worker."""
 
 _LOOK: Final = 2.0
 """Interval of checks on silent workers [s]."""
@@ -176,7 +176,7 @@ class Sweep:
         """Do the tasks; yield each, with its hand, and the answer as it comes.
 
         Raises:
-            WorkerLost: if nobody is left who works, or a task ends each of its workers.
+            WorkerLost: if no worker is left, or a task ends each of its workers.
         """
         try:
             while self.left:

@@ -168,7 +168,7 @@ def run_task(ready: TrialBench, trial: TaskTrial, number: int) -> TaskResult:
     Args:
         ready: The hand; its settings must be for `RATE`.
         trial: The task.
-        number: Number of the variation, from 0; all hands and ways meet the same ones.
+        number: Number of the variation, from 0; all hands and modes get the same ones.
 
     Raises:
         UnknownAction: if there is no such action.

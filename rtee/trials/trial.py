@@ -44,12 +44,12 @@ tries that all places get may mistake the second best for the best."""
 
 _CAREFUL_ROUNDS = 3
 _STAYS = 0.002
-"""Then: most moves of a place, and the move that is small enough to end them [m], a fifth of the
-variation."""
+"""For these: most moves of a place, and the move that is small enough to end them [m], a fifth of
+the variation."""
 
 _SCANNED_FROM = 40
-"""From so many tries on that choose a place, the best place is also moved along each axis to the
-middle of where the object is held: such a number tells 18 of 20 from 14 of 20 [tries]."""
+"""Number of tries for choosing a place from which the best place is also moved along each axis, to
+the middle of where the object is held: so many tell 18 of 20 from 14 of 20."""
 
 _SCAN_STEP = 0.004
 """Distance of the places along an axis [m]: less than half the variation, so that neighbours differ
@@ -59,12 +59,12 @@ _SCAN_STEPS = 3
 """Number of places tried to either side: a little farther than objects are varied."""
 
 _FALLS_OFF = 0.25
-"""No place farther away is tried where this share less of the tries is held than at the best place
-of the axis: there is the edge."""
+"""If the share of tries held is this much lower than at the best place of the axis, no place
+farther away is tried: the edge is there."""
 
 _AMIDST = 0.85
-"""A place is amid those where the object is held if it is held at this share of those around it,
-12 of 14; no other one is looked for then."""
+"""A place is amid those where the object is held if it is held at this share of the places around
+it, 12 of 14; then no other one is looked for."""
 
 _AROUND = np.array(
     [
@@ -175,7 +175,7 @@ def run_trial(
 def _carefully(contenders: list[_Tried], varied: _Varied, free: Places) -> _Tried:
     """Return the best of some places, each moved to the middle of the region that holds the object.
 
-    A place on the edge of that may survive all tries that choose it, so all are moved.
+    A place on the edge of that region may survive all tries that choose it, so all are moved.
     """
     found = []
     for best in contenders:
@@ -196,17 +196,16 @@ def _carefully(contenders: list[_Tried], varied: _Varied, free: Places) -> _Trie
         found.append(best)
         if best.lost == 0 and best.around >= _AMIDST:
             break
-    # How well it lies amid places that hold says more than how little the object slipped there.
+    # Lying well amid places that hold says more than how little the object slipped there.
     return max(found, key=lambda one: (*one.rank[:2], one.around))
 
 
 def _scanned(best: _Tried, varied: _Varied, free: Places) -> _Tried:
     """Return a place moved, along each axis, to the middle of where the object is held.
 
-    All places meet the same tries. One that survives them all may lie on the edge of those that do,
-    and says nothing of their middle; and one that survives a few more than its neighbours may do so
-    by chance. So each place counts as much as the mean of itself and its neighbours, and of those
-    that count the same, the middle one is taken.
+    All places get the same tries. One that survives them all may lie on the edge of the region, and
+    one that survives a few more than its neighbours may do so by chance. So each place is rated by
+    the mean of itself and its neighbours, and of equally rated places, the middle one is taken.
     """
     for axis in np.eye(3):
         row = {0: best}
@@ -253,7 +252,7 @@ class _Tried:
         place: The place.
         result: How the trial ended there, without variation.
         held: Which of the tries to choose it were held.
-        beaten: It can no longer be the best, so that some of these tries were left out.
+        beaten: Whether it can no longer be the best, so that some of these tries were left out.
         around: The share of the places around it where the object is held, as far as that is known.
     """
 

@@ -273,6 +273,6 @@ def perform(name: str, text: str) -> str:
 
 
 def perform_apart(name: str, text: str) -> str:
-    """Do the same in a process that does nothing else."""
+    """Do the same as `perform` in a process that does nothing else."""
     _freeze_loaded(name)
     return perform(name, text)

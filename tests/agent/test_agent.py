@@ -338,7 +338,7 @@ async def test_a_conversation(rtee_hand: StartHand) -> None:
         assert "500 N is more than the 20 N that a person allows" in text
         # Pressing on nothing with what is allowed comes to more, as the simulation finds.
         text = await agent.refused("do", action="Grasp")
-        assert re.search(r"in simulation, it comes to 2\d\.\d N, and a person allows 20 N", text)
+        assert re.search(r"in simulation, it reaches 2\d\.\d N, and a person allows 20 N", text)
         assert hand.state().positions == pytest.approx(position, abs=1e-3)
         (recording,) = (await agent.done("recordings"))["recordings"]
         told = await agent.done("recording", name=recording)

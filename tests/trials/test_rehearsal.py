@@ -28,7 +28,7 @@ def test_what_is_held_may_be_done() -> None:
     assert rehearsal.refusal(20.0) == ""
     # The blow of the closing fingers counts.
     assert (
-        rehearsal.refusal(10.0) == f"it comes to {rehearsal.force:.1f} N, and a person allows 10 N"
+        rehearsal.refusal(10.0) == f"it reaches {rehearsal.force:.1f} N, and a person allows 10 N"
     )
 
 
@@ -62,7 +62,7 @@ def test_it_begins_where_the_hand_is() -> None:
 
 
 def test_other_files_and_impossible_goals_are_refused() -> None:
-    with pytest.raises(ConfigError, match="here are not those of the hand that runs"):
+    with pytest.raises(ConfigError, match="here are not those of the running hand"):
         rehearse("robotiq_2f_85", "<robot/>", Goal(Named("open")), "", {})
     with pytest.raises(GoalRejected, match="mm"):
         played("robotiq_2f_85", Goal(Fingers(), Around(0.2)), CUBE)
