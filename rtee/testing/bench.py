@@ -47,7 +47,7 @@ _DO: Final[dict[str, Callable[[Simulation, Emulator, str], None]]] = {
 class EmulatedDevices(ABC):
     """The emulated devices of a hand, which a test unplugs, fills and breaks.
 
-    What is done to one device, or to all, is done when a method returns; the hand takes a moment to
+    An operation on one device, or on all, is done when a method returns; the hand takes a moment to
     notice. All raise `ConfigError` if a device is not emulated, or cannot do that.
     """
 
@@ -81,7 +81,7 @@ class EmulatedDevices(ABC):
 
 
 class Bench:
-    """The test's side: does something to the emulated devices of a running hand.
+    """The test's side: operates the emulated devices of a running hand.
 
     Args:
         line: The socket to the hand's process.

@@ -64,7 +64,7 @@ class HumanHand:
             curls: How far the fingers are closed, thumb first, 0 to 1.
             spread: Angle between neighbouring fingers [rad].
             pinch: A finger, 1 to 4, and the distance of the thumb's tip from its tip [m]. That
-                finger is curled as a pinch takes it.
+                finger is curled as in a pinch.
         """
         found = np.zeros((21, 3))
         for finger in range(1, 5):

@@ -30,10 +30,11 @@ from rtee.testing.case import DeviceCase
 from rtee.types import Reference
 
 _NOT_THERE: Final[tuple[type[RteeError], ...]] = (*LATE, NotConnected, HandshakeError)
-"""Errors of connecting on a busy computer: who does not answer in time counts as not there."""
+"""Errors of connecting on a busy computer: a device that does not answer in time counts as
+missing."""
 
 _RESTS = 0.1
-"""Time between two states that tell whether a device moves [s]: longer than the slowest takes for
+"""Time between two states by which motion is detected [s]: longer than the slowest device takes for
 a new one, 67 ms."""
 
 _NOTICES = 30.0
@@ -149,7 +150,7 @@ class Session:
     async def approach(self, goal: Sequence[float], share: float) -> list[float]:
         """Move part of the way to a posture as the loop does; return the last reference.
 
-        At a tenth of the velocity limits, and the driver receives what is measured and requested.
+        Moves at a tenth of the velocity limits; the driver gets the measured and requested values.
         """
         standstill = self.driver.standstill
         here = list(map(float, (await self.sense()).position))

@@ -1,8 +1,9 @@
 """A hand with emulated devices on simulated time, in the process of a test.
 
 Drivers, wires, emulators and the loop share a time that passes only while the test waits for the
-hand, as fast as the processor computes: ten seconds take about one of its time, and every deadline
-is exact. Nothing listens: what is under test gets this hand instead of connecting to one.
+hand, as fast as the processor computes: ten seconds take about one second of processor time, and
+every deadline is exact. Nothing listens: pass the hand to the code under test, which cannot connect
+to it.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ _READY_WITHIN: Final = 120.0
 """Longest time for connecting and homing [s], simulated: an SVH homes for 30 s."""
 
 _LOOK_EVERY: Final = 0.02
-"""Simulated time between two looks whether all devices are active [s]."""
+"""Simulated interval of the checks whether all devices are active [s]."""
 
 
 class SimulatedHand(EmulatedDevices, Observer):
     """A hand on simulated time; `rtee.simulated` makes it.
 
-    Its methods are those of `rtee.connect_blocking` as far as it has them, and those of
-    `EmulatedDevices`. Time passes while they work, and in `wait`.
+    It has some methods of `rtee.connect_blocking`, and those of `EmulatedDevices`. Time passes
+    while they work, and in `wait`.
 
     Attributes:
         name: The hand's name.
@@ -220,7 +221,7 @@ class SimulatedHand(EmulatedDevices, Observer):
 
 
 def _apart(call: Callable[[], T]) -> T:
-    """Call what runs an event loop: where one runs already, as in notebooks, in another thread."""
+    """Call a function that runs an event loop, in another thread if one runs already."""
     try:
         asyncio.get_running_loop()
     except RuntimeError:
