@@ -1,4 +1,4 @@
-"""Conversion of the dataclasses of `rtee.types` and `rtee.commands` to messages and back."""
+"""Convert the dataclasses of `rtee.types` and `rtee.commands` to messages and back."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _number(name: str) -> As:
     )
 
 
-_AIM = word("aim", Aim, "aim '{:.50}' is none of posture, object, contact")
+_AIM = word("aim", Aim, "aim '{:.50}' must be posture, object or contact")
 
 FEEDBACK = Codec(
     "rtee_msgs/msg/Feedback",

@@ -72,9 +72,9 @@ def observed(
     fingers: Sequence[str],
     wanted: Collection[ObservedQuantity],
 ) -> dict[str, float]:
-    """Return the wanted numbers of a hand by name, those that are not known as ``NaN``.
+    """Return the wanted numbers of a hand by name; unknown ones are ``NaN``.
 
-    ``forces`` are those on the fingertips of the fingers [N], or none.
+    ``forces`` are those on the fingertips [N], or none.
     """
     wants_touch = {ObservedQuantity.TOUCH, ObservedQuantity.TAXEL} & set(wanted)
     felt = [each for each in touch if not each.stale] if wants_touch else []

@@ -135,8 +135,8 @@ OPTIONAL = ("opening", "tip_speed", "force", "max_force", "timeout")
 """Fields that are ``NaN`` for a goal without the value."""
 
 # The words come from the network and may have any length.
-_STAGE = word("stage", Stage, "stage '{:.50}' is none of both, pre_grasp, grasp")
-_ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' is none of stop, hold, squeeze")
+_STAGE = word("stage", Stage, "stage '{:.50}' must be both, pre_grasp or grasp")
+_ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' must be stop, hold or squeeze")
 
 
 def _goal(fields: Mapping[str, Any]) -> Goal:

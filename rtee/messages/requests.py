@@ -40,7 +40,7 @@ CLIENTS = "clients"
 """Part of the keys of clients' liveliness tokens."""
 
 WATCHES = "00000000"
-"""Begin of the token's name of a client that only watches, which a router need not wait for."""
+"""Beginning of the name of a token whose client only watches: a router need not wait for it."""
 
 ALIVE = "alive"
 """Last part of the key of a hand's liveliness token."""

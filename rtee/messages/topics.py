@@ -92,8 +92,8 @@ _FIXED = frozenset({ROBOT_DESCRIPTION, TF, TF_STATIC})
 def log_topic(hand: str, name: str) -> str:
     """Return a topic's full name in a recording.
 
-    Only ``/robot_description``, ``/tf`` and ``/tf_static`` lack the hand, and all topics where it
-    has no name, as in recordings of other programs.
+    The hand's name is left out of ``/robot_description``, ``/tf`` and ``/tf_static``, and of all
+    topics of a hand without a name, as in recordings of other programs.
     """
     return f"/{name}" if name in _FIXED or not hand else f"/{hand}/{name}"
 

@@ -187,7 +187,7 @@ def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
         (
             messages.GOAL.decode,
             _with("rtee_msgs/Goal", messages.GOAL.encode(GOAL), stage="half"),
-            "stage 'half' is none of",
+            "stage 'half' must be",
         ),
         (
             messages.GOAL.decode,

@@ -338,9 +338,9 @@ async def test_what_a_grasp_refuses(
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [
-        ({"stage": "half"}, "stage 'half' is none of both"),
+        ({"stage": "half"}, "stage 'half' must be both"),
         ({"on_contact": ["hold"]}, "on_contact: 0 names for 1 values"),
-        ({"contact_finger": ["thumb"], "on_contact": ["hit"]}, "on_contact 'hit' is none of stop"),
+        ({"contact_finger": ["thumb"], "on_contact": ["hit"]}, "on_contact 'hit' must be stop"),
         ({"effort_name": ["near", "near"], "effort": [1.0, 2.0]}, "effort: a name occurs twice"),
     ],
 )
