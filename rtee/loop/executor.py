@@ -34,11 +34,10 @@ from rtee.types import (
 )
 
 _RANGE_SHARE = 0.01
-"""How far short of its target play may leave an actuator at rest, as a share of its range [1]. A
-prismatic actuator's error must be below this share as well: the usual tolerance
-of 0.01 is a small angle [rad], but in metres a fifth of the stroke of a typical gripper jaw.
-Position alone cannot distinguish an object thinner than twice this share of the stroke from an
-empty hand."""
+"""How far short of its target an actuator may rest because of play, as a share of its range [1]. A
+prismatic actuator's error must be below this share as well: the usual tolerance of 0.01 is a small
+angle [rad], but in metres a fifth of the stroke of a typical gripper jaw. Position alone cannot
+distinguish an object thinner than twice this share of the stroke from an empty hand."""
 
 _STEADY = 0.25
 """How long a grasp must rest before its result is sent [s]: by then the impact is over, and an

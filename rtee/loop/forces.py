@@ -111,8 +111,8 @@ def unlimited(hand: Hand, opening: Opening, grip: Grip, at: float, devices: Devi
     if all(_loose(hand, side, presses, devices) for side in opening.sides):
         names = ", ".join(hand.actuators[i].name for i in presses if i in devices.unlimited)
         return (
-            f"the force of {opening.label} cannot be limited: its device knows no effort of "
-            f"{names}; {nearest}"
+            f"the force of {opening.label} cannot be limited: its device cannot limit the effort "
+            f"of {names}; {nearest}"
         )
     return ""
 

@@ -209,7 +209,7 @@ def device_settings(
 
 
 _PATIENT: Final = 1.0
-"""Longest exchange with an ideal emulated device [s], which is lost after three: tests compare its
+"""Longest exchange with an ideal emulated device [s]; three of them lose it: tests compare its
 numbers, and on a busy computer its thread waits for a processor longer than a real device takes to
 answer."""
 

@@ -197,7 +197,9 @@ async def test_goals_that_feel_contacts_know_the_sheet_of_the_device(goal: Goal)
 def test_devices_that_cannot_limit_an_effort_refuse_a_force() -> None:
     with pytest.raises(GoalRejected, match=r"takes no effort limit: none; the nearest is"):
         plan("robotiq_2f_85", grasp(0.03, 30.0), DeviceForces(refused={0: "none"}))
-    with pytest.raises(GoalRejected, match=r"cannot be limited: its device knows no effort"):
+    with pytest.raises(
+        GoalRejected, match=r"cannot be limited: its device cannot limit the effort"
+    ):
         plan("robotiq_2f_85", grasp(0.03, 30.0), DeviceForces(unlimited=frozenset({0})))
 
 
