@@ -76,7 +76,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
         for place in (*reversed(folder.parents), folder):
             place.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"cannot be made: {reason(error)}", path=folder) from None
+        raise ConfigError(f"cannot be created: {reason(error)}", path=folder) from None
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _name(f"authority of {hand}")
     builder = _builder(subject, subject, key, _AUTHORITY_DAYS)
@@ -145,7 +145,7 @@ def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
     try:
         to.mkdir(mode=0o700)
     except OSError as error:
-        raise ConfigError(f"cannot be made: {reason(error)}", path=to) from None
+        raise ConfigError(f"cannot be created: {reason(error)}", path=to) from None
     others = {name: other for name, other in known.hands.items() if other != hand}
     _write(replace(known, hands={**others, common: hand}))
     write_private(to / HAND_KEY, _key_text(key))

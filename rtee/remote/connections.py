@@ -88,7 +88,7 @@ class Connections:
     """
 
     def __init__(self, session: zenoh.Session, path: str) -> None:
-        """Watch over Zenoh's session and its Unix socket at a path."""
+        """Watch the connections of a Zenoh session and of its Unix socket at a path."""
         self._path = path
         self._new, self._ended = threading.Event(), threading.Event()
         told: zenoh.handlers.Callback[zenoh.LinkEvent] = zenoh.handlers.Callback(

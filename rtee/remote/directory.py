@@ -209,7 +209,7 @@ def claimed(hand: str) -> Iterator[HandLock]:
     path = runtime_folder() / f"{check_name(hand, 'hand')}.json"
     folder = _own_folder(make=True)
     if folder is None:
-        raise ConfigError("cannot be made", path=path.parent)
+        raise ConfigError("cannot be created", path=path.parent)
     with contextlib.ExitStack() as stack:
         stack.callback(os.close, folder)
         # systemd-tmpfiles spares the files of a locked folder.

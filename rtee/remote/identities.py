@@ -300,7 +300,7 @@ class Identities:
         return check
 
     def answers_junk(self) -> bool:
-        """Return whether to answer one more message that is not a request with the reason."""
+        """Return whether to answer one more message that is not a request, stating why."""
         # Such messages are not signed, so they count for all strangers together.
         return self._strangers.allow(REFUSALS)
 

@@ -144,7 +144,7 @@ def families(looks: Sequence[Look]) -> Iterator[Any]:
             (busy, counts.busy, counts.busy_sum),
         ):
             buckets = [(str(bound), n) for bound, n in zip(counts.bound, seen, strict=True)]
-            # Ticks after the buckets were counted would make the last one smaller than one before.
+            # The buckets are counted a little later than the total, and may contain more ticks.
             last = max([status.statistics.ticks, *seen])
             family.add_metric(labels, [*buckets, ("+Inf", last)], total)
     yield from (goals, build, late, busy)

@@ -202,7 +202,8 @@ class RecorderControl(Protocol):
 class QueryHandlers:
     """Handles the requests of the group ``ask``.
 
-    The profile of the references is in words; ``counts`` returns a ``rtee_msgs/Counts``.
+    ``profile`` describes the profile of the references in words; ``counts`` returns a
+    ``rtee_msgs/Counts``.
     """
 
     def __init__(

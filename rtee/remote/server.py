@@ -255,9 +255,9 @@ class Server:
     ) -> AsyncIterator[Self]:
         """Make a hand available on the network for as long as the context lasts.
 
-        Its loop runs in the event loop of this task; the profile of its references is in words.
-        The place is that of the hand if it is `claimed` already.
-        Raises `ConfigError` if the hand runs already, or an endpoint cannot be used.
+        Its loop runs in this task's event loop. ``profile`` describes the profile of its references
+        in words; ``place`` is the hand's lock if it is `claimed` already. Raises `ConfigError` if
+        the hand runs already, or an endpoint cannot be used.
         """
 
         # These calls block for milliseconds, and this event loop drives the hand.

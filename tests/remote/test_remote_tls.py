@@ -413,7 +413,7 @@ def test_files_that_cannot_be_used_are_named(people: People, tmp_path: Path) -> 
     with pytest.raises(ConfigError, match=r"authority\.crt: cannot be read"):
         secure.renew("small")
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="cannot be made"):
+    with pytest.raises(ConfigError, match="cannot be created"):
         people.authority.make_authority(tmp_path / "file" / "small", "small")
 
 
