@@ -100,13 +100,13 @@ def make_folder(path: Path | str) -> Path:
     """Make a folder with its parents unless it exists.
 
     Raises:
-        ConfigError: if the folder cannot be made, or the path is a file.
+        ConfigError: if the folder cannot be created, or the path is a file.
     """
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"folder cannot be made: {reason(error)}", path=folder) from error
+        raise ConfigError(f"folder cannot be created: {reason(error)}", path=folder) from error
     return folder
 
 
@@ -115,7 +115,7 @@ def new_folder(path: Path | str) -> Iterator[Path]:
     """Make a folder for files written inside the block; remove it if the block fails.
 
     Raises:
-        ConfigError: if the folder cannot be made, or the path is a file.
+        ConfigError: if the folder cannot be created, or the path is a file.
     """
     folder = Path(path)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
@@ -138,10 +138,10 @@ def new_tree(target: Path) -> Iterator[Path]:
         target: The folder, which must not exist; its parent is made if needed.
 
     Raises:
-        ConfigError: if the folder exists, or cannot be made.
+        ConfigError: if the folder exists, or cannot be created.
     """
     if target.exists():
-        raise ConfigError("is already there; remove the folder first", path=target)
+        raise ConfigError("already exists; remove the folder first", path=target)
     with new_folder(target.parent) as place:
         try:
             # Next to the target, since a folder can be renamed only within its file system.
@@ -157,7 +157,7 @@ def new_tree(target: Path) -> Iterator[Path]:
             # all.
             several = error.args[0] if isinstance(error, shutil.Error) else ()
             text = "; ".join(each[2] for each in several) or reason(error)
-            raise ConfigError(f"cannot be made: {text}", path=target) from error
+            raise ConfigError(f"cannot be created: {text}", path=target) from error
 
 
 def write_all(

@@ -112,7 +112,7 @@ def copy_hand(folder: Path, target: Path) -> None:
     """
     name = check_name(target.name, "hand")
     if target.exists():
-        raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
+        raise ConfigError(f"hand '{name}' already exists; remove the folder first", path=target)
     with new_tree(target) as copy:
         _fill(folder, copy, name)
         if not (target.parent / SCHEMA_FILE).exists():

@@ -264,9 +264,7 @@ class _GapSearch:
 
 
 def closed_rest_of(hand: Hand, *, narrow: bool = False) -> ClosedRest | None:
-    """Return the pinch of the rest posture; with ``narrow`` also one that opening would release.
-
-    See `closed_rest` and `widest_rest`.
+    """Return a hand's `closed_rest`; with ``narrow``, its `widest_rest` if there is none.
 
     Raises:
         ModelError: if a mesh cannot be read.

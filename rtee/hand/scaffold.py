@@ -98,7 +98,7 @@ def make_hand(
     check_name(name, "hand")
     target = Path(into) / name
     if target.exists():
-        raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
+        raise ConfigError(f"hand '{name}' already exists; remove the folder first", path=target)
     edits: list[Edit] = [] if subtree is None else [subtree]
     load = partial(load_model, urdf, srdf, name=name, package_dirs=package_dirs)
     if passive is not None:

@@ -37,7 +37,7 @@ def write(report: ContactReport, actuators: Iterable[str], folder: Path) -> tupl
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"the folder cannot be made: {error.strerror}", path=folder) from error
+        raise ConfigError(f"the folder cannot be created: {error.strerror}", path=folder) from error
     name = f"first-contact-{report.device}-{time.strftime('%Y%m%d-%H%M%S')}"
     recording, page = folder / f"{name}.mcap", folder / f"{name}.md"
     write_together({recording: _recorded(report, list(actuators)), page: text_of(report)})

@@ -120,9 +120,9 @@ def test_nothing_is_left_when_the_disk_is_full(
 
 def test_folders_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="folder cannot be made: file exists"):
+    with pytest.raises(ConfigError, match="folder cannot be created: file exists"):
         make_folder(tmp_path / "file")
-    with pytest.raises(ConfigError, match="folder cannot be made: not a directory"):
+    with pytest.raises(ConfigError, match="folder cannot be created: not a directory"):
         make_folder(tmp_path / "file" / "sub")
     with pytest.raises(ConfigError, match="cannot be written: no such file or directory"):
         write_atomically(tmp_path / "none" / "file", "")

@@ -299,7 +299,7 @@ def test_a_copy_of_another_name_is_a_hand_of_that_name(shipped: Path) -> None:
     assert library.find("Grasp")
     assert not Path("config/my_gripper/trials.yaml").exists()
     assert Path("config/hand.schema.json").is_file()
-    with pytest.raises(ConfigError, match="already there"):
+    with pytest.raises(ConfigError, match="already exists"):
         own_copy.copy_hand(shipped, Path("config/my_gripper"))
 
 

@@ -171,13 +171,13 @@ def test_all_or_nothing(tmp_path: Path) -> None:
     assert not config.exists()
     (tmp_path / "g.urdf").write_text(GRIPPER)
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="folder cannot be made"):
+    with pytest.raises(ConfigError, match="folder cannot be created"):
         make_hand("g", tmp_path / "g.urdf", into=tmp_path / "file" / "config")
     with pytest.raises(ConfigError, match=r"hand name '\.\./g'"):
         make_hand("../g", tmp_path / "g.urdf", into=config)
     make_hand("g", tmp_path / "g.urdf", into=config)
     before = sorted(config.rglob("*"))
-    with pytest.raises(ConfigError, match="hand 'g' is already there"):
+    with pytest.raises(ConfigError, match="hand 'g' already exists"):
         make_hand("g", tmp_path / "g.urdf", into=config)
     assert sorted(config.rglob("*")) == before
     assert {path.name for path in config.iterdir()} == {"g", SCHEMA_FILE}
@@ -336,7 +336,7 @@ def test_command_new(tmp_path: Path) -> None:
     assert first == f"# yaml-language-server: $schema=../{SCHEMA_FILE}"
     done = run("g", "--urdf", "none.urdf")
     assert done.returncode == 2
-    assert done.stderr.startswith("rtee: config/g: hand 'g' is already there")
+    assert done.stderr.startswith("rtee: config/g: hand 'g' already exists")
     done = run("h", "--urdf", "none.urdf")
     assert done.returncode == 2
     assert done.stderr == "rtee: none.urdf: URDF does not exist\n"

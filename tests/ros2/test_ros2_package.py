@@ -53,7 +53,7 @@ def test_the_package_names_its_files_and_what_they_need(tmp_path: Path) -> None:
 
 def test_what_exists_is_not_overwritten(tmp_path: Path) -> None:
     write_package(tmp_path)
-    with pytest.raises(ConfigError, match="is already there"):
+    with pytest.raises(ConfigError, match="already exists"):
         write_package(tmp_path)
 
 
