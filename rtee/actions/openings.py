@@ -373,7 +373,7 @@ class Openings:
         return self._looked_up(action)[0]
 
     def meeting(self, action: Action) -> Mapping[str, float] | None:
-        """Return where the empty hand meets itself on the path of an action; see `Meeting.at`.
+        """Return the contacts of the empty hand with itself on an action's path; see `Meeting.at`.
 
         ``None``: not known, or not for its present posture and model.
         """

@@ -174,8 +174,8 @@ def _show(ranking: Ranking, top: int) -> None:
         print(f"the flange '{ranking.flange}' in the object's frame: {at}; it comes from {before}")
     if first.overhang:
         print(
-            f"it has to stand out over the table's edge by {first.overhang * 1e3:.0f} mm, the edge "
-            f"along y of: {_words(first.table or first.pose)}, in the object's frame"
+            f"it must overhang the table's edge by {first.overhang * 1e3:.0f} mm; the edge "
+            f"runs along y of: {_words(first.table or first.pose)}, in the object's frame"
         )
     if first.action:
         words = " ".join((first.action, *first.elements))

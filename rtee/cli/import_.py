@@ -46,7 +46,7 @@ def import_(
     for note in imported.notes:
         print(f"note: {note}")
     for action in kept:
-        print(f"note: {action} is there already and stays; --replace would replace it")
+        print(f"note: {action} already exists and is kept; --replace would replace it")
     count = len(imported.actions) - len(kept)
     print(f"{count} actions from {imported.files} files are now in {library.folder}")
 

@@ -87,7 +87,7 @@ async def _say_if_absent(name: str, connect: str | None) -> None:
     except NoHand as error:
         if connect is None and name not in hand_names():
             raise ConfigError(str(error)) from None
-        # stdout is for the protocol; a hand that runs later is as good.
+        # stdout is for the protocol; a hand that starts later will do as well.
         print(f"rtee: {error}; its tools work as soon as it does", file=sys.stderr, flush=True)
     else:
         await anyio.to_thread.run_sync(session.close)

@@ -78,9 +78,7 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
                 notes[str(error)] = None
     if tables.made and not tables.meetings:
         name = library.hand.name
-        notes[f"where the empty hand meets itself is not known; `rtee openings {name} --save`"] = (
-            None
-        )
+        notes[f"the empty hand's self-contacts are not known; `rtee openings {name} --save`"] = None
     return valid, list(notes)
 
 

@@ -147,7 +147,7 @@ def test_import(home: Path, tmp_path: Path) -> None:
         f"point:\n  Type: 1\n  JointsInvolvedCount: {{spread: 1}}\n  JointPos: {joints}\n"
     )
     shown = run(import_, str(peers), "--hand", "small")
-    assert "point is there already and stays" in shown
+    assert "point already exists and is kept" in shown
     assert "1 actions from 1 files" in shown
     library = stored(home)
     assert library.find("wide").posture.position["spread"] == 0.02
