@@ -21,7 +21,7 @@ APPROACH_LENGTH: Final = 0.15
 """Distance from which an object approaches [m]: beyond the reach of open fingers."""
 
 _DEEPEST: Final = 0.08
-"""Farthest position of an object beyond the fingertips' middle [m]: palms are nearer."""
+"""Farthest position of an object beyond the fingertips' middle [m]: every palm is nearer."""
 
 
 @dataclass(frozen=True, slots=True)

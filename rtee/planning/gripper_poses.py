@@ -42,7 +42,8 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 _COLUMNS: Final = 17
-"""Of a GraspNet array: score, width, height, depth, rotation (9), translation (3), object."""
+"""Columns of a GraspNet array: score, width, height, depth, rotation (9), translation (3),
+object."""
 
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
 

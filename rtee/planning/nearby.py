@@ -16,7 +16,7 @@ _BESIDE: Final = 0.008
 cameras."""
 
 _TURNED: Final = 0.15
-"""… and the same for a rotation about each axis [rad]."""
+"""The same for a rotation about each axis [rad]."""
 
 _PUSHED: Final = 0.05
 """Largest distance by which the coming open hand may push an object ahead [m]; farther, the

@@ -84,7 +84,7 @@ _SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
 """How far set-points of sliding actuators go beyond the contact [m], so that they press."""
 
 _SQUEEZE_ANGLE: Final = 0.3
-"""How far those of turning actuators go [rad]: the full effort of an ordinary servo."""
+"""The same for turning actuators [rad]: the full effort of an ordinary servo."""
 
 _CLEAR: Final = 1e-3
 """Gap between the pre-shaped hand and the object [m]: the accuracy of models."""
@@ -204,7 +204,7 @@ class Planner:
     def ranking(
         self, plans: Sequence[GraspPlan], rejected: Sequence[tuple[str, str]] = ()
     ) -> Ranking:
-        """Return grasps with the conditions of their planning."""
+        """Return the ranking of grasps, with the conditions of their planning."""
         x, y, z = (float(v) for v in self.task.weight_axis)
         unlimited = [a.name for a in self.hand.actuators if not math.isfinite(a.effort)]
         notes = [*self.obj.notes]

@@ -51,8 +51,7 @@ _LOW: Final = 1e-3
 """Fingertips whose heights above a table differ by less count as equally low [m]."""
 
 _SLANTED: Final = 0.5
-"""Least cosine at which fingertips oppose each other along the reach: less than 60 degrees off
-it."""
+"""Least cosine of the angle to the reach at which fingertips oppose along it: 60 degrees."""
 
 Way: TypeAlias = tuple[FloatArray, list[tuple[FloatArray, FloatArray]]]
 """Axis of closing, side and reach of an approaching hand, as columns ``(3, 3)``, and the directions
@@ -406,7 +405,7 @@ class Poses:
     def _aside(self, wide: int, step: int) -> float:
         """Return the motion of the grasp centre across the reach between two steps [m].
 
-        It moves where one of two jaws is fixed: the wider they are open, the farther from that one.
+        If one of two jaws is fixed, the centre moves away from it as the other opens.
         """
         moved = self._at(wide)[0] - self._at(step)[0]
         return float(np.linalg.norm(moved - (moved @ self._out) * self._out))

@@ -31,7 +31,7 @@ _MOST_CONTACTS: Final = 10
 """Most contacts of a grasp: hands have five fingers."""
 
 _LONGEST_SHAPE: Final = 500
-"""Longest text that may name a shape [characters]: the longest is some forty."""
+"""Longest text that may name a shape [characters]: real ones have up to forty."""
 
 _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 

@@ -301,7 +301,7 @@ class _PostureSearch:
         return found
 
     def _part(self, contact: _Contact, finger: str) -> FloatArray:
-        """Return the residual of one contact where the hand is placed ``(4,)``."""
+        """Return the residual of one contact for the hand as placed ``(4,)``."""
         distance, _, normal = self._probed(contact, finger)
         return np.append((normal - contact.normal) / _ANGLE, distance / _LENGTH)
 

@@ -22,7 +22,7 @@ class Contact(Value):
     Attributes:
         link: The link that touches.
         finger: Its finger; empty for the palm and for links of linkages.
-        point: Where ``(3,)`` [m].
+        point: Its position ``(3,)`` [m].
         normal: Unit normal ``(3,)`` into the object.
     """
 
@@ -77,7 +77,7 @@ class GraspPlan(Value):
             row [m].
         held_pose: The same after it has closed: the fingers may push the object.
         approach_from: Start of the object's approach, relative to the hand ``(3,)`` [m].
-        contacts: Where the hand touches.
+        contacts: Contacts of the hand with the object.
         reasons: Why it has its rank, one sentence each.
         check: Result in the simulation, if it was tried there.
         flange_pose: Pose of the arm's flange ``(4, 4)`` in the object's frame before the hand

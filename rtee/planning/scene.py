@@ -113,8 +113,8 @@ class GraspScene:
         Args:
             shape: The shape.
             piece: The piece.
-            there: Where the shape is, in the base frame.
-            here: Where the object is.
+            there: Pose of the shape in the base frame.
+            here: Pose of the object in the base frame.
         """
         result = self._result
         result.clear()

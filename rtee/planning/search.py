@@ -73,7 +73,7 @@ class Search:
 
 @dataclass(frozen=True)
 class FoundGrasp:
-    """A hand closed on the object by an action, and how it came there.
+    """A hand closed on the object by an action, and the search that led to it.
 
     Attributes:
         search: The search that found it.

@@ -83,7 +83,7 @@ class Cluster:
         self.look()
 
     def _upload(self, hands: Mapping[str, Path]) -> None:
-        """Send all workers, also later ones, one archive of all files that are read."""
+        """Send one archive of all needed files to all workers, including later ones."""
         with TemporaryDirectory() as folder:
             archive = Path(folder) / "all.zip"
             with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:

@@ -138,7 +138,7 @@ class HeadlessHand(Generic[P]):
         return self._settings.period
 
     def before_tick(self, call: Callable[[float], None]) -> None:
-        """Call something with the simulated time [s] before every tick: a carrier's script."""
+        """Call a function with the simulated time [s] before every tick: a carrier's script."""
         self._before.append(call)
 
     def _describe_object(self) -> None:

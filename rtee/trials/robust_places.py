@@ -36,7 +36,7 @@ def robust_places(
     """Return places for an object, the most robust ones first, each well apart from the others.
 
     Places between the fingertips, between those of fewer fingers, and in the palm's front are
-    compared. If geometry finds it held nowhere, only those between the fingertips remain.
+    compared. If no place holds by geometry, only those between the fingertips remain.
 
     Args:
         simulation: The hand with its object and carrier.

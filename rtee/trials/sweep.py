@@ -169,7 +169,7 @@ class Sweep:
         return len(self._queue) + len(self._running)
 
     def add(self, hand: str, task: Task, rank: int = 0) -> None:
-        """Add a task of a hand, by name or folder; also while others are done."""
+        """Add a task of a hand, by name or folder; possible while the sweep runs."""
         heapq.heappush(self._queue, (rank, next(self._number), hand, task))
 
     def run(self) -> Generator[tuple[str, Task, Answer]]:

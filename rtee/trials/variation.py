@@ -20,13 +20,13 @@ SIZE: Final = 0.1
 """Objects are up to this share larger or smaller."""
 
 MASS: Final = 0.5
-"""… and up to this share heavier."""
+"""Objects are up to this share heavier."""
 
 POSITION: Final = 0.01
 """Largest distance of varied objects from their place along each axis [m]."""
 
 TURN: Final = math.radians(10.0)
-"""… and turned by up to this about any axis [rad]."""
+"""Largest rotation of varied objects about any axis [rad]."""
 
 FRICTION: Final = (0.5, 1.0)
 """The range of friction."""
@@ -91,7 +91,7 @@ class Variation:
 
 
 def draw(seed: int, number: int) -> Variation:
-    """Return the variation of a number, counted from 0, of a seed."""
+    """Return a seed's variation with a number, counted from 0."""
     random = np.random.default_rng([seed, number])
     x, y, z = random.uniform(-POSITION, POSITION, 3)
     # Normal numbers, since a direction made of uniform ones would prefer the diagonals.
@@ -107,7 +107,7 @@ def draw(seed: int, number: int) -> Variation:
 
 
 def choosing_draw(seed: int, number: int) -> Variation:
-    """Return the variation of a number, counted from 0, by which the places of a seed are chosen.
+    """Return a seed's variation with a number, counted from 0, by which places are chosen.
 
     Each ten draws are followed by their mirror images: ten may all lie to one side of the place,
     twenty such draws are balanced.

@@ -97,7 +97,7 @@ _KINDS: Final[Mapping[str, tuple[Any, Any]]] = {
 
 
 def kind_of(task: Task) -> str:
-    """Return the word for a kind of tasks."""
+    """Return the name of a task's kind."""
     return next(word for word, (kind, _) in _KINDS.items() if isinstance(task, kind))
 
 
