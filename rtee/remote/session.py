@@ -280,7 +280,7 @@ def most_sessions() -> int:
 
 
 def access_path(endpoint: str) -> str:
-    """Return a client's access path through an endpoint; see `Found`."""
+    """Return a client's access path through an endpoint; see `FoundSession`."""
     if endpoint.startswith(TLS):
         return identity().name
     return HERE if endpoint.startswith(LOCAL) else PLAIN
