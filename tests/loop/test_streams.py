@@ -721,7 +721,7 @@ class TestIntake:
         [
             (math.nan, "a time in seconds"),
             (math.inf, "a time in seconds"),
-            (1e9, "in the future"),
+            (1e9, "ahead of those before"),
             (-1e9, "before the newest one"),
         ],
     )

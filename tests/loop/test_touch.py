@@ -153,7 +153,7 @@ async def test_values_that_no_sensor_has_are_told_and_left_out(hand: Hand) -> No
         await rig.run(0.1)
         assert not rig.watcher.records[-1].touch
         [event] = [e for e in rig.watcher.events if e.kind == "touch_refused"]
-        assert "5 values" in event.text
+        assert "5 touch values" in event.text
 
 
 async def test_a_place_with_other_taxels_is_told_and_left_out(hand: Hand) -> None:
