@@ -199,7 +199,7 @@ class _Points:
             places += [_centre(hand, tip, poses[tip]) for poses in (self._rest, bent)]
             places.append(bent[links[-1]][:3, 3])
             rows.append(places)
-        self.points: FloatArray = np.array(rows).reshape(len(rows), -1, 3)
+        self.points: FloatArray = np.array(rows).reshape(len(rows), 6, 3)
         flat = self.points.reshape(-1, 3)
         self.size = max((float(norms(flat - point).max()) for point in flat), default=0.0)
 

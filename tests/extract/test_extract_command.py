@@ -141,6 +141,23 @@ def test_a_missing_mesh_leaves_nothing_behind(
     assert not out.exists()
 
 
+HAND_WITHOUT_FINGER = """<robot name="bare">
+<link name="palm"><collision><geometry><box size="0.1 0.1 0.02"/></geometry></collision></link>
+<link name="jaw"/><joint name="slide" type="prismatic"><parent link="palm"/><child link="jaw"/>
+<axis xyz="1 0 0"/><limit lower="0" upper="0.05" velocity="0.1" effort="10"/></joint></robot>"""
+
+
+def test_a_hand_without_a_finger_has_no_primitives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    urdf = tmp_path / "bare.urdf"
+    urdf.write_text(HAND_WITHOUT_FINGER)
+    status, out, err = rtee(capsys, monkeypatch, "extract", "--urdf", urdf, "--jobs", "1")
+    assert status == 0
+    assert out.split() == ["primitive", "elements", "posture", "evidence"]
+    assert "link 'jaw' moves, but it has no collision geometry" in err
+
+
 def test_report_says_that_trials_are_of_other_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
