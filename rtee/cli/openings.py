@@ -43,9 +43,11 @@ def openings(
         print(json.dumps(_document(library, valid)))
     else:
         _show(library, valid)
+    if not valid and not notes:
+        notes.append(f"no action of '{library.hand.name}' has an opening")
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
-    raise typer.Exit(0 if valid and not notes else 1)
+    raise typer.Exit(1 if notes else 0)
 
 
 def make(hand: str) -> None:
@@ -76,7 +78,9 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
             # Timed actions never have an opening, so nothing is wrong with those.
             if action.action_kind != "timed":
                 notes[str(error)] = None
-    if tables.made and not tables.meetings:
+    # The tables have a meeting for every action but timed ones.
+    measured = any(action.action_kind != "timed" for action in library)
+    if tables.made and measured and not tables.meetings:
         name = library.hand.name
         notes[f"the empty hand's self-contacts are not known; `rtee openings {name} --save`"] = None
     return valid, list(notes)

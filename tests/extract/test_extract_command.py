@@ -158,6 +158,17 @@ def test_a_hand_without_a_finger_has_no_primitives(
     assert "link 'jaw' moves, but it has no collision geometry" in err
 
 
+def test_a_hand_without_openings_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bare.urdf").write_text(HAND_WITHOUT_FINGER)
+    assert rtee(capsys, monkeypatch, "new", "bare", "--urdf", "bare.urdf")[0] == 0
+    assert rtee(capsys, monkeypatch, "extract", "bare", "--save", "--jobs", "1")[0] == 0
+    said = "note: no action of 'bare' has an opening\n"
+    assert rtee(capsys, monkeypatch, "openings", "bare") == (1, "", said)
+
+
 def test_report_says_that_trials_are_of_other_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
