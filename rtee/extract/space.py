@@ -80,12 +80,14 @@ def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
 def widened_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
     """Return bounds for checking whether tips could meet at all.
 
-    Revolute actuators get ±π, prismatic ones twice their limits; never less than the real limits.
+    Revolute actuators get ±π, prismatic ones their range once more at either end, wherever their
+    zero is; never less than the real limits.
     """
     lower, upper = real_limits(hand)
     for i, actuator in enumerate(hand.actuators):
         if actuator.kind is JointKind.PRISMATIC:
-            lower[i], upper[i] = min(lower[i], 2.0 * lower[i]), max(upper[i], 2.0 * upper[i])
+            way = upper[i] - lower[i]
+            lower[i], upper[i] = lower[i] - way, upper[i] + way
         else:
             lower[i], upper[i] = min(lower[i], -math.pi), max(upper[i], math.pi)
     return lower, upper

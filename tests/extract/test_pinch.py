@@ -68,6 +68,22 @@ def test_of_several_shapes_none_near_enough_means_no_pinch(tmp_path: Path) -> No
     assert pinches(model.load(tmp_path))["left", "right"].name == "PinchLoose"
 
 
+@pytest.mark.parametrize(("gap", "name"), [(0.0, "PinchTight"), (0.001, "PinchLoose")])
+@pytest.mark.parametrize("closed", [0.0, 0.03])
+def test_where_jaws_have_their_zero_decides_nothing(
+    closed: float, gap: float, name: str, tmp_path: Path
+) -> None:
+    """Jaws that end at each other, or right before, whether they count their way out or in."""
+    jaw = (box((0.02, 0.02, 0.04)),)
+    model = sliders(jaw, jaw, gap + 0.02 + 2 * closed)
+    limits = f'lower="{closed - 0.03}" upper="{closed}"'
+    model.parts = [part.replace('lower="0" upper="0.03"', limits) for part in model.parts]
+    found = pinches(model.load(tmp_path))["left", "right"]
+    assert found.name == name
+    assert dict(found.posture.position) == {"left_x": closed, "right_x": closed}
+    assert found.evidence[0].distance == pytest.approx(gap, abs=1e-7)
+
+
 def test_a_loose_pinch_is_the_closest_pose_within_the_limits(tmp_path: Path) -> None:
     model = planar(Model(), "a", side=1)
     planar(model, "b", side=-1)

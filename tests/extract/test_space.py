@@ -32,8 +32,8 @@ def test_widened_limits_contain_the_real_ones(tmp_path: Path) -> None:
         ("continuous", 0, 0),
     )
     lower, upper = widened_limits(hand)
-    np.testing.assert_allclose(lower, [-math.pi, -math.pi, 0.01, -0.04, -math.pi])
-    np.testing.assert_allclose(upper, [math.pi, 4.0, 0.06, 0.0, math.pi])
+    np.testing.assert_allclose(lower, [-math.pi, -math.pi, -0.01, -0.04, -math.pi])
+    np.testing.assert_allclose(upper, [math.pi, 4.0, 0.05, 0.02, math.pi])
 
 
 def test_a_continuous_actuator_is_searched_over_one_turn(tmp_path: Path) -> None:
