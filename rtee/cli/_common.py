@@ -228,17 +228,20 @@ class _Command(TyperCommand):
     def _with_hand(self, args: list[str]) -> list[str]:
         """Return the arguments with a hand that is the first word as the option ``--hand``.
 
-        Where words may mean something else, it counts as a hand if a hand of this name runs here.
+        Where words may mean something else, it counts as a hand if a hand of this name runs here,
+        or if there is one for which the command waits.
         """
         given = any(word == "--hand" or word.startswith("--hand=") for word in args)
         place = None if given or not self._takes_running() else self._first_word(args)
         if place is None:
             return args
-        arguments = any(option.param_type_name == "argument" for option in self.params)
-        if arguments and args[place] not in complete_running(args[place]):
-            return args
+        word = args[place]
+        if any(option.param_type_name == "argument" for option in self.params):
+            waits = any(each == "--wait" or each.startswith("--wait=") for each in args)
+            if word not in complete_running(word) and not (waits and word in complete_hand(word)):
+                return args
         # As one word, since a hand's name may begin with a dash like an option.
-        return [f"--hand={args[place]}", *args[:place], *args[place + 1 :]]
+        return [f"--hand={word}", *args[:place], *args[place + 1 :]]
 
     def _first_word(self, args: list[str]) -> int | None:
         """Return the index of the first argument that is neither an option nor its value."""

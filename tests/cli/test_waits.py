@@ -41,3 +41,14 @@ def test_the_gui_of_any_hand_says_that_it_waits(
         said = page.stdout.readline()
         page.terminate()
     assert said == "rtee: no hand runs here yet; the page will show the first one that does\n"
+
+
+def test_the_first_word_is_the_hand_that_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    monkeypatch.setattr(sys, "argv", ["rtee", "do", "schunk_svh", "fist", "--wait", "0"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "the hand 'schunk_svh' is not running on this computer" in capsys.readouterr().err
