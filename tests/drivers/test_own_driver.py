@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -87,9 +88,12 @@ def examples(repository: Path) -> dict[str, Any]:
     return {name: names[name] for name in ("JawDriver", "ModbusJawDriver", "LineJawDriver")}
 
 
-async def test_the_example_on_modbus_drives_its_gripper(examples: dict[str, Any]) -> None:
+@pytest.mark.parametrize("port", ["/dev/jaw", "tcp://192.168.1.5"])
+async def test_the_example_on_modbus_drives_its_gripper(
+    port: str, examples: dict[str, Any]
+) -> None:
     spec = DeviceSpec(
-        "jaw", "jaw", "jaw", (actuator("slide", 0.0, 0.085),), {"port": "/dev/jaw"}, emulated=True
+        "jaw", "jaw", "jaw", (actuator("slide", 0.0, 0.085),), {"port": port}, emulated=True
     )
     async with BusPool() as pool:
         jaw = examples["ModbusJawDriver"](spec, pool)
@@ -101,6 +105,19 @@ async def test_the_example_on_modbus_drives_its_gripper(examples: dict[str, Any]
         pool.played("jaw/jaw").faults.add("overload")
         with pytest.raises(DeviceFault, match="overload"):
             await jaw.sense()
+        await jaw.close()
+
+
+@pytest.mark.parametrize("name", ["ModbusJawDriver", "LineJawDriver"])
+async def test_the_examples_know_a_worn_gripper(name: str, examples: dict[str, Any]) -> None:
+    """Its first answer comes late, with a damaged byte."""
+    actuators = (actuator("slide", 0.0, 0.04),)
+    options = {"port": "/dev/jaw"}
+    spec = DeviceSpec("jaw", "jaw", "jaw", actuators, options, emulated=True, worn=True)
+    async with BusPool() as pool:
+        jaw = examples[name](spec, pool)
+        await jaw.configure()
+        assert math.isfinite((await jaw.sense()).position[0])
         await jaw.close()
 
 
