@@ -69,13 +69,17 @@ def new(
     """
     if sum(given is not None for given in (urdf, mjcf, source)) != 1:
         raise ConfigError("give one of --urdf FILE, --mjcf FILE and --from HAND")
+    from rtee.hand.load import is_path
+
+    # Checked, since it becomes a part of a path.
+    if is_path(check_name(name, "hand")):
+        raise ConfigError(f"hand name '{name}' would be taken for a file; give it no such ending")
     if source is not None:
         if srdf or root or package_dir or arguments:
             raise ConfigError(
                 "--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf"
             )
-        # Checked, since it becomes a part of a path.
-        _copy(hand_folder(source), into / check_name(name, "hand"))
+        _copy(hand_folder(source), into / name)
         return
     with needing_extra("making a hand from a URDF", "extract"):
         from rtee.hand.scaffold import make_hand

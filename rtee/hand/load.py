@@ -123,7 +123,7 @@ def load_configured(
     folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
     config, document = read_document(file)
     # Found by its folder's name, so recordings and network keys must use the same one.
-    if not _is_path(name_or_path) and config.name != folder.name:
+    if not is_path(name_or_path) and config.name != folder.name:
         raise document.error(
             ("name",), f"'{config.name}' should be the name of its folder, '{folder.name}'"
         )
@@ -166,7 +166,7 @@ def hand_folder(
             raise ConfigError(f"the hand '{hand.name}' has no folder; load it with rtee.load_hand")
         return hand.folder, hand.folder / FILE_NAME
     name_or_path = hand
-    if not _is_path(name_or_path):
+    if not is_path(name_or_path):
         folder = find_hand(str(name_or_path), config_dirs)
         return folder, folder / FILE_NAME
     path = Path(name_or_path)
@@ -181,7 +181,8 @@ def hand_folder(
     return file.parent, file
 
 
-def _is_path(name_or_path: str | Path) -> bool:
+def is_path(name_or_path: str | Path) -> bool:
+    """Return whether the text in place of a hand is a path, not a name."""
     if isinstance(name_or_path, Path):
         return True
     return "/" in name_or_path or name_or_path.endswith((".", ".yaml", ".yml", *_MODELS))

@@ -218,6 +218,12 @@ def test_names_that_would_be_paths(name: str, home: Path, refused: Run) -> None:
     assert "name" in refused("generic", name, "left=0.2", "--hand", "gripper")
 
 
+@pytest.mark.parametrize("name", ["other.urdf", "other.xml", "other.yaml", "other."])
+def test_a_hand_that_no_command_could_name(name: str, home: Path, refused: Run) -> None:
+    for source in (("--urdf", str(home / "gripper.urdf")), ("--from", "gripper")):
+        assert f"hand name '{name}' would be taken for a file" in refused("new", name, *source)
+
+
 @pytest.mark.parametrize(
     "command",
     ["compose fist", "extract --nope", "nope", "do", "log nope", "hands one", "import no"],
