@@ -284,15 +284,16 @@ def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None
 
 async def test_a_gap_is_filled(hand: Hand) -> None:
     """A pause of the person is not a pause of the stream."""
-    times = (0.0, 0.02, 0.04, 0.06, 0.46)
+    times = (0.0, 0.02, 0.04, 0.06, 1.3)
     samples = [Played(time, {"near": 0.1}, {}) for time in times]
     async with (
         serving(hand, make_library(hand)) as served,
         rtee.connect("small") as remote,
-        remote.stream(rate=50, deadline=0.25) as stream,
+        remote.stream(rate=50, deadline=1.0) as stream,
     ):
         await play(samples, stream)
-        assert (await stream.status()).samples >= 8
+        # How many fill it depends on how often the computer lets the player run.
+        assert (await stream.status()).samples > len(samples)
     assert "stream_paused" not in [event.kind for event in served.watcher.events]
 
 
