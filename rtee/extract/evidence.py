@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.actions.types import Evidence, Posture
+from rtee.actions.types import Evidence, Opposition, Posture
 from rtee.extract.collisions import (
     REDUCED,
     Closing,
@@ -127,7 +127,7 @@ class Inspector:
             point=_triple((witness.first + witness.second) / 2.0),
             normal=_triple(witness.normal),
             contact_at=None if contact_at is None else _round(contact_at),
-            opposition=opposed,
+            opposition=None if opposed is None else _as_stored(opposed),
         )
         return Candidate(u, evidence, margin)
 
@@ -174,6 +174,11 @@ def as_posture(hand: Hand, u: FloatArray, involved: Collection[str]) -> Posture:
 def _round(value: float) -> float:
     # Adding 0 turns -0.0 into 0.0, which reads better in files.
     return round(value, _DIGITS) + 0.0
+
+
+def _as_stored(opposition: Opposition) -> Opposition:
+    one, other = opposition.angles
+    return replace(opposition, angles=(_round(one), _round(other)))
 
 
 def _triple(vector: FloatArray) -> tuple[float, float, float]:
