@@ -109,7 +109,7 @@ class SimulatedHand(EmulatedDevices, Observer):
 
     async def _begin(self) -> None:
         lives = asyncio.Event()
-        self._life = asyncio.create_task(self._live(lives))
+        self._life = asyncio.create_task(self._live_alone(lives))
         while not lives.is_set():
             if self._life.done():
                 await self._life
@@ -119,6 +119,16 @@ class SimulatedHand(EmulatedDevices, Observer):
         self._end.set()
         if self._life is not None:
             await self._life
+
+    async def _live_alone(self, lives: asyncio.Event) -> None:
+        try:
+            await self._live(lives)
+        except ExceptionGroup as group:
+            # Task groups wrap even a single error, which callers want to catch by its type.
+            error: Exception = group
+            while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+                error = error.exceptions[0]
+            raise error from None
 
     async def _live(self, lives: asyncio.Event) -> None:
         async with self._pool, self._loop, anyio.create_task_group() as group:

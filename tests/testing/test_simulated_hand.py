@@ -34,3 +34,8 @@ def test_only_simulated_time_passes(rtee_simulated_hand: StartSimulatedHand) -> 
     hand.wait(3.0)
     assert hand.state().stamp - before == pytest.approx(3.0, abs=0.01)
     assert hand.do("PinchTight", "finger_1", "finger_2", intensity=0.5, effort=0.5).reached
+
+
+def test_a_mistake_is_raised_by_its_type(rtee_simulated_hand: StartSimulatedHand) -> None:
+    with pytest.raises(ConfigError, match="an object 500 mm wide does not fit the fingers"):
+        rtee_simulated_hand("robotiq_2f_85", object="500mm")
