@@ -497,12 +497,16 @@ class GoalClient:
         await self._link.ask("cancel", {"goal_id": goal_id, "client": self._link.client})
 
     async def effort_limits(
-        self, share: float, only: Collection[str] | None = None, *, besides: Collection[str] = ()
+        self,
+        share: float | str,
+        only: Collection[str] | None = None,
+        *,
+        besides: Collection[str] = (),
     ) -> dict[str, float]:
         """Return a share of the effort limits of actuators [N·m | N], for the option ``effort``.
 
         Args:
-            share: The share, above 0 up to 1.
+            share: The share, above 0 up to 1; or a text such as ``40%``.
             only: The actuators; ``None`` for all.
             besides: Actuators to leave out.
 

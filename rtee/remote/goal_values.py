@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Final, Literal, TypedDict, TypeVar, Unpack
 
 from rtee.actions.types import ActionKind, ActionReference
@@ -182,11 +182,14 @@ def share_of(effort: object) -> float | None:
 
 def shares(
     limits: Mapping[str, float],
-    share: float,
+    share: float | str,
     only: Collection[str] | None = None,
     besides: Collection[str] = (),
 ) -> dict[str, float]:
     """Return a share of effort limits [N·m | N], of some actuators; raises `GoalRejected`."""
+    # The range of a number is checked below.
+    plain = number(share)
+    share = quantity(share, SHARE, "effort") if plain is None else plain
     if not 0.0 < share <= 1.0:
         raise GoalRejected(
             f"an effort for all actuators must be a share of their limits, above 0 and at most 1 "
@@ -313,12 +316,15 @@ def _closing(values: dict[str, Any]) -> ActionReference:
 
 
 def _names(fingers: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the names of fingers; raises `GoalRejected` for a single string."""
-    if isinstance(fingers, str) or not all(isinstance(name, str) for name in fingers or ()):
+    """Return the names of fingers; raises `GoalRejected` unless they are strings in a list."""
+    given = () if fingers is None else fingers
+    # Read once: an iterator has no names left afterwards.
+    names = tuple(given) if isinstance(given, Iterable) else (given,)
+    if isinstance(fingers, str) or not all(isinstance(name, str) for name in names):
         raise GoalRejected(
             f"the fingers must be a list of names, such as ['index'], not {fingers!r:.100}"
         )
-    return tuple(fingers or ())
+    return names
 
 
 def _tolerances(pair: object) -> tuple[float, float]:

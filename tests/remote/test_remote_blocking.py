@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import anyio.from_thread
+import numpy as np
 import pytest
 
 import rtee
@@ -213,6 +214,27 @@ def test_what_no_message_can_carry_is_said_in_words(
         pytest.raises(GoalRejected, match=said),
     ):
         remote.do("fist", *elements, **options)
+
+
+@pytest.mark.parametrize(
+    ("fingers", "said"),
+    [
+        (5, "must be a list of names, such as \\['index'\\], not 5"),
+        (np.array([1.0, 2.0]), "must be a list of names"),
+        (iter(["nobody"]), "nobody"),
+    ],
+)
+def test_fingers_are_names_that_can_be_read_once(served: Served, fingers: Any, said: str) -> None:
+    with rtee.connect_blocking("small") as remote, pytest.raises(GoalRejected, match=said):
+        remote.touch(fingers=fingers)
+
+
+def test_a_share_of_the_efforts_is_given_as_in_a_goal(served: Served) -> None:
+    with rtee.connect_blocking("small") as remote:
+        assert remote.effort_limits("40%") == remote.effort_limits(0.4)
+        for wrong in ("4N", None, 10**400):
+            with pytest.raises(GoalRejected, match="effort must be a share"):
+                remote.effort_limits(wrong)  # type: ignore[arg-type]
 
 
 def test_events(served: Served) -> None:
