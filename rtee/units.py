@@ -96,6 +96,18 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
     return size
 
 
+def longest_wait(value: str | float, name: str) -> float:
+    """Return a time to wait [s]; unlike a `quantity`, it may be infinite or over already.
+
+    Raises:
+        GoalRejected: if the value is no time.
+    """
+    plain = quantity(value, TIME, name) if isinstance(value, str) else number(value)
+    if plain is None or math.isnan(plain):
+        raise GoalRejected(f"the {name} must be {_KINDS[id(TIME)]}, not {value!r:.100}")
+    return plain
+
+
 class AngleUnit(StrEnum):
     """Unit of the angles of an MJCF: the values of ``<compiler angle>``."""
 

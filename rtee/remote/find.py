@@ -19,7 +19,7 @@ from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running
 from rtee.remote.session import access_path, close_session, open_client
 from rtee.remote.stopping import stop_path
-from rtee.units import TIME, quantity
+from rtee.units import longest_wait
 
 VARIABLE = "RTEE_CONNECT"
 """Environment variable with the endpoint of a hand on another computer."""
@@ -72,9 +72,7 @@ async def open_hand(
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    # A number may be infinite.
-    longest = quantity(wait, TIME, "wait") if isinstance(wait, str) else wait
-    until, reported = monotonic.now() + longest, ""
+    until, reported = monotonic.now() + longest_wait(wait, "wait"), ""
     while True:
         try:
             return await (

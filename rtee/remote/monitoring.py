@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import operator
 import weakref
 from collections import deque
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 import anyio
 
 from rtee.commands import StreamStatus
-from rtee.errors import MessageError, NotReady
+from rtee.errors import GoalRejected, MessageError, NotReady
 from rtee.messages import EVENT, FEEDBACK, RESULT, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
@@ -25,6 +26,7 @@ from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
 from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Lifecycle, LoopStatistics, Result
+from rtee.units import longest_wait
 from rtee.values import Value
 
 T = TypeVar("T")
@@ -146,8 +148,10 @@ class Monitoring:
                 ones are dropped.
 
         Raises:
+            GoalRejected: if the rate or the number of states cannot be used.
             NoHand: if the hand goes.
         """
+        keep = _count(keep, "number of states to keep")
         # Closed with this iterator, or the hand would go on publishing for a while.
         async with contextlib.aclosing(
             self._messages(await self._stream(rate), decode_state, keep)
@@ -166,7 +170,11 @@ class Monitoring:
         Args:
             rate: Desired rate [Hz]; the nearest one that divides the loop's rate is used.
             most: Number of states to keep; older ones are dropped.
+
+        Raises:
+            GoalRejected: if the rate or the number of states cannot be used.
         """
+        most = _count(most, "number of states to keep")
         with self._link.collected(await self._stream(rate), most) as messages:
             yield CollectedStates(messages)
 
@@ -264,21 +272,23 @@ class Monitoring:
 
     async def ready(
         self,
-        timeout: float | None = READY_WITHIN,
+        timeout: float | str | None = READY_WITHIN,
         on_wait: Callable[[str], object] | None = None,
     ) -> None:
         """Wait until the hand ticks and all its devices are active, after homing and activation.
 
         Args:
-            timeout: Longest time to wait [s]; ``None``: without limit.
+            timeout: Longest time to wait [s], or a text such as ``10s``; ``None``: without limit.
             on_wait: Called with the reason for waiting, in words, whenever it changes.
 
         Raises:
+            GoalRejected: if the timeout is no time.
             NotReady: if it takes longer; the error says why.
             NoHand: if the hand goes.
         """
+        within = math.inf if timeout is None else longest_wait(timeout, "timeout")
         lacks, reported, active_at = "it has not answered", "", math.inf
-        with anyio.move_on_after(timeout):
+        with anyio.move_on_after(within):
             while True:
                 if self._link.gone:
                     raise self._link.lost()
@@ -294,7 +304,6 @@ class Monitoring:
                     reported = lacks
                     on_wait(lacks)
                 await anyio.sleep(_POLL_PERIOD)
-        within = 0.0 if timeout is None else timeout
         raise NotReady(f"the hand '{self._link.hand}' is not ready after {within:g} s: {lacks}")
 
     async def info(self, posture: Mapping[str, float] | None = None) -> HandInfo:
@@ -322,6 +331,15 @@ class Monitoring:
     async def robot_description(self) -> str:
         """Return the URDF."""
         return str((await self._link.ask("robot_description"))["data"])
+
+
+def _count(value: int, what: str) -> int:
+    """Return a number of at least one; raises `GoalRejected` for anything else."""
+    # No queue takes another: one of length 0 would keep either nothing or everything.
+    with contextlib.suppress(TypeError):
+        if (count := operator.index(value)) > 0:
+            return count
+    raise GoalRejected(f"the {what} must be a whole number from 1, not {value!r:.100}")
 
 
 def _put(queue: asyncio.Queue[T], item: T) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import anyio
 import pytest
@@ -164,3 +165,20 @@ def test_words_that_are_no_effort(words: str, said: str) -> None:
     assert said in str(caught.value)
     assert "set-point" not in str(caught.value)
     assert caught.value.exit_status == 2
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), "soon", [], 1j])
+def test_a_wait_is_a_time(served: Served, wrong: Any) -> None:
+    with pytest.raises(GoalRejected, match="the wait must be a number of seconds, such as 5s"):
+        rtee.connect_blocking("nobody", wait=wrong)
+    with rtee.connect_blocking("small") as hand:
+        hand.ready("10s")
+        with pytest.raises(GoalRejected, match="the timeout must be a number of seconds"):
+            hand.ready(wrong)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 0.5, None, "all"])
+def test_at_least_one_state_is_kept(served: Served, wrong: Any) -> None:
+    said = "states to keep must be a whole number from 1"
+    with rtee.connect_blocking("small") as hand, pytest.raises(GoalRejected, match=said):
+        next(hand.states(50.0, keep=wrong))
