@@ -7,7 +7,7 @@ actuator that several parts of a composed action set gets the mean of their valu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rtee.actions.naming import label, normalise
@@ -52,6 +52,17 @@ class StepPlan:
     alias: str = ""
     before: float = 0.0
     after: float = 0.0
+
+
+def plans_of(steps: Iterable[StepPlan]) -> tuple[StepPlan, ...]:
+    """Return inner actions as they were given; raises `ActionError` for anything else."""
+    plans = tuple(steps)
+    if wrong := [each for each in plans if not isinstance(each, StepPlan)]:
+        raise ActionError(
+            "an inner action of a timed action must be a StepPlan, such as "
+            f"StepPlan('trig:ring', before=0.5), not {wrong[0]!r:.100}"
+        )
+    return plans
 
 
 def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
@@ -168,7 +179,7 @@ def sequence(
         raise ActionError(f"the timed action '{name}' has no inner actions")
     inner: list[Step] = []
     taken: set[str] = set()
-    for plan in steps:
+    for plan in plans_of(steps):
         use, posture = _resolve(hand, find, plan.use, f"the timed action '{name}'")
         alias = plan.alias or "_".join((use.action, *use.elements))
         check_name(alias, "alias")

@@ -12,7 +12,7 @@ import anyio
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtee.actions.build import StepPlan
+from rtee.actions.build import StepPlan, plans_of
 from rtee.actions.library import listed
 from rtee.actions.types import (
     Action,
@@ -34,6 +34,7 @@ from rtee.planning.question import Question, ReachQuestion, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
 from rtee.remote.goal import GoalClient
+from rtee.remote.goal_values import numbers
 from rtee.remote.hand_info import info_of
 from rtee.remote.link import Link
 from rtee.remote.openings import GripLimits, OpeningRange, limits_of, opening_of
@@ -170,9 +171,11 @@ class ActionClient:
             replace: Whether to replace an action of the same name.
 
         Raises:
+            GoalRejected: if a set-point is not a finite number.
             RequestRejected: if the hand refuses the action, with the reason.
         """
-        posture = Posture(set_points, tuple(set_points))
+        given = numbers(set_points, "set-point")
+        posture = Posture(given, tuple(given))
         await self.add_action(Generic(name, posture, description), store=store, replace=replace)
 
     async def add_composed(
@@ -202,7 +205,8 @@ class ActionClient:
     ) -> None:
         """Add a timed action; see `ActionLibrary.sequence`."""
         timed = tuple(
-            Step(ActionReference.of(s.use), s.alias, s.before, s.after, _NOWHERE) for s in steps
+            Step(ActionReference.of(s.use), s.alias, s.before, s.after, _NOWHERE)
+            for s in plans_of(steps)
         )
         action = Timed(name, timed, description)
         await self.add_action(action, store=store, replace=replace)
@@ -288,8 +292,8 @@ class ReachClient:
         """
         question = _question(contacts, width, pose, fingers, approach, retreat, tolerance)
         if object_pose is not None:
-            numbers = _numbers(object_pose, (4, 4), "the object's pose is 4 by 4 numbers")
-            question = replace(question, object_pose=tuple(numbers))
+            flat = _numbers(object_pose, (4, 4), "the object's pose is 4 by 4 numbers")
+            question = replace(question, object_pose=tuple(flat))
         question = replace(question, object=object)
         question.check()
         reply = await self._link.ask("reach", question.words()["reach"], within=PLANNED_WITHIN)

@@ -22,6 +22,7 @@ from rtee.messages.state import State, decode_state
 from rtee.messages.touch import TOUCH, reply_of, touch_of
 from rtee.objects.description import ObjectDescription
 from rtee.remote.counts import Counts, counts_of
+from rtee.remote.goal_values import numbers
 from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
 from rtee.touch import TouchState
@@ -312,8 +313,11 @@ class Monitoring:
         Args:
             posture: Actuator positions for poses and Jacobians [rad | m]; other actuators are at
                 rest.
+
+        Raises:
+            GoalRejected: if a position is not a finite number.
         """
-        values = posture or {}
+        values = numbers({} if posture is None else posture, "position")
         fields = {"name": list(values), "position": list(values.values())}
         return info_of(await self._link.ask("info", fields))
 

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +12,7 @@ from rtee.actions.build import StepPlan
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
-from rtee.errors import RequestRejected
+from rtee.errors import ActionError, GoalRejected, RequestRejected
 from rtee.hand.model import Hand
 from rtee.trials.store import outdated
 
@@ -167,3 +169,19 @@ async def test_trials_are_told_though_all_actions_are_gone(hand: Hand, tmp_path:
         text = await remote.trials()
     assert "present_actions" not in text
     assert outdated(text + "made_with: 0\n", Path("trials.yaml")) == frozenset()
+
+
+async def test_wrong_types_are_said_in_words(hand: Hand, library: ActionLibrary) -> None:
+    wrong: Any
+    async with serving(hand, library), rtee.connect("small") as remote:
+        for wrong in (None, 5, "near", ["near"], {"near": "far"}, {"near": math.nan}):
+            with pytest.raises(GoalRejected, match="set-point"):
+                await remote.add_generic("point", wrong)
+        for wrong in (5, "near", {"near": "far"}):
+            with pytest.raises(GoalRejected, match="position"):
+                await remote.info(wrong)
+        for wrong in ("fist", 5):
+            with pytest.raises(ActionError, match=f"must be a StepPlan, .*, not {wrong!r}"):
+                await remote.add_timed("twice", [wrong])
+            with pytest.raises(ActionError, match="must be a StepPlan"):
+                library.sequence("twice", [wrong])
