@@ -179,6 +179,10 @@ class RecordingStatus(Protocol):
         """The file being written, if there is one."""
 
     @property
+    def problem(self) -> str:
+        """Reason for which nothing is written at present; empty if the disk takes the data."""
+
+    @property
     def trouble(self) -> str:
         """Losses of the recording and their reason, in words; empty if there are none."""
 
@@ -353,12 +357,21 @@ class QueryHandlers:
             case "stop":
                 recorder.stop()
             case "mark":
-                if not 0 < len(text) <= _LONGEST_MARK or not text.isprintable():
+                if text and not text.isprintable():
+                    raise RequestRejected(
+                        f"a mark must be one line without control characters, not {text!r:.100}"
+                    )
+                if not 0 < len(text) <= _LONGEST_MARK:
                     raise RequestRejected(
                         f"a mark must be one line of 1 to {_LONGEST_MARK} characters, not "
                         f"{len(text)}"
                     )
-                if not recorder.status().keeps:
+                if (status := recorder.status()).problem:
+                    raise RequestRejected(
+                        f"the recording of {self._hand.name} is not written, so the mark would be "
+                        f"lost: {status.problem}"
+                    )
+                if not status.keeps:
                     raise RequestRejected(
                         f"{self._hand.name} is not recording, so the mark would be lost; begin a"
                         " recording first, in the GUI or by record('start')"

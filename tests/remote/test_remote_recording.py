@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import rtee
@@ -30,7 +32,7 @@ async def test_a_recording_is_started_marked_and_stopped(
     [
         ("delete", "", "unknown request 'delete' for the recording"),
         ("mark", "", "a mark must be one line"),
-        ("mark", "two\nlines", "a mark must be one line"),
+        ("mark", "two\nlines", r"one line without control characters, not 'two\\nlines'"),
         ("mark", "x" * 1001, "not 1001"),
         ("mark", "nobody would find it", "is not recording"),
     ],
@@ -42,6 +44,15 @@ async def test_nonsense_does_not_reach_the_recorder(
     async with serving(hand, library, recorder=told), rtee.connect("small") as remote:
         with pytest.raises(RequestRejected, match=reason):
             await remote.record(what, text)
+    assert told.calls == []
+
+
+async def test_a_mark_on_a_full_disk_names_the_disk(hand: Hand, library: ActionLibrary) -> None:
+    told = Told(Path("/logs/small.mcap"))
+    told.problem = "no space left on device"
+    async with serving(hand, library, recorder=told), rtee.connect("small") as remote:
+        with pytest.raises(RequestRejected, match=r"not written, .* lost: no space left on device"):
+            await remote.record("mark", "the cup slipped")
     assert told.calls == []
 
 
