@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -184,11 +183,8 @@ class CanBus(Bus):
             self._direct = self._simulation.connect(self._on_frame)
             if self._direct is not None:
                 return
-        try:
-            # In a thread, since some interfaces communicate with a USB device when they open.
-            bus = await loop.run_in_executor(None, self._opened)
-        except (can.CanError, OSError, ValueError) as error:
-            raise BusBroken(self.name, _reason(error)) from error
+        # In a thread, since some interfaces communicate with a USB device when they open.
+        bus = await loop.run_in_executor(None, self._opened)
         self._bus = bus
         self._notifier = can.Notifier(bus, [self._on_message], timeout=0.05, loop=loop)
 
@@ -219,13 +215,3 @@ class CanBus(Bus):
             bus.shutdown()
 
         await asyncio.shield(asyncio.get_running_loop().run_in_executor(None, stop))
-
-
-def _reason(error: Exception) -> str:
-    """Return the reason why a bus cannot be opened, for the error message."""
-    code = getattr(error, "errno", None)
-    if code == errno.EAFNOSUPPORT:
-        return "this computer's kernel has no SocketCAN"
-    if code == errno.ENODEV:
-        return "there is no such CAN interface; `ip link` lists them"
-    return f"cannot be opened: {error}"

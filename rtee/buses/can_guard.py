@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 from collections import deque
@@ -11,6 +12,7 @@ from typing import Any
 from rtee import monotonic
 from rtee.buses.emulator import CanFrame
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
+from rtee.errors import BusBroken
 
 _ENDING = 1e-3
 """Pause of a notifier's thread between two calls of `recv` after `end` [s]."""
@@ -79,12 +81,25 @@ class Unechoed:
 
 
 def open_bus(interface: str, channel: str, bitrate: int | None = None) -> Any:
-    """Open a bus of python-can; raises python-can's errors."""
+    """Open a bus of python-can; raises `BusBroken`."""
     import can
 
     settings: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
-    bus = can.Bus(interface=interface, channel=channel, **settings)
+    try:
+        bus = can.Bus(interface=interface, channel=channel, **settings)
+    except (can.CanError, OSError, ValueError) as error:
+        raise BusBroken(channel, _reason(error)) from error
     return Unechoed(bus) if interface in _RETURNING else bus
+
+
+def _reason(error: Exception) -> str:
+    """Return the reason why a bus cannot be opened, for the error message."""
+    code = getattr(error, "errno", None)
+    if code == errno.EAFNOSUPPORT:
+        return "this computer's kernel has no SocketCAN"
+    if code == errno.ENODEV:
+        return "there is no such CAN interface; `ip link` lists them"
+    return f"cannot be opened: {error}"
 
 
 class GuardedCan:

@@ -108,6 +108,18 @@ async def test_an_interface_that_is_not_there_is_named() -> None:
             await pool.can("nocan7", owner="a")
 
 
+@pytest.mark.parametrize(
+    ("interface", "said"),
+    [("socketcan", "no SocketCAN|no such CAN interface"), ("tin_can", "Unknown interface")],
+)
+@in_real_time
+async def test_an_emulated_node_names_the_interface_that_is_not_there(
+    interface: str, said: str
+) -> None:
+    with pytest.raises(BusBroken, match=said):
+        SimulatedCan([], channel="nocan7", interface=interface).start()
+
+
 @in_real_time
 async def test_udp_multicast_carries_frames_too() -> None:
     channel = "239.74.163.77"
