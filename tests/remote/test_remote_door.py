@@ -28,7 +28,13 @@ from rtee.remote.client import stop_hand
 from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import Check
 from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
-from rtee.remote.session import host_of, most_sessions, open_client, open_server
+from rtee.remote.session import (
+    close_session,
+    host_of,
+    most_sessions,
+    open_client,
+    open_server,
+)
 
 from .serving import Config, Remote, serving, until
 from .test_remote_tls import People, as_user, people, tls  # noqa: F401
@@ -189,7 +195,7 @@ async def test_a_flood_of_hello_keeps_no_other_certificate_out(
         finally:
             ended.set()
             thread.join()
-            session.close()
+            close_session(session)
 
 
 async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
@@ -207,9 +213,9 @@ async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
         return welcome(identities, access_path)
 
     def greet(session: zenoh.Session, key: str) -> None:
-        with session:
-            while not ended.is_set():
-                session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
+        while not ended.is_set():
+            session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
+        close_session(session)
 
     async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
         as_user(bob)  # the door opens their way to the hand
