@@ -120,7 +120,7 @@ def open_(
 
 
 async def follow(remote: RemoteHand, start: Awaitable[RunningGoal], title: str) -> Result:
-    """Start a goal and show its progress; Ctrl-C cancels it, a second Ctrl-C ends this."""
+    """Start a goal and show its progress; Ctrl-C cancels it, a second Ctrl-C ends the command."""
     events = remote.events()
     # Progress is for people; the output holds the result alone.
     console = Console(stderr=True)

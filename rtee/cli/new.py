@@ -73,7 +73,9 @@ def new(
 
     # Checked, since it becomes a part of a path.
     if is_path(check_name(name, "hand")):
-        raise ConfigError(f"hand name '{name}' would be taken for a file; give it no such ending")
+        raise ConfigError(
+            f"hand name '{name}' would be taken for a file; choose one without this ending"
+        )
     if source is not None:
         if srdf or root or package_dir or arguments:
             raise ConfigError(

