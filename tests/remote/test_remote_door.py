@@ -8,15 +8,14 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
 from unittest.mock import Mock
 
 import anyio
 import anyio.to_thread
 import pytest
-import zenoh
 
 import rtee
 from rtee import child
@@ -29,7 +28,6 @@ from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import Check
 from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
 from rtee.remote.session import (
-    close_session,
     host_of,
     most_sessions,
     open_client,
@@ -169,6 +167,41 @@ async def stopped(endpoint: str, connecting: int, without: int) -> None:
     assert said == ["{'sim': True}"] * (connecting + without), done.stderr.decode()[-500:]
 
 
+FLOOD = """
+import sys, threading, time
+import zenoh
+from rtee.remote.session import open_client
+
+endpoint, key, count, pause = sys.argv[1:]
+sessions = [open_client([endpoint]) for _ in range(int(count))]
+
+def greet(session):
+    while True:
+        session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
+        time.sleep(float(pause))
+
+for session in sessions:
+    threading.Thread(target=greet, args=(session,)).start()
+print("flooding", flush=True)
+"""
+"""Greets the hand from so many sessions with junk, with a pause [s] after each greeting."""
+
+
+@asynccontextmanager
+async def flooding(endpoint: str, count: int, pause: float) -> AsyncIterator[None]:
+    """Flood the hand with greetings under this user's certificate, in another process."""
+    key = f"rtee/small/hello/{credentials.common_name(credentials.identity().name)}"
+    flood = child.python("-c", FLOOD, endpoint, key, str(count), str(pause))
+    async with await anyio.open_process(flood, env=child.environment(), stderr=None) as process:
+        try:
+            assert process.stdout is not None
+            assert await process.stdout.receive()
+            await anyio.sleep(0.5)
+            yield
+        finally:
+            process.kill()
+
+
 async def test_a_flood_of_hello_keeps_no_other_certificate_out(
     hand: Hand,
     library: ActionLibrary,
@@ -176,26 +209,11 @@ async def test_a_flood_of_hello_keeps_no_other_certificate_out(
 ) -> None:
     as_user(people.add("ann", Role.OBSERVER))
     endpoint = tls()
-    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
-        session = await anyio.to_thread.run_sync(open_client, [endpoint])
-        name = credentials.common_name(credentials.identity().name)
-        key, ended = f"rtee/small/hello/{name}", threading.Event()
-
-        def greet() -> None:
-            while not ended.wait(0.001):
-                session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
-
-        thread = threading.Thread(target=greet)
-        thread.start()
-        try:
-            await anyio.sleep(0.5)
-            as_user(people.add("bob", Role.OBSERVER))
-            await stopped(endpoint, 4, 1)
-            assert await stop_hand("small") == ("small", {"sim": True})
-        finally:
-            ended.set()
-            thread.join()
-            close_session(session)
+    config = Config(Remote(listen=[endpoint]))
+    async with serving(hand, library, config=config), flooding(endpoint, 1, 0.001):
+        as_user(people.add("bob", Role.OBSERVER))
+        await stopped(endpoint, 4, 1)
+        assert await stop_hand("small") == ("small", {"sim": True})
 
 
 async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
@@ -206,35 +224,25 @@ async def test_a_flood_that_the_hand_is_slow_to_take_holds_up_no_other_stop(
 ) -> None:
     ann, bob = people.add("ann", Role.OBSERVER), people.add("bob", Role.OBSERVER)
     endpoint, ended = tls(), threading.Event()
-    welcome = Identities.welcome
+    welcome, greetings = Identities.welcome, []
 
     def slow(identities: Identities, access_path: str) -> Check:
+        greetings.append(access_path)
         ended.wait(0.03)
         return welcome(identities, access_path)
-
-    def greet(session: zenoh.Session, key: str) -> None:
-        while not ended.is_set():
-            session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
-        close_session(session)
 
     async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
         as_user(bob)  # the door opens their way to the hand
         assert await stop_hand(endpoint=endpoint) == ("small", {"sim": True})
         as_user(ann)
-        key = f"rtee/small/hello/{credentials.common_name(credentials.identity().name)}"
-        sessions = [await anyio.to_thread.run_sync(open_client, [endpoint]) for _ in range(8)]
         monkeypatch.setattr(Identities, "welcome", slow)
-        threads = [threading.Thread(target=greet, args=(each, key)) for each in sessions]
-        for thread in threads:
-            thread.start()
         try:
-            await anyio.sleep(0.5)
-            as_user(bob)
-            await stopped(endpoint, 0, 8)
+            async with flooding(endpoint, 8, 0.01):
+                as_user(bob)
+                await stopped(endpoint, 0, 8)
         finally:
             ended.set()
-            for thread in threads:
-                thread.join()
+        assert len(greetings) > 10
 
 
 async def test_a_door_that_dies_is_opened_again(
