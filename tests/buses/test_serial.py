@@ -69,7 +69,7 @@ async def test_garbage_only_is_a_frame_error(pool: BusPool, url: str) -> None:
 async def test_a_lost_answer_is_asked_for_again(pool: BusPool, url: str) -> None:
     bus = await bus_in(pool, url)
     pool.simulation("a").faults = Faults(drop=0.3, seed=4)
-    answers = [await bus.transact(frame_of(b"n"), StarParser(), 2.0, retries=20) for _ in range(8)]
+    answers = [await bus.transact(frame_of(b"n"), StarParser(), 4.0, retries=20) for _ in range(8)]
     assert answers == [b"N"] * 8
     assert bus.counters.retries >= pool.simulation("a").faults.injected["drop"] > 0
 

@@ -369,6 +369,7 @@ def foreign(emulated: Cia402Emulator, channel: str) -> Iterator[BaseNode402]:
         for listener in network.listeners:
             notifier.add_listener(listener)
         node = BaseNode402(5, _dictionary())
+        node.sdo.RESPONSE_TIMEOUT = 5.0  # a busy computer answers later than a drive
         network.add_node(node)
         node.nmt.state = "OPERATIONAL"
         yield node

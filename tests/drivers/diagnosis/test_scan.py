@@ -31,7 +31,7 @@ async def scanned(line: SimulatedLine, *, units: Sequence[int] | None = None) ->
         probes_ = network_probes(units)
     real = not isinstance(asyncio.get_running_loop(), SimulatedTimeLoop)
     # Each question is asked once, and a busy computer answers later than a device.
-    usual = ANSWER.set(0.2 if real else ANSWER.get())
+    usual = ANSWER.set(0.4 if real else ANSWER.get())
     try:
         async with BusPool() as pool:
             [found] = await scan([ScanPlan(line.address, probes=probes_)], pool)
