@@ -8,7 +8,7 @@ actuator, and a force ``F`` between the sides needs its effort ``-F dw/du`` (vir
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from typing import Final
@@ -51,12 +51,12 @@ _SHARE: Final = 0.3
 which approach each other a little, have less."""
 
 _PARTS: Final = 0.9
-"""Approach of two shapes of tips relative to that of the two that close most, below which they are
-ignored: hinges and levers on the tips' links stay near each other all the time."""
+"""Approach of a shape of a jaw relative to that of its link, below which it is no fingertip: hinges
+and levers stay near the other jaw all the time."""
 
 _LINKS: Final = 0.75
-"""Such an approach for the links of tips that several links form: where a marker stands back on a
-pad, the markers come from farther apart, but the pads are what touches."""
+"""Such an approach for the links of a jaw's tip that several links form: where a marker stands back
+on a pad, the markers come from farther apart, but the pads are what touches."""
 
 _BUMP: Final = 1e-4
 """Largest growth of an opening that still counts as falling [m]."""
@@ -259,40 +259,74 @@ class _TipPaths:
 
     def sides(self) -> tuple[tuple[str, ...], ...]:
         """Return the opposing sides of the tips; none if they do not oppose each other."""
-        closes = self._closings()
-        most = {pair: max(found) for pair, found in closes.items()}
-        least = max(_CLOSES, _SHARE * max(most.values()))
-        opposed = [pair for pair, by in most.items() if by >= least]
-        for pair in opposed:
-            couples = list(zip(self._couples[pair], closes[pair], strict=True))
-            by_links: dict[tuple[str, str], float] = {}
-            for (one, other), by in couples:
-                links = one.link, other.link
-                by_links[links] = max(by, by_links.get(links, 0.0))
-            self._couples[pair] = [
-                (one, other)
-                for (one, other), by in couples
-                if by >= _PARTS * (reach := by_links[one.link, other.link])
-                and reach >= _LINKS * most[pair]
-            ]
+        closes: dict[tuple[str, str], float] = {}
+        for pair, distances in self._distances().items():
+            counted = self._counted(pair, _approach(distances))
+            self._couples[pair] = [self._couples[pair][k] for k in counted]
+            closes[pair] = float(_approach(distances[:, counted].min(axis=1)))
+        most = {f: max(by for pair, by in closes.items() if f in pair) for f in self.fingers}
+        # Each finger opposes at least the one that it approaches most.
+        share = _SHARE * max(most.values())
+        opposed = [
+            pair
+            for pair, by in closes.items()
+            if by >= _CLOSES and by >= min(share, *(most[finger] for finger in pair))
+        ]
         for finger in self.fingers:
             met = [c[p.index(finger)] for p in opposed if finger in p for c in self._couples[p]]
             self._parts[finger] = list(dict.fromkeys(met))
         there = [f for f in self.fingers if any(f in pair for pair in opposed)]
         return _two_sides(there, opposed) or tuple((finger,) for finger in there)
 
-    def _closings(self) -> dict[tuple[str, str], list[float]]:
-        """Return the approach of each two shapes of two tips from their largest distance [m]."""
-        farthest = {pair: [0.0] * len(couples) for pair, couples in self._couples.items()}
-        closes = {pair: [0.0] * len(couples) for pair, couples in self._couples.items()}
+    def _distances(self) -> dict[tuple[str, str], FloatArray]:
+        """Return the distances of each two shapes of two tips along the path ``(s, k)`` [m]."""
+        found: dict[tuple[str, str], list[list[float]]] = {pair: [] for pair in self._couples}
         for s in np.linspace(0.0, 1.0, _FIRST).tolist():
             self.go(s)
             for pair, couples in self._couples.items():
-                for k, couple in enumerate(couples):
-                    distance = self._between(*couple)[0]
-                    farthest[pair][k] = max(farthest[pair][k], distance)
-                    closes[pair][k] = max(closes[pair][k], farthest[pair][k] - distance)
-        return closes
+                found[pair].append([self._between(*couple)[0] for couple in couples])
+        return {pair: np.array(rows) for pair, rows in found.items()}
+
+    def _counted(self, pair: tuple[str, str], approach: FloatArray) -> list[int]:
+        """Return which couples of a pair's shapes are fingertips on both sides.
+
+        The distal link of an articulated finger is a fingertip as a whole. A jaw is one link from
+        its hinge or its slide to its tip, and only the parts that approach most are its tip.
+        """
+        couples = self._couples[pair]
+        tips: list[Collection[Shape]] = []
+        for side, finger in enumerate(pair):
+            parts: dict[Shape, float] = {}
+            for couple, by in zip(couples, approach.tolist(), strict=True):
+                parts[couple[side]] = max(by, parts.get(couple[side], 0.0))
+            tips.append(_foremost(parts) if self._is_jaw(finger) else parts)
+        return [k for k, (a, b) in enumerate(couples) if a in tips[0] and b in tips[1]]
+
+    def _is_jaw(self, finger: str) -> bool:
+        """Return whether a finger has at most one moving joint."""
+        hand = self.geometry.hand
+        below = hand.finger(finger).links[1:]
+        return sum(hand.urdf.joint_to[link].moving for link in below) <= 1
+
+
+def _approach(distances: FloatArray) -> FloatArray:
+    """Return the largest decrease of distances along the first axis [m]."""
+    farthest = np.maximum.accumulate(distances, axis=0)
+    most: FloatArray = (farthest - distances).max(axis=0)
+    return most
+
+
+def _foremost(parts: Mapping[Shape, float]) -> set[Shape]:
+    """Return the shapes of a jaw that approach most; ``parts``: by how much [m]."""
+    links: dict[str, float] = {}
+    for part, by in parts.items():
+        links[part.link] = max(by, links.get(part.link, 0.0))
+    least = _LINKS * max(links.values())
+    return {
+        part
+        for part, by in parts.items()
+        if by >= _PARTS * links[part.link] and links[part.link] >= least
+    }
 
 
 def _two_sides(

@@ -67,17 +67,18 @@ def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() 
 
 @pytest.mark.samples("dagana-*", "qb_softhand-*")
 @pytest.mark.parametrize(
-    ("hand", "width", "force", "least", "seed"),
+    ("hand", "elements", "width", "force", "least", "seed"),
     [
-        ("dagana", 0.03, 22.0, 18.0, 4109429108),
-        ("qb_softhand", 0.03, 3.3, 1.0, 2865120455),
-        ("onrobot_3fg15", 0.0743, 72.0, 65.0, 1769398895),
+        ("dagana", (), 0.03, 22.0, 18.0, 4109429108),
+        ("qb_softhand", ("thumb", "index"), 0.03, 3.3, 1.0, 2865120455),
+        ("onrobot_3fg15", (), 0.0743, 72.0, 65.0, 1769398895),
     ],
 )
 def test_one_motor_presses_on_what_a_fixed_jaw_or_some_of_its_fingers_meet_first(
-    hand: str, width: float, force: float, least: float, seed: int
+    hand: str, elements: tuple[str, ...], width: float, force: float, least: float, seed: int
 ) -> None:
-    truth = try_case(bench(hand, RATE), Case(CaseObject.SPHERE, width, force, seed=seed))
+    case = Case(CaseObject.SPHERE, width, force, seed=seed, elements=elements)
+    truth = try_case(bench(hand, RATE), case)
     assert (truth.said, truth.held) == (True, True)
     assert truth.peak <= max(1.3 * force, force + 1.0), "the blow"
     assert least <= truth.low <= 1.1 * force

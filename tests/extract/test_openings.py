@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hand.robots import PALM, Robot, box
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.openings import Openings, read_openings, to_document, write_openings
+from rtee.actions.openings import Opening, Openings, read_openings, to_document, write_openings
 from rtee.actions.types import ActionReference, Composed, Generic, Posture, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.extract.openings import make_openings, opening_of
 from rtee.hand.geometry import HandGeometry
-from rtee.hand.load import load_hand
+from rtee.hand.load import load_hand, load_model
 from rtee.hand.yamlfile import emit
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -78,6 +80,53 @@ def test_three_tips_around_a_middle_open_by_the_diameter_between_them() -> None:
     assert opening.around
     assert opening.widest == pytest.approx(0.150 - 0.0135, abs=5e-4)
     assert opening.narrowest == pytest.approx(0.0346 - 0.0135, abs=2e-3)
+
+
+def meeting(tip: Sequence[str], tmp_path: Path, *, knuckles: bool) -> Opening:
+    """Return the opening of two fingers that lean outwards; ``knuckles``: of two joints each."""
+    tmp_path.mkdir(exist_ok=True)
+    robot = Robot("two").link("base", PALM)
+    for side, x in (("left", -0.05), ("right", 0.05)):
+        at, axis, above = (x, 0.0, 0.01), (0, -x / 0.05, 0), "base"
+        if knuckles:
+            robot.link(f"{side}_knuckle", box(0.01, 0.01, 0.01, (0, 0, 0.005)))
+            robot.joint(f"{side}_1", "base", f"{side}_knuckle", at, axis, (0, 0.8))
+            at, above = (0.0, 0.0, 0.03), f"{side}_knuckle"
+        lean = (0.0, x / 0.05 * 0.7, 0.0)
+        robot.link(f"{side}_tip", *tip)
+        robot.joint(f"{side}_2", above, f"{side}_tip", at, axis, (0, 1.2), rpy=lean)
+    hand = load_model(robot.write(tmp_path))
+    posture = Posture(dict.fromkeys(hand.actuator_names, 0.8), hand.actuator_names)
+    opening = opening_of(HandGeometry(hand), Generic("close", posture))
+    assert opening is not None
+    return opening
+
+
+def test_a_fingertip_counts_whole_however_many_shapes_it_is_modelled_by(tmp_path: Path) -> None:
+    whole = box(0.012, 0.012, 0.04, (0, 0, 0.02))
+    parts = [box(0.012, 0.012, 0.01, (0, 0, 0.005 + 0.01 * k)) for k in range(4)]
+    one = meeting([whole], tmp_path / "one", knuckles=True)
+    several = meeting(parts, tmp_path / "several", knuckles=True)
+    assert one.widest == pytest.approx(0.1 - 0.012 * math.cos(0.7), abs=1e-5)  # at the knuckles
+    for intensity in np.linspace(0.0, one.intensity[-1], 50):
+        assert several.at(intensity) == pytest.approx(one.at(intensity), abs=2e-4)
+
+
+def test_the_hinge_of_a_jaw_is_no_fingertip(tmp_path: Path) -> None:
+    tip = box(0.012, 0.012, 0.01, (0, 0, 0.055))
+    hinge = box(0.03, 0.012, 0.01, (0, 0, 0.005))
+    opening = meeting([hinge, tip], tmp_path, knuckles=False)
+    # Inner edges of the tips, first the lower, then the upper ones; the hinges stay 70 mm apart.
+    widest = 0.1 + 0.1 * math.sin(0.7) - 0.012 * math.cos(0.7)
+    narrowest = 0.1 - 0.12 * math.sin(0.1) - 0.012 * math.cos(0.1)
+    assert opening.widest == pytest.approx(widest, abs=1e-5)
+    assert opening.narrowest == pytest.approx(narrowest, abs=1e-5)
+
+
+def test_a_finger_between_two_others_opposes_the_nearest() -> None:
+    known = library("schunk_svh")
+    opening = known.openings.of(known.find("MultiPinchTight_3", ("index", "middle", "ring")))
+    assert opening.sides == (("index", "middle"), ("ring",))
 
 
 def test_actions_without_opposing_tips_have_none() -> None:
