@@ -99,7 +99,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when first used: a client needs no Pinocchio, the extraction no network.
+    # Imported on first use: a client does not need Pinocchio, nor the extraction the network.
     import importlib
 
     if name == "__version__":

@@ -1,7 +1,7 @@
-"""Start Python processes with the same rtee, never with a module of the working folder.
+"""Start Python processes that use the same rtee and import nothing from the working folder.
 
-Python puts the working folder, or with ``-m`` the folder it is started in, first on its path. A
-``typer.py`` in a folder of downloads would run instead of the library.
+Python puts the working folder first on its path; with ``-m``, this is the folder in which it was
+started. A ``typer.py`` in a downloads folder would then run instead of the library.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _ROOT: Final = str(Path(__file__).parents[1])
 """The folder of the package, from which a child runs the same rtee, installed or not."""
 
 _SAFE: Final = "PYTHONSAFEPATH"
-"""Variable of the environment with the effect of ``-P``, for the children of a child, too."""
+"""Environment variable with the effect of ``-P``, which the children of a child inherit."""
 
 
 def python(*words: str) -> list[str]:
@@ -27,7 +27,7 @@ def python(*words: str) -> list[str]:
 
 def environment() -> dict[str, str]:
     """Return the environment of a Python process that imports rtee."""
-    # An empty or relative entry of PYTHONPATH means the working folder, too.
+    # An empty or relative entry of PYTHONPATH is resolved in the working folder.
     given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     paths = [_ROOT, *(path for path in given if os.path.isabs(path))]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), _SAFE: "1"}
@@ -35,7 +35,7 @@ def environment() -> dict[str, str]:
 
 @contextlib.contextmanager
 def spawning() -> Iterator[None]:
-    """Keep the processes that `multiprocessing` starts in the context from the working folder."""
+    """Prevent processes started by `multiprocessing` from importing from the working folder."""
     before = os.environ.get(_SAFE)
     os.environ[_SAFE] = "1"
     try:

@@ -1,4 +1,4 @@
-"""The commands to a hand's controller, besides its goals.
+"""Commands to a hand's controller, other than goals.
 
 Goals, commands and measurements determine every reference: a recording of them replays the hand
 bit for bit. Units are SI; actuators are named as in the URDF.
@@ -41,8 +41,8 @@ class Freeze:
 
     Attributes:
         reason: Why, in words, for the result of the goal that ends.
-        actuators: Actuators concerned; empty: all. Goals and streams of others go on: a device that
-            refuses its references ends nothing of theirs.
+        actuators: Actuators concerned; empty: all. Goals and streams of other actuators continue: a
+            device that refuses its references does not end them.
     """
 
     reason: str = ""
@@ -75,10 +75,10 @@ class SetGripEffort:
 
 @dataclass(frozen=True, slots=True)
 class SetActive:
-    """Set which actuators may be moved from now on, by the state of their devices.
+    """Set which actuators may move from now on, according to the state of their devices.
 
     Attributes:
-        active: Whether each actuator may be moved, by name.
+        active: Whether each actuator may move, by name.
     """
 
     active: Mapping[str, bool]
@@ -86,7 +86,7 @@ class SetActive:
 
 @dataclass(frozen=True, slots=True)
 class SetAcceptsEffort:
-    """Set which actuators' devices take effort limits; the others are eased by their position.
+    """Set which actuators' devices take effort limits; for others, a set-point lowers the effort.
 
     Attributes:
         accepts: Whether each actuator's device takes effort limits, by name.
@@ -120,7 +120,7 @@ class BeginStream:
         stream: Its identifier, without spaces.
         rate: Samples per second that its client intends to send [Hz].
         deadline: Time without a sample after which the hand brakes and holds [s].
-        max_lag: Longest lag [s]; ``inf``: the default, 1.2 periods and 5 ms.
+        max_lag: Longest lag [s]; ``inf``: the default, 1.2 periods plus 5 ms.
         effort: Effort limits by actuator [N·m | N]; other actuators keep the hand's own.
     """
 

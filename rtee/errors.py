@@ -25,13 +25,13 @@ The tree::
     │   ├── DeviceFault            the device reports a fault
     │   └── CommandRejected        a reference that the device refuses
     ├── MessageError (ValueError)  bytes that are not a valid message
-    ├── WorkerLost                 a worker process was ended from outside
+    ├── WorkerLost                 something outside killed a worker process
     ├── SimulationUnstable         the equations of a simulation diverged
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
-        ├── NoRouter               the router of ROS 2 does not answer
-        ├── NotReady (TimeoutError)  a device of the hand is not active in time
+        ├── NoRouter               the ROS 2 router does not answer
+        ├── NotReady (TimeoutError)  a device of the hand did not become active in time
         ├── LeaseHeld              another client holds the lease
         └── RequestRejected        the hand refused, with its reason
             ├── GoalRejected (ActionError)  a goal that cannot be executed
@@ -54,7 +54,7 @@ from urllib.parse import unquote, urlsplit
 
 
 class RteeError(Exception):
-    """Base of all errors of rtee: one sentence that says what, where and what would be right."""
+    """Base of all errors of rtee; its text says what is wrong, where, and what would be right."""
 
     exit_status: ClassVar[int] = 1
 
@@ -71,7 +71,7 @@ class RteeError(Exception):
     def __hash__(self) -> int:
         return hash((type(self), self.text))
 
-    # By default, a copy is made by calling the class with the text alone.
+    # By default, copying and pickling call the class with the text alone.
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (type(self), *self.args), vars(self)
 
@@ -81,16 +81,16 @@ def _again(kind: type[RteeError], *arguments: object) -> RteeError:
 
 
 def foreign(text: str, refuse: Callable[[str], Exception] | None = None) -> str:
-    """Return a name or a line of text from outside, without characters that are not printable.
+    """Return a name or a line of text from outside, with unprintable characters escaped.
 
-    All readers of names from outside use this: of URDF, SRDF, MJCF, YAML, messages, recordings and
-    devices. Line breaks would turn a name into further lines of a file, and control characters,
-    marks of the writing direction and characters without width make a terminal or a person read
-    something else. Quotes and the syntax of YAML, XML and HTML are escaped where they are written.
+    All readers of names from outside use this: those of URDF, SRDF, MJCF, YAML, messages,
+    recordings and devices. A line break would turn a name into several lines of a file. Control
+    characters, text-direction marks and zero-width characters mislead a terminal or a reader. The
+    writers of YAML, XML and HTML escape quotes and other syntax.
 
     Args:
         text: The text.
-        refuse: Makes the error to raise from the reason; by default the characters are escaped.
+        refuse: Makes an error from the reason, which is raised instead of escaping.
     """
     if text.isprintable():
         return text
@@ -115,7 +115,7 @@ class UserError(RteeError):
     def __init__(
         self, message: str, *, path: Path | str | None = None, line: int | None = None
     ) -> None:
-        # Files and names are quoted in it, and must not send control characters to a terminal.
+        # It may quote files and names, which must not send control characters to a terminal.
         message = foreign(message)
         super().__init__(message)
         self.message = message
@@ -130,7 +130,7 @@ class UserError(RteeError):
         return f"{self.path}:{self.line}: {self.message}"
 
 
-# Errors also derive from the fitting built-in error, which callers may know already.
+# Errors also derive from the fitting built-in error, which callers may already catch.
 class ConfigError(UserError, ValueError):
     """A configuration that cannot be used.
 
@@ -177,12 +177,12 @@ def check_system() -> None:
 
 
 def install_line(extra: str) -> str:
-    """Return the command that adds an extra to this rtee, from where it was installed.
+    """Return the command that adds an extra to this rtee, from its original source.
 
-    A package of the same name on an index may be something else. The origin is recorded by the
-    installer (PEP 610); packages from an index, or from a folder of wheels, have none.
+    A package of the same name on an index may be something else. The installer records the origin
+    (PEP 610), except for packages from an index or from a folder of wheels.
     """
-    from importlib import metadata  # it would cost every start some milliseconds
+    from importlib import metadata  # at the top, it would slow every start by milliseconds
 
     try:
         origin = metadata.distribution("rtee").read_text("direct_url.json")
@@ -195,7 +195,7 @@ def install_line(extra: str) -> str:
         return f'pip install {editable}"{unquote(parts.path)}[{extra}]"'
     if parts.scheme:
         return f'pip install "rtee[{extra}] @ {given["url"]}"'
-    return f'install "rtee[{extra}]" from where this rtee came'
+    return f'install "rtee[{extra}]" from the source of this rtee'
 
 
 @contextmanager
@@ -220,7 +220,7 @@ def needing_extra(what: str, extra: str) -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` at the end, too: trimesh mistakes it for a missing package."""
+    """Raise `KeyboardInterrupt` again at the end: trimesh mistakes it for a missing package."""
     default, pressed = signal.default_int_handler, False
 
     def press(*_: object) -> None:
@@ -229,7 +229,7 @@ def _interruptible() -> Iterator[None]:
         raise KeyboardInterrupt
 
     main = threading.current_thread() is threading.main_thread()
-    # A program with its own handler, such as asyncio's, is told by that.
+    # A program with its own handler, such as asyncio's, is notified by that handler.
     if not main or signal.getsignal(signal.SIGINT) is not default:
         yield
         return
@@ -378,7 +378,7 @@ class BusClosed(BusError):
 
 
 class BusBroken(BusError, OSError):
-    """The bus broke by an external cause: adapter unplugged, connection reset, bus-off."""
+    """An external cause broke the bus: adapter unplugged, connection reset, bus-off."""
 
 
 class BusBusy(BusError):
@@ -461,7 +461,7 @@ class MessageError(RteeError, ValueError):
 
 
 class WorkerLost(RteeError):
-    """A worker process was ended from outside."""
+    """Something outside the program killed a worker process."""
 
 
 class SimulationUnstable(RteeError):
@@ -492,11 +492,11 @@ class NoHand(RemoteError):
 
 
 class NoRouter(RemoteError):
-    """The router of ROS 2 does not answer."""
+    """The ROS 2 router does not answer."""
 
 
 class NotReady(RemoteError, TimeoutError):
-    """A hand runs, but is not ready in time; the text says why."""
+    """A hand runs, but did not become ready in time; the text says why."""
 
 
 class LeaseHeld(RemoteError):
@@ -525,7 +525,7 @@ class GoalRejected(ActionError, RequestRejected):
     Attributes:
         code: Kind of the mistake: ``unknown`` for an unknown name or word, otherwise ``value``.
         option: The option or argument that is wrong, if one is.
-        valid: Valid values there, if they can be listed.
+        valid: Valid values of the option or argument, if they can be listed.
         nearest: The most similar valid name; empty: none.
     """
 

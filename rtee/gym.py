@@ -1,12 +1,12 @@
-"""A hand in simulation as an environment of Gymnasium, for any of the hands.
+"""Gymnasium environment of a simulated hand, for any of the hands.
 
-Importing it registers ``rtee/Hand-v0``::
+Importing this module registers ``rtee/Hand-v0``::
 
     import gymnasium, rtee.gym
     env = gymnasium.make("rtee/Hand-v0", hand="schunk_svh", task="lift")
 
-A policy's action takes the path of a stream's sample: through the loop's interpolation, limits and
-safety, as on the real hand.
+The loop handles a policy's action as a stream's sample, with the same interpolation, limits and
+safety checks as on the real hand.
 """
 
 from __future__ import annotations
@@ -34,44 +34,44 @@ RATE: Final = 30.0
 """Steps per second [Hz]: usual for policies learnt from cameras."""
 
 _LOOP: Final = 120.0
-"""Ticks of the loop per second [Hz]: four in each step. A contact is answered within 17 ms; more
-ticks cost time, of which a policy wants much."""
+"""Ticks of the loop per second [Hz]: four in each step. The loop reacts to a contact within 17 ms;
+more ticks would make training slower."""
 
 _STEPS: Final = 240
 """Steps of an episode before it is truncated: eight seconds."""
 
 _BESIDE: Final = 0.003
-"""How far off the middle the object is along each axis at most [m], as a camera or a person puts
-it."""
+"""Largest offset of the object from the centre of the fingertips along each axis [m]: the placement
+error of a camera or a person."""
 
 _LETS_GO: Final = 2.0
-"""Time at which the support lets go of the object [s]: two slow closings of a hand."""
+"""Time at which the support releases the object [s]: a hand can close slowly twice by then."""
 
 _LIFTED: Final = 0.1
-"""Height to which the carrier lifts the hand [m], in two seconds from a second after that."""
+"""Height to which the carrier lifts the hand [m], in the time from 1 s to 3 s after the release."""
 
 _LOST: Final = 0.06
-"""An object that has moved farther in the hand has fallen [m]: more than a finger's breadth."""
+"""Motion in the hand beyond which the object counts as lost [m]: more than a finger's breadth."""
 
 _TURNED: Final = (0.3, 1.0)
-"""Range of the angle that the object should be turned by [rad]."""
+"""Range of the angle by which to turn the object [rad]."""
 
 _NEAR: Final = 0.1
-"""Error of that angle within which it counts as reached [rad]."""
+"""Error of that angle below which the angle counts as reached [rad]."""
 
 
 _FASTEST: Final = 100.0
-"""Largest velocity that is observed [rad/s | m/s]: beyond any actuator's."""
+"""Bound of the observed velocities [rad/s | m/s]: faster than any actuator."""
 
 _STRONGEST: Final = 1000.0
-"""Largest effort or force that is observed [N·m | N]: beyond any hand's."""
+"""Bound of the observed efforts and forces [N·m | N]: stronger than any hand."""
 
 _FARTHEST: Final = 10.0
-"""Farthest place of the object that is observed [m]: long lost."""
+"""Bound of the object's observed coordinates [m]: it is long lost there."""
 
 
 class Task(StrEnum):
-    """Task with the object."""
+    """What to do with the object."""
 
     HOLD = "hold"
     LIFT = "lift"
@@ -82,15 +82,16 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
     """A hand and an object between its fingertips.
 
     An action ``(n,)`` is the target of each actuator, from -1 at its lower limit to 1 at its upper
-    one. An observation has ``position`` and ``velocity`` of the actuators ``(n,)`` [rad | m, 1/s],
-    their ``effort`` [N·m | N], the ``tip_force`` on each finger [N], the ``object``'s pose in the
-    hand's base frame, position and unit quaternion (w, x, y, z) ``(7,)``, and the ``goal``, the
-    angle by which it should be turned about the base frame's z axis from where it began [rad].
+    limit. An observation has, for each actuator ``(n,)``, ``position`` [rad | m], ``velocity``
+    [rad/s | m/s] and ``effort`` [N·m | N]; the ``tip_force`` on each finger [N]; the ``object``'s
+    pose in the hand's base frame, position and unit quaternion (w, x, y, z) ``(7,)``; and the
+    ``goal``, the angle by which to turn the object from its initial pose about the base frame's
+    z axis [rad].
 
     The object weighs nothing until two links have touched it for a while, or two seconds have
-    passed. Each step is rewarded by up to 1: for *hold* by how little the object has moved in the
-    hand, for *lift* also by its height, for *reorient* by how near its angle is to the goal. The
-    episode is terminated when it is lost. ``info`` has ``success``.
+    passed. The reward of a step is at most 1. It falls as the object moves in the hand; *lift* also
+    rewards the object's height, and *reorient* an angle close to the goal. The episode terminates
+    when the object is lost. ``info`` has ``success``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": RATE}  # noqa: RUF012
@@ -130,7 +131,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
             endless = [
                 a.name for a in self._model.actuators if not math.isfinite(a.upper - a.lower)
             ]
-            raise ConfigError(f"an action needs limits, and {', '.join(endless)} has none")
+            raise ConfigError(f"actions need limits, and there are none for {', '.join(endless)}")
         n, span = len(self._model.actuators), self._upper - self._lower
         self._spaces: dict[str, Any] = {
             "position": Box(self._lower - span, self._upper + span, dtype=np.float64),
@@ -149,7 +150,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-        """Begin an episode: the hand at rest, the object slightly off the fingertips' middle."""
+        """Begin an episode: the hand at rest, the object slightly off its nominal place."""
         super().reset(seed=seed)
         simulation, bench = self._simulation, self._bench
         place = self._start.copy()

@@ -1,8 +1,8 @@
-"""The time on CLOCK_MONOTONIC: the only place where rtee reads this clock.
+"""The time on CLOCK_MONOTONIC; no other module of rtee reads this clock.
 
 Call ``monotonic.now()``, and keep no reference to the function: while an event loop on simulated
 time runs (`rtee.buses.simulated_time`), these functions are those of that loop. A call costs no
-more than one of the system.
+more than a direct call of the system's function.
 """
 
 from __future__ import annotations
@@ -21,5 +21,5 @@ sleep: Callable[[float], None] = time.sleep
 
 
 def asked() -> float:
-    """Return `now`, for callers that keep a reference to the function."""
+    """Return the time [s]; unlike `now`, callers may keep a reference to it."""
     return now()

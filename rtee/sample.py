@@ -36,7 +36,7 @@ class Quantity:
         unit: Its unit for a revolute actuator.
         sliding_unit: Its unit for a prismatic actuator; empty: the same.
         digits: Decimals to show.
-        span: Least span of an axis in its plots, so that noise looks like noise.
+        span: Smallest span of a plot's axis, so that noise looks like noise.
         heading: Heading of its column in tables; empty: its name.
         dtype: Type of its arrays.
         default: Its value where it is not known.
@@ -80,7 +80,7 @@ class Measurements(Value):
 
 
 def _quantities(kind: type) -> dict[str, Quantity]:
-    # With the extras, as `get_type_hints` drops what `Annotated` adds otherwise.
+    # With the extras: otherwise, `get_type_hints` drops the metadata of `Annotated`.
     hints = get_type_hints(kind, include_extras=True).items()
     return {name: hint.__metadata__[0] for name, hint in hints if get_origin(hint) is Annotated}
 
@@ -107,7 +107,7 @@ class ActuatorState(Measurements):
     Attributes:
         stamp: Time of the measurement, CLOCK_MONOTONIC [s].
         fresh: Whether the measurement is new; ``False``: it repeats an earlier one.
-        grasped: The device's own report for each actuator whether it holds an object; ``None``: no
+        grasped: Whether each actuator holds an object, as the device itself reports; ``None``: no
             report.
         extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
             on each finger of the hand, summed over its links, in the hand's order [N]; ``NaN``:
@@ -174,7 +174,7 @@ class TickRecord(Measurements):
         stamp: Due time of the tick, CLOCK_MONOTONIC of the hand's computer [s].
         wall_ns: Wall-clock time of the due time [ns since 1970], for log times only.
         grasped: The devices' own reports, ``int8``: 1 holding, 0 not holding, -1 no report.
-        fresh: Whether each measurement is newer than at the tick before.
+        fresh: Whether each measurement is newer than at the previous tick.
         reference_position: Positions sent to the devices, after the limiter [rad | m].
         reference_velocity: Their velocities [rad/s | m/s].
         reference_effort: Effort limits sent to the devices [N·m | N]; ``inf``: the device's own.

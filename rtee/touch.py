@@ -23,7 +23,7 @@ NEWTON: Final = "N"
 """The unit of forces: only sensors with this unit count for the forces on fingers."""
 
 STALE_AFTER: Final = 0.5
-"""A reading older than this is stale [s]: the slowest sensors measure a few times in it."""
+"""A reading older than this is stale [s]: even the slowest sensors measure several times in it."""
 
 
 def _nowhere() -> FloatArray:

@@ -107,11 +107,11 @@ class DeviceSpec:
         actuators: The actuators it drives, in the hand's order; a driver's arrays have this order.
         options: The driver's own options from hand.yaml.
         rate: Rate of the loop [Hz].
-        every: Ticks from one exchange to the next; ``None``: by the driver's best rate.
+        every: Ticks from one exchange to the next; ``None``: chosen for the driver's best rate.
         deadline: Longest time that an exchange may take [s]; ``None``: two of its periods, but at
             least 50 ms.
         emulated: Whether to talk to the device's emulator instead of the address in the options.
-        worn: Whether the emulator differs from the sheet as real devices do.
+        worn: Whether the emulator deviates from the data sheet as real devices do.
         source: ``file:line`` of the configuration, for messages.
         folder: The hand's folder, for drivers that need its model; empty: look it up by name.
     """
@@ -208,7 +208,7 @@ class DeviceStatus(Value):
         hint: Advice for the user.
         message: The last error in words.
         gains: Names of gains that can be tuned while the device runs.
-        gain_values: Their present values, in this order; ``NaN``: not known.
+        gain_values: Present values of the gains, in the same order; ``NaN``: not known.
     """
 
     name: str
@@ -280,29 +280,29 @@ class Outcome(StrEnum):
     """Outcome of a goal in one word."""
 
     HELD = "held"
-    """The hand holds an object; of the width that was asked for, if one was."""
+    """The hand holds an object, of the requested width if the goal gave one."""
     WRONG_WIDTH = "wrong_width"
-    """It holds an object of another width."""
+    """The hand holds an object of another width."""
     UNKNOWN = "unknown"
-    """It is unknown whether something thin is held, or nothing, where an object was meant."""
+    """The goal needs an object; it is unknown whether the hand holds something thin or nothing."""
     EMPTY = "empty"
-    """It has closed and holds, or has touched, nothing."""
+    """The hand has closed without holding or touching anything."""
     TOUCHED = "touched"
     """A finger that reacts to contacts has touched something."""
     REACHED = "reached"
     """The measured posture is within the tolerance."""
     CLOSED = "closed"
-    """The fingers met one another before the posture, with nothing or something thin there."""
+    """The fingers met before reaching the posture, with nothing or something thin between them."""
     STALLED = "stalled"
     """The hand stopped short of the posture, and holds nothing."""
     CANCELLED = "cancelled"
-    """It was cancelled; the hand holds the measured posture."""
+    """The goal was cancelled; the hand holds the measured posture."""
     PREEMPTED = "preempted"
-    """A new goal replaced it."""
+    """A new goal replaced this one."""
     TIMED_OUT = "timed_out"
-    """It took longer than its timeout."""
+    """The goal took longer than its timeout."""
     ABORTED = "aborted"
-    """It could not continue; `Result.reason` says why."""
+    """The goal could not continue; `Result.reason` says why."""
 
 
 _SUCCESS = frozenset({Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED, Outcome.CLOSED})
@@ -359,7 +359,7 @@ class Intensity(Value):
     Attributes:
         share: 0 (rest posture) to 1 (the action's posture).
         stage: Stages of a pinch to execute.
-        tolerance: Norm of the error at which the goal counts as reached [rad | m, each by itself].
+        tolerance: Norm of the error at which the goal counts as reached [rad | m, separately].
 
     Raises:
         GoalRejected: if a value cannot be used.
@@ -420,7 +420,7 @@ class FirstContact(Value):
     """A touch: close slowly, and stop all fingers at the first contact.
 
     Attributes:
-        tolerance: Norm of the error at which the hand counts as closed [rad | m, each by itself].
+        tolerance: Norm of the error at which the hand counts as closed [rad | m, separately].
 
     Raises:
         GoalRejected: if the tolerance cannot be used.
@@ -455,7 +455,7 @@ class Force(Value):
 
     Attributes:
         value: The force [N].
-        most: Force up to which slips raise it [N]; ``None``: they do not.
+        most: Limit up to which slips raise the force [N]; ``None``: they do not raise it.
 
     Raises:
         GoalRejected: if a value cannot be used.
@@ -478,12 +478,12 @@ class Goal(Value):
 
     Attributes:
         what: An action by name, or the fingers that move.
-        to: Where to: a posture, an opening, an object or the first contact.
+        to: Target: a posture, an opening, an object or the first contact.
         speed: Share of the velocity limits, above 0 and up to 1, or the speed of the opening. The
             first contact is sought at 10 mm/s unless a lower share or a speed is given.
-        effort: Effort limit by actuator [N·m | N], otherwise those of the hand; or a force.
-        on_contact: Reaction to a contact by finger; "": all others. Fingers in neither react as
-            configured for the hand.
+        effort: Effort limits by actuator [N·m | N], the hand's own for the others; or a force.
+        on_contact: Reaction to a contact by finger; the key "" stands for all others. A finger
+            without a reaction here reacts as configured for the hand.
         timeout: Longest time the goal may take [s]; ``None``: as configured for the hand.
         goal_id: Its identifier.
         client: The client that sends it.
@@ -519,7 +519,7 @@ class Goal(Value):
 
     @property
     def force(self) -> Force | None:
-        """The force between the fingertips, if one is asked for."""
+        """The force between the fingertips, if the goal gives one."""
         return self.effort if isinstance(self.effort, Force) else None
 
 
@@ -546,7 +546,7 @@ class Feedback(Value):
 class Result(Value):
     """The result of a goal: one word, `outcome`, and flags that are independent of one another.
 
-    It has no truth value: ``if hand.do(...)`` would not say which of them is meant.
+    It has no truth value: ``if hand.do(...)`` would not say which flag is meant.
 
     Attributes:
         goal_id: The goal.
@@ -570,11 +570,11 @@ class Result(Value):
         force_error: Error of the estimate [N].
         force_source: Source of the estimate: ``device`` (the force that it measures, by its data
             sheet), ``tip forces``, ``effort`` or ``effort limit``.
-        within: Whether an object is held at its width, within the tolerance; ``None``: no width was
-            asked for, or the opening was not measured.
+        within: Whether the hand holds an object of the requested width, within the tolerance;
+            ``None``: the goal gave no width, or the opening was not measured.
         touched: Fingers with a reaction to contacts that touched something.
-        unknown: Whether it is undecidable if something thin is held, or nothing: the fingertips are
-            as near to one another as those of the empty hand.
+        unknown: Whether the hand may hold either something thin or nothing: the fingertips are as
+            close together as those of the empty hand.
         aim: The aim of the goal.
     """
 
@@ -633,7 +633,7 @@ class Result(Value):
 
 
 class EventKind(StrEnum):
-    """The kinds of events; ``docs/reference/events.md`` says when each comes."""
+    """The kinds of events; ``docs/reference/events.md`` says when each occurs."""
 
     DEVICE_LOST = "device_lost"
     DEVICE_UNREACHABLE = "device_unreachable"
@@ -676,7 +676,7 @@ class Event(Value):
     """A notable occurrence that is neither feedback nor a result.
 
     Attributes:
-        kind: An `EventKind`, or the text of one that a newer hand has.
+        kind: An `EventKind`, or the text of a kind that only newer hands have.
         source: The device, finger or client it concerns.
         text: One sentence.
         stamp: CLOCK_MONOTONIC [s].

@@ -31,7 +31,7 @@ TIME: Final[Mapping[str, float]] = MappingProxyType({"s": 1.0, "ms": 1e-3, "min"
 """Units of time, in seconds."""
 
 SHARE: Final[Mapping[str, float]] = MappingProxyType({"%": 0.01})
-"""Parts of a whole, which counts 1."""
+"""Units of a share, where the whole is 1."""
 
 # By identity, since mappings have no hash.
 _KINDS: Final = {
@@ -43,7 +43,7 @@ _KINDS: Final = {
 }
 
 _LONGEST: Final = 1.0
-"""Longest plausible length without a unit [m]: 30 is meant in millimetres."""
+"""Longest plausible length without a unit [m]: a larger number is probably in millimetres."""
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
@@ -67,13 +67,13 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
 
     Raises:
         GoalRejected: if the value is not such a quantity, not finite, or negative; or a length
-            of several metres without a unit, probably meant in millimetres.
+            above 1 m without a unit, which is probably in millimetres.
     """
     kind, unit = _KINDS[id(units)], ""
     if isinstance(value, str):
         match = None if "," in value else _QUANTITY.fullmatch(value)
         if match is None:
-            point = "; write a point, not a comma" if "," in value else ""
+            point = "; write a decimal point, not a comma" if "," in value else ""
             raise GoalRejected(f"the {name} must be {kind}, not '{value}'{point}")
         unit = match[2]
         if unit and unit not in units:
@@ -97,10 +97,10 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
 
 
 def longest_wait(value: str | float, name: str) -> float:
-    """Return a time to wait [s]; unlike a `quantity`, it may be infinite or over already.
+    """Return a time to wait [s]; unlike a `quantity`, it may be infinite or negative.
 
     Raises:
-        GoalRejected: if the value is no time.
+        GoalRejected: if the value is not a time.
     """
     plain = quantity(value, TIME, name) if isinstance(value, str) else number(value)
     if plain is None or math.isnan(plain):

@@ -61,8 +61,8 @@ class Value:
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON values.
 
-        Arrays and tuples become lists, members of an enumeration texts, and numbers that JSON does
-        not have ``None``: ``NaN`` for unmeasured values, and infinite limits.
+        Arrays and tuples become lists, and members of enumerations become texts. Numbers that JSON
+        does not have become ``None``: ``NaN`` for unmeasured values, and infinite limits.
         """
         return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 

@@ -46,7 +46,7 @@ def test_forces_and_speeds_have_units_of_their_own() -> None:
         ("1e999", LENGTH, "not inf"),
         (math.nan, FORCE, "must be a force, such as 10N, not nan"),
         ("10 N N", FORCE, "must be a force, such as 10N"),
-        ("3,5mm", LENGTH, "not '3,5mm'; write a point, not a comma"),
+        ("3,5mm", LENGTH, "not '3,5mm'; write a decimal point, not a comma"),
         ("30", LENGTH, "the width would be 30 m; write 30mm"),
         (None, FORCE, "must be a force, such as 10N, not None"),
     ],

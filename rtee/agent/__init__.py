@@ -1,1 +1,1 @@
-"""The hand for language models: a server of the Model Context Protocol, a client of `remote`."""
+"""Access to hands for language models: a Model Context Protocol server, as a client of `remote`."""

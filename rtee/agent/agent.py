@@ -1,4 +1,4 @@
-"""One hand for an agent: its observed state, and the gate for its motions."""
+"""One hand of an agent: the observed events, and the gate for the agent's motions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rtee.remote.client import RemoteHand, connect
 from rtee.types import Goal, Result
 
 _MOST: Final = 200
-"""Events and results that are kept: hours of quiet work."""
+"""Maximum number of stored events and results: hours of quiet work."""
 
 _AGAIN: Final = 0.3
-"""Time between two looks for a hand that has gone [s]."""
+"""Time between two attempts to reach a lost hand [s]."""
 
 _FOUND_WITHIN: Final = 3.0
-"""Time to wait for the hand at a call [s]: connecting takes a tenth of it."""
+"""Longest wait for the hand in a call [s]: connecting takes a tenth of this."""
 
 
 class Agent:
@@ -34,12 +34,12 @@ class Agent:
     Args:
         name: The hand's name.
         limits: The permissions of the agent.
-        endpoint: Its address; ``None``: on this computer.
+        endpoint: Address of the hand; ``None`` for this computer.
 
     Attributes:
         name: The hand's name.
         limits: The permissions of the agent.
-        endpoint: Its address; ``None``: on this computer.
+        endpoint: Address of the hand; ``None`` for this computer.
         notes: Numbered events and results, oldest first.
     """
 
@@ -79,16 +79,16 @@ class Agent:
         return self._remote
 
     async def move(self, goal: Goal, words: str, obj: str = "") -> dict[str, Any]:
-        """Bring a goal through the gate, do it, and return how it ended.
+        """Pass a goal through the gate, execute it, and return its result.
 
         Args:
             goal: The goal.
-            words: The request, for the person who approves it.
-            obj: The object in simulation; empty: none.
+            words: The request in words, for the person who approves it.
+            obj: The object in simulation; empty for none.
 
         Raises:
-            GoalRejected: if the gate does not let it through, with the reason.
-            RteeError: if the hand refuses it.
+            GoalRejected: if the gate refuses the goal, with the reason.
+            RteeError: if the hand refuses the goal.
         """
         self.limits.check(goal)
         if self._moving:
@@ -110,9 +110,10 @@ class Agent:
         return {**result, "in_simulation": texts.outside(played)} if played else result
 
     async def _pass(self, remote: RemoteHand, goal: Goal, words: str, obj: str) -> str:
-        """Return how the goal went in simulation, if the gate asks for one; raises `GoalRejected`.
+        """Simulate a goal if the gate requires it; return the outcome in words, or ``""``.
 
-        With a person to decide, a goal that cannot be simulated is shown as such.
+        If a person decides, they also see when a goal could not be simulated. Raises `GoalRejected`
+        if the gate refuses the goal.
         """
         gate = self.limits.gate
         if gate is Gate.ACT:
@@ -135,7 +136,7 @@ class Agent:
         return played
 
     async def _rehearsed(self, remote: RemoteHand, goal: Goal, obj: str) -> tuple[str, str]:
-        """Simulate the goal; return the result and the reason against the goal as texts."""
+        """Simulate the goal; return the result and any reason against the goal, as texts."""
         with needing_extra("playing a motion in simulation", "sim"):
             from rtee.trials.rehearsal import rehearse
         position = (await remote.state()).positions
@@ -146,7 +147,7 @@ class Agent:
 
 
 async def _done(remote: RemoteHand, goal: Goal) -> Result:
-    """Do a goal to its end; however this is left, the goal is cancelled."""
+    """Execute a goal and return its result; cancel the goal if this call is cancelled or fails."""
     running = await remote.start_goal(goal)
     try:
         return await running.result()

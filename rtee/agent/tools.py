@@ -1,4 +1,4 @@
-"""The tools and resources of an agent, in the hand's own words."""
+"""The tools and resources that a hand offers to an agent."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ from rtee.remote.agents import AGENT
 from rtee.remote.client import stop_hand
 
 _SHAPE: Final = r"^(box:[\d.]+x[\d.]+x[\d.]+|(cylinder|capsule):[\d.]+x[\d.]+|sphere:[\d.]+)$"
-"""Objects by shape and size alone: a mesh would be a file."""
+"""Pattern of objects: only shapes with sizes, since a mesh would be a file."""
 
 _SHAPES: Final = "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS or capsule:RADIUSxLENGTH [m]"
-_MOST: Final = "; the most that is allowed unless given"
+_MOST: Final = "; the largest allowed share unless given"
 
 _PLANS: Final = 5
-"""Grasps that are listed."""
+"""Maximum number of listed grasps."""
 
 _RECORDINGS: Final = 20
-"""Recordings that are listed, the newest ones."""
+"""Maximum number of listed recordings."""
 
-# Strict: neither a text nor true is a number.
+# Strict: neither a string nor a Boolean counts as a number.
 _text = partial(Field, strict=True, max_length=100)
 _number = partial(Field, strict=True, allow_inf_nan=False)
 _share = partial(_number, gt=0, le=1)
@@ -56,19 +56,19 @@ Names = Annotated[
 ]
 HandName = Annotated[str, _text(description="The hand; empty if there is only one.")]
 GraspedObject = Annotated[str, _text(pattern=_SHAPE, description=f"The object, as {_SHAPES}.")]
-Force = Annotated[float, _number(gt=0, description="Force to hold it with [N].")]
-Width = Annotated[float, _number(ge=0, description="Its width [m]: 0.03 is 30 mm.")]
-Intensity = Annotated[float, _number(ge=0, le=1, description="0: rest; 1: as far as it goes.")]
+Force = Annotated[float, _number(gt=0, description="Force on the object [N].")]
+Width = Annotated[float, _number(ge=0, description="Width of the object [m]: 0.03 is 30 mm.")]
+Intensity = Annotated[float, _number(ge=0, le=1, description="0: rest; 1: the full action.")]
 Effort = Annotated[float, _share(description=f"Share of the effort limits{_MOST}.")]
 Speed = Annotated[float, _share(description=f"Share of the velocity limits{_MOST}.")]
-Mass = Annotated[float, _number(gt=0, le=100, description="Its mass [kg].")]
+Mass = Annotated[float, _number(gt=0, le=100, description="Mass of the object [kg].")]
 Friction = Annotated[float, _number(gt=0, le=10, description="Coefficient of friction.")]
-Stands = Annotated[str, _text(description=f"The table it stands on, {TABLE}; or empty.")]
-Number = Annotated[int, Field(strict=True, ge=0, description="Only later numbers.")]
+Stands = Annotated[str, _text(description=f"Table under the object: {TABLE}; or empty.")]
+Number = Annotated[int, Field(strict=True, ge=0, description="Only entries with later numbers.")]
 
 
 class Tools:
-    """The tools of an agent; each takes the name of a hand where there are several."""
+    """The tools of an agent; each takes the name of a hand if there are several."""
 
     def __init__(self, agents: Sequence[Agent]) -> None:
         self.agents: Mapping[str, Agent] = {agent.name: agent for agent in agents}
@@ -87,7 +87,7 @@ class Tools:
         return gate | await self.library(agent)
 
     async def library(self, agent: Agent) -> dict[str, Any]:
-        """Return the actions that an agent may do, and the openings of all."""
+        """Return the actions that an agent may execute, and the openings of all actions."""
         remote = await agent.remote()
         actions = [each for each in await remote.actions() if agent.limits.allows(each.name)]
         return {
@@ -101,14 +101,14 @@ class Tools:
         return {texts.UNTRUSTED: re.sub(r"""filename\s*=\s*("[^"]*"|'[^']*')""", "", urdf)}
 
     async def state(self, hand: HandName = "") -> dict[str, Any]:
-        """Return the hand's activity, its holder, opening [m] and force [N] of the fingertips."""
+        """Return the hand's activity, holder and devices, opening [m] and grip force [N]."""
         remote = await self._agent(hand).remote()
         state, measured = await remote.state(), ("opening", "force", "force_error")
         tips = {name: texts.number(getattr(state, name)) for name in measured}
         return texts.status(await remote.status()) | tips
 
     async def events(self, hand: HandName = "", after: Number = 0) -> dict[str, Any]:
-        """Return the events, and the results of your motions, since this server started."""
+        """Return the latest events, and results of your motions, since this server started."""
         return {"happened": [n for n in tuple(self._agent(hand).notes) if n["number"] > after]}
 
     async def grasp_plan(
@@ -138,7 +138,7 @@ class Tools:
         speed: Speed | None = None,
         object: GraspedObject | None = None,  # noqa: A002
     ) -> dict[str, Any]:
-        """Do an action that 'describe' lists; name the object if it closes on one."""
+        """Execute an action that 'describe' lists; give the object if the action closes on one."""
         agent = self._agent(hand)
         limits, remote = agent.limits, await agent.remote()
         if not (found := await remote.actions("", action, elements)):
@@ -150,7 +150,7 @@ class Tools:
             raise GoalRejected(
                 f"an effort of {share:g} is more than the {limits.effort:g} that a person allows"
             )
-        # Full effort is not a limit, for devices that accept none.
+        # Send no limit for full effort, since some devices accept none.
         efforts = {} if share == 1.0 else await remote.effort_limits(share)
         fast = limits.speed if speed is None else speed
         name = found[0].name
@@ -167,7 +167,7 @@ class Tools:
         speed: Speed | None = None,
         object: GraspedObject | None = None,  # noqa: A002
     ) -> dict[str, Any]:
-        """Open wider than an object, close on it, and hold it with a force."""
+        """Open wider than an object, close on it, and hold it with the given force."""
         agent = self._agent(hand)
         fast = agent.limits.speed if speed is None else speed
         goal = goal_of("", fingers, grasp=True, opening=width, force=force, speed=fast)
@@ -179,23 +179,23 @@ class Tools:
         return await agent.move(goal, words, object or f"box:{width:g}x{width:g}x{width:g}")
 
     async def open(self, hand: HandName = "") -> dict[str, Any]:
-        """Open the hand, which drops the object."""
+        """Open the hand, which drops a held object."""
         agent = self._agent(hand)
         return await agent.move(goal_of("open", speed=agent.limits.speed), "open the hand")
 
     async def stop(self, hand: HandName = "") -> dict[str, Any]:
         """Stop the hand at once; afterwards only a person lets you move it again."""
         agent = self._agent(hand)
-        # Through the stop socket, whatever the state of the connection.
+        # Through the stop socket, regardless of the connection's state.
         _, confirmed = await stop_hand(agent.name, endpoint=agent.endpoint, client=AGENT)
         return {"confirmed": confirmed}
 
     async def recordings(self, hand: HandName = "") -> dict[str, Any]:
-        """List the newest recordings of the hand; 'recording' returns what happened in one."""
+        """List the newest recordings of the hand; 'recording' returns the content of one."""
         return {"recordings": list(await _recorded(self._agent(hand)))}
 
     async def recording(self, name: Name, hand: HandName = "") -> dict[str, Any]:
-        """Return what happened in a recording that 'recordings' lists; times in seconds."""
+        """Return the goals and events in a recording that 'recordings' lists; times in seconds."""
         from rtee.log.info import info
 
         files = await _recorded(self._agent(hand))
@@ -213,7 +213,7 @@ class Tools:
 
 
 async def _recorded(agent: Agent) -> dict[str, Path]:
-    """Return the newest recordings beside the one that the hand writes, the newest first."""
+    """Return the newest recordings in the folder that the hand writes to, the newest first."""
     path = (await (await agent.remote()).status()).recording
     if agent.endpoint is not None or not path:
         raise GoalRejected("the hand does not record on this computer")
@@ -228,7 +228,7 @@ def _planned(plan: GraspPlan) -> dict[str, Any]:
 
 
 async def _picture(name: str, plans: Sequence[GraspPlan]) -> list[str | Image]:
-    """Return a picture of the best grasp, or why there is none."""
+    """Return a picture of the best grasp, or the reason why there is none."""
     if not plans:
         return []
     try:
@@ -239,7 +239,7 @@ async def _picture(name: str, plans: Sequence[GraspPlan]) -> list[str | Image]:
 
 
 def _draw(name: str, plan: GraspPlan) -> bytes:
-    """Return a PNG file of a hand, whose files are read here, as it closes on the object."""
+    """Return a PNG file of a hand that closes on the object; reads the hand's files here."""
     with needing_extra("a picture of a grasp", "plot"):
         from rtee.planning.closing import ActionPath
         from rtee.render.hand import HandRenderer
@@ -253,12 +253,12 @@ def _draw(name: str, plan: GraspPlan) -> bytes:
 
 _READING: Final = ("describe", "state", "events", "grasp_plan", "recordings", "recording")
 _MOVING: Final = ("do", "grasp", "open", "stop")
-"""The read-only tools, and the others; agents see nothing else of `Tools`."""
+"""The read-only tools, and the others; agents see no other methods of `Tools`."""
 
 
 @contextlib.asynccontextmanager
 async def serving(agents: Sequence[Agent]) -> AsyncIterator[MCPServer]:
-    """Connect to hands and yield the server of their tools, for as long as the context lasts."""
+    """Connect to hands, and yield the server of their tools while the context lasts."""
     async with anyio.create_task_group() as group:
         for agent in agents:
             group.start_soon(agent.run)
@@ -267,13 +267,13 @@ async def serving(agents: Sequence[Agent]) -> AsyncIterator[MCPServer]:
 
 
 async def serve(agents: Sequence[Agent]) -> None:
-    """Serve an agent on stdin and stdout until it leaves."""
+    """Serve an agent on stdin and stdout until it disconnects."""
     async with serving(agents) as server:
         await server.run_stdio_async()
 
 
 def server_of(agents: Sequence[Agent]) -> MCPServer:
-    """Return the server of the tools and resources of some hands."""
+    """Return the server that offers the tools and resources of some hands."""
     tools = Tools(agents)
     made = [_tool(getattr(tools, name), agents) for name in (*_READING, *_MOVING)]
     server = MCPServer("rtee", instructions=INSTRUCTIONS, tools=made, log_level="WARNING")
@@ -295,7 +295,7 @@ def _tool(method: Callable[..., Awaitable[Any]], agents: Sequence[Agent]) -> Too
 
     reads = ToolAnnotations(read_only_hint=method.__name__ in _READING)
     tool = Tool.from_function(call, annotations=reads)
-    # Misspelt options would otherwise be dropped in silence.
+    # Otherwise, misspelt options would be silently ignored.
     model = tool.fn_metadata.arg_model
     model.model_config["extra"] = "forbid"
     model.model_rebuild(force=True)

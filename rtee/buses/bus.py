@@ -30,8 +30,8 @@ class Counters:
         strays: Bytes or frames received that answer no request.
         bytes_sent: Bytes written.
         bytes_received: Bytes read.
-        opened: How often the link was opened.
-        broken: How often the link broke by an external cause.
+        opened: Number of times the link was opened.
+        broken: Number of times an external cause broke the link.
     """
 
     transactions: int = 0
@@ -79,7 +79,7 @@ class Bus(ABC):
 
     @property
     def owners(self) -> frozenset[str]:
-        """Names of the devices that use it."""
+        """Names of the devices that use the bus."""
         return frozenset(self._owners)
 
     async def connect(self) -> None:
@@ -97,7 +97,7 @@ class Bus(ABC):
             self.counters.opened += 1
 
     async def detach(self, owner: str) -> None:
-        """Detach a device; the last one closes the link. May be called any number of times."""
+        """Detach a device; detaching the last one closes the link. Idempotent."""
         if owner not in self._owners:
             return
         self._owners.discard(owner)
@@ -127,7 +127,7 @@ class Bus(ABC):
             return
         # `close` clears the cause: nothing broke.
         if not self._cause:
-            raise BusClosed(self.name, "is closed")
+            raise BusClosed(self.name, "it is closed")
         raise BusBroken(self.name, f"no link: {self._cause}")
 
     def acquire(self, owner: str, on_empty: Callable[[], Awaitable[None]] | None = None) -> None:

@@ -50,7 +50,7 @@ class CanBus(Bus):
         self._watching: list[Callable[[], None]] = []
 
     async def send(self, frame: CanFrame) -> None:
-        """Send a frame; returns when it is in the controller's queue.
+        """Send a frame; return when it is in the controller's queue.
 
         Raises:
             BusBroken: if the bus is broken or its queue is full.
@@ -92,7 +92,7 @@ class CanBus(Bus):
         for attempt in range(retries + 1):
             if attempt:
                 self.counters.retries += 1
-            # The remaining time is divided among the remaining attempts.
+            # Divide the remaining time among the remaining attempts.
             share = (end - monotonic.now()) / (retries + 1 - attempt)
             answer: asyncio.Future[CanFrame] = asyncio.get_running_loop().create_future()
             receive = self._receiver(answer, accept)
@@ -136,13 +136,16 @@ class CanBus(Bus):
         return listen(listeners, callback)
 
     def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call ``callback`` in the event loop when the bus breaks; returns how to undo it."""
+        """Call ``callback`` in the event loop when the bus breaks.
+
+        The result is a function that ends this.
+        """
         return listen(self._watching, callback)
 
     def _on_message(self, message: Any) -> None:
         if message.is_error_frame:
             self.counters.checksum_errors += 1
-            # A controller that went bus-off sends nothing any more; only opening it again helps.
+            # A controller that went bus-off no longer sends; it must be opened again.
             if self.interface == "socketcan" and message.arbitration_id & _BUS_OFF:
                 self._failed("bus-off: check the wiring, the termination and the bit rate")
             return

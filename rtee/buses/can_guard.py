@@ -43,13 +43,13 @@ def frame_of(message: Any, stamp: float = 0.0) -> CanFrame:
 
 
 _RETURNS = 0.5
-"""Time within which a frame comes back to its sender, where it does [s]: on one computer."""
+"""Longest time until an echoed frame comes back to its sender on the same computer [s]."""
 _RETURNING = frozenset({"udp_multicast"})
-"""Interfaces of python-can that give programs their own frames, too."""
+"""Interfaces of python-can that echo frames to their sender."""
 
 
 class Unechoed:
-    """A python-can bus that does not receive the frames that it sent, as no CAN node does."""
+    """A python-can bus that drops echoes of its own frames, which no CAN node receives."""
 
     def __init__(self, bus: Any) -> None:
         self._bus = bus

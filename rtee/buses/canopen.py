@@ -59,7 +59,7 @@ class CanopenBus(CanBus):
         self.counters.transactions += 1
         try:
             return await self._worker.run(function, deadline)
-        except RteeError as error:  # before the next clause, since some are TimeoutErrors
+        except RteeError as error:  # before the next clause: some are TimeoutErrors
             self.counters.timeouts += isinstance(error, BusTimeout)
             raise
         except TimeoutError:

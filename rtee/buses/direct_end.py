@@ -31,7 +31,7 @@ class _Host(Protocol):
 
 
 class DirectEnd:
-    """Takes the place of a pseudo-terminal or a TCP port; one host at a time.
+    """A stand-in for a pseudo-terminal or a TCP port, for one host at a time.
 
     Attributes:
         address: Its address for `rtee.buses.link.open_link`.
@@ -40,8 +40,8 @@ class DirectEnd:
     Args:
         loop: The event loop of the host.
         take: Called with the bytes that the host sends.
-        cut: Called when the next host connects, and nothing may reach it that was for the last one;
-            ``None``: it takes the place of a tty instead of a TCP port.
+        cut: Called when another host connects, to discard bytes for the previous one; ``None``: the
+            end stands for a tty, not for a TCP port.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class DirectEnd:
         return transport, protocol
 
     def join(self, host: _Host) -> None:
-        """Make the end available to a host; raises `OSError`."""
+        """Connect a host; raises `OSError` if there is no port or it is taken."""
         if not self.open:
             raise _os_error(errno.ECONNREFUSED if self._network else errno.ENOENT)
         if self._host is not None:
@@ -108,12 +108,12 @@ class DirectEnd:
             self._cut()
 
     def leave(self, host: _Host) -> None:
-        """Let a host use it no more; idempotent."""
+        """Disconnect a host; idempotent."""
         if self._host is host:
             self._host = None
 
     def send(self, host: _Host, data: bytes) -> None:
-        """Take bytes of a host; lost if it has left."""
+        """Take bytes from a host; drop them if it has left."""
         if self._host is host:
             self._take(data)
 
@@ -220,7 +220,7 @@ class DirectPort:
         self._received += data
 
     def lose(self) -> None:
-        """Be unplugged."""
+        """Mark the port as unplugged."""
         self._lost = True
 
     def _check(self) -> None:

@@ -21,8 +21,8 @@ from rtee.errors import BusBroken, BusTimeout, RteeError
 T = TypeVar("T")
 
 _LATENCY = 4.0
-"""Default time allowed for an answer in addition to that of its bytes [ms]: the latency timer of an
-adapter (1 ms) and delays of a busy computer."""
+"""Default time allowed for an answer beyond the transfer of its bytes [ms]: for the latency timer
+of an adapter (1 ms) and delays of a busy computer."""
 
 _POLL = 0.05
 """Longest wait for a first byte before the packet's timeout is checked again [s], so that an
@@ -33,7 +33,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
     """The SDK's port with an adjustable latency, which waits for bytes instead of spinning.
 
     Attributes:
-        latency: Time allowed for an answer in addition to that of its bytes [ms].
+        latency: Time allowed for an answer beyond the transfer of its bytes [ms].
     """
 
     def __init__(self, bus: DynamixelBus, address: str) -> None:
@@ -64,7 +64,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         return True
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
-        """Return up to ``length`` bytes; waits for the first until the packet's timeout."""
+        """Return up to ``length`` bytes; wait for the first until the packet's timeout."""
         # The SDK calls this in a tight loop until its packet is complete.
         waiting = self.ser.in_waiting
         if not waiting:
@@ -122,7 +122,7 @@ class DynamixelBus(Bus):
         try:
             return await self._worker.run(function, deadline)
         except RteeError:
-            raise  # before the next clauses, since several are OSErrors
+            raise  # before the next clauses, since several RteeErrors are OSErrors
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
@@ -133,7 +133,7 @@ class DynamixelBus(Bus):
             raise BusBroken(self.name, f"the link failed: {error}") from error
 
     def note(self, direction: str, data: bytes) -> bytes:
-        """Count and trace bytes, in the worker thread; returns them."""
+        """Count, trace and return bytes, in the worker thread."""
         if data:
             self._count(direction, data, monotonic.now())
         return data

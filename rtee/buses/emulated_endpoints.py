@@ -21,7 +21,7 @@ class EmulatedEndpoints:
     """The simulations of a pool; an emulator is made once and outlives its connections.
 
     Attributes:
-        wire_time: Whether simulated lines take the time that the bytes would take.
+        wire_time: Whether bytes on simulated lines take as long as on real ones.
         simulations: The simulations by the address that they replace.
         emulators: The emulators by the name of their device.
     """
@@ -60,7 +60,7 @@ class EmulatedEndpoints:
     def zmq(
         self, address: str, owner: str, factory: EmulatorFactory
     ) -> Callable[[], Endpoints | DirectServer]:
-        """Emulate a ZeroMQ server; return a function that returns where it is at present."""
+        """Emulate a ZeroMQ server; return a function that returns its current endpoints."""
         from rtee.buses.simulated_zmq import SimulatedZmq
 
         simulation = self._playing(address, owner, factory, lambda: SimulatedZmq(name=address))
@@ -86,7 +86,7 @@ class EmulatedEndpoints:
         simulation: Any = self.simulations.get(key)
         if simulation is None:
             simulation = self.simulations[key] = make().start()
-        # A device that connects again must find the same emulator, in the state that it was left.
+        # A device that connects again must find the same emulator, in its last state.
         if owner not in self.emulators:
             emulator = self.emulators[owner] = factory()
             simulation.add(emulator)

@@ -43,28 +43,28 @@ class Emulator(ABC):
     """Emulates a device: receives what comes over the wire and returns the device's answers.
 
     It does no I/O, has no clock and no thread: `rtee.buses.simulated` drives it over a pty, a TCP
-    port or a CAN channel, tests drive it by hand. Times are CLOCK_MONOTONIC [s] or any other that
-    only grows.
+    port or a CAN channel, tests drive it by hand. Times are those of CLOCK_MONOTONIC or of another
+    clock that never goes back [s].
 
     Attributes:
         PROPERTIES: Its configurable properties (``emulator:`` in a driver's options), a `Section`
-            that its constructor takes; ``None``: nothing.
+            that its constructor takes; ``None``: it has none.
         SHARED: Options of the driver that are properties, too.
         FAULTS: Names of the faults that `inject` accepts; every emulator accepts ``stuck`` (the
             position does not follow) and ``wrong_device`` (another model answers).
         turnaround: Time between a request's last byte and the answer's first [s].
-        period: How often `step` wants to be called without traffic [s]; 0: only with traffic.
+        period: Time between calls of `step` without traffic [s]; 0: no such calls.
         baudrate: Rate of its line [baud], for programs that ask for none.
         BAUDRATES: Rates that its line can have [baud]; empty: any.
-        SCHEME: Of its address on TCP: ``tcp`` where it then speaks Modbus TCP, ``socket`` where its
-            bytes are the same as on a line.
-        duplex: Of its line: half, as on a two-wire RS-485 or a single data wire, or full.
-        WEAR: How the real device differs from its sheet, as far as it was measured.
+        SCHEME: Scheme of its address on TCP: ``tcp`` if it then speaks Modbus TCP, ``socket`` if
+            its bytes are the same as on a line.
+        duplex: Duplex of its line: half, as on two-wire RS-485 or a single data wire, or full.
+        WEAR: Deviations of the real device from its data sheet, as far as they were measured.
         axes: Its motors.
         parser: Finds the host's frames in the bytes of a line.
         faults: Faults injected at present.
-        wear: How this one differs from its sheet.
-        fresh: Whether no program has had an answer since the line was connected.
+        wear: Deviations of this emulator from the data sheet.
+        fresh: Whether no program has received an answer since the line was connected.
     """
 
     PROPERTIES: ClassVar[type[Any] | None] = None
@@ -88,7 +88,7 @@ class Emulator(ABC):
 
     @classmethod
     def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the properties that follow from a driver's options, which are checked already."""
+        """Return the properties that follow from a driver's valid options."""
         return {name: options[name] for name in cls.SHARED if options.get(name) is not None}
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
@@ -127,20 +127,20 @@ class Emulator(ABC):
         """Lose the state that the device loses in a power cycle."""
 
     def motors(self) -> Sequence[Any]:
-        """Return the motors, which `wear_down` also affects and ``stuck`` blocks."""
+        """Return the motors, which `wear_down` affects and ``stuck`` blocks."""
         return list(self.axes)
 
     def wear_down(self, wear: Wear) -> None:
-        """Let the device differ from its data sheet."""
+        """Make the device deviate from its data sheet."""
         self.wear = wear
         for motor in self.motors():
             motor.wear_down(wear)
 
     def inject(self, fault: str) -> None:
-        """Put a fault into the device, until `clear`.
+        """Inject a fault, which stays until `clear`.
 
         Raises:
-            ConfigError: if this device does not know it.
+            ConfigError: if this device has no such fault.
         """
         if fault not in self.FAULTS:
             raise ConfigError(f"unknown fault '{fault}'; {suggestion(fault, self.FAULTS)}")
@@ -156,7 +156,7 @@ class Emulator(ABC):
         self.on_faults()
 
     def on_faults(self) -> None:
-        """Act on `faults`; called whenever they have changed. By default it blocks the motors."""
+        """Act on changed `faults`. By default, ``stuck`` blocks the motors."""
         for motor in self.motors():
             motor.stuck = "stuck" in self.faults
 

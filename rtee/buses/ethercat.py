@@ -99,7 +99,7 @@ class PysoemRing(Ring):
         except ConnectionError as error:
             raise OSError(f"{error}; EtherCAT needs permission for raw sockets") from error
         self._master = master
-        # The number of slaves, or -1 if no frame returned.
+        # It returns the number of slaves, or -1 if no frame came back.
         if master.config_init() <= 0:
             raise OSError("no slave answers")
         slaves = [Slave(s.name, s.man, s.id, s.rev) for s in master.slaves]
@@ -112,7 +112,7 @@ class PysoemRing(Ring):
         master.read_state()
         failed = self._soem.STATE_ERROR
         for slave in master.slaves:
-            if slave.state & failed:  # acknowledge that it left its state by itself
+            if slave.state & failed:  # it left its state by itself: acknowledge that
                 slave.state = (slave.state & ~failed) | self._soem.STATE_ACK
                 slave.write_state()
         master.state = int(state)
@@ -160,7 +160,7 @@ class PysoemRing(Ring):
         self._master.slaves[position].set_watchdog("processdata", seconds * 1000.0)
 
     def close(self) -> None:
-        """Leave the slaves initialised."""
+        """Bring the slaves to INIT and close the port."""
         master, self._master = self._master, None
         if master is not None:
             master.state = int(SlaveState.INIT)
@@ -210,7 +210,7 @@ class EthercatBus(Bus):
     async def exchange(self, outputs: Sequence[bytes], deadline: float) -> list[bytes]:
         """Send outputs and return inputs, both by position of the slave; errors as for `run`.
 
-        A slave that did not take part is a `BusTimeout`, too.
+        Also raises `BusTimeout` if a slave did not take part.
         """
         inputs = await self.run(lambda ring: ring.exchange(outputs), deadline)
         self._count("tx", b"".join(outputs), monotonic.now())
@@ -222,7 +222,7 @@ class EthercatBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
-        # Stored before it is open, so that it is closed also after an error or a cancellation.
+        # Stored before it is open, so that an error or a cancellation closes it, too.
         ring = self._ring = self._make()
         try:
             self.slaves = await self._worker.run(ring.open, _OPENING)

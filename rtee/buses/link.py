@@ -1,6 +1,6 @@
-"""Opening a byte link: a tty, ``socket://host:port``, ``tcp://host:port`` or ``rfc2217://host:port``.
+"""Open a byte link: a tty, ``socket://host:port``, ``tcp://host:port`` or ``rfc2217://host:port``.
 
-The result is always an asyncio transport, so the layers above need not distinguish them.
+The result is always an asyncio transport, so the layers above need not distinguish the links.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ async def open_link(
 
 
 def refuse_on_simulated_time(url: str) -> None:
-    """Raise `RteeError` on simulated time if such a port exists: time would not wait for it."""
+    """Raise `RteeError` on simulated time if this is a real port: time would not wait for it."""
     if on_simulated_time() is not None and ("://" in url or os.path.exists(url)):
         raise RteeError(
             f"'{url}' is a real port, and simulated time does not wait for those; "
@@ -142,7 +142,7 @@ def refuse_on_simulated_time(url: str) -> None:
 
 
 async def _opened(url: str, line: Line, timeout: float) -> Any:
-    """Open a pyserial port in a thread; it does not stay open if the wait is cancelled."""
+    """Open a pyserial port in a thread; close it again if the wait is cut short."""
     loop = asyncio.get_running_loop()
     opening = loop.run_in_executor(None, _open_port, url, line)
     try:
@@ -185,13 +185,13 @@ def _open_port(url: str, line: Line) -> Any:
 
 
 def explained(name: str, error: OSError | ValueError) -> BusError:
-    """Return the `BusError` for an error of opening a port, with a hint for the user."""
+    """Return the `BusError` for an error while opening a port, with a hint for the user."""
     code, cause = getattr(error, "errno", None), error.__context__
     if code is None and isinstance(cause, termios.error):  # pyserial's error has no errno then
         code = cause.args[0]
     if code in (errno.EAGAIN, errno.EBUSY):
         return BusBusy(name, "another program has it open; `rtee doctor` names it")
-    # First, since the numbers of its errors are not those of `errno`.
+    # Before `_CAUSES`, since the numbers of its errors are not those of `errno`.
     if isinstance(error, socket.gaierror):
         return BusBroken(name, "the host name is unknown; use the IP address")
     return BusBroken(name, _CAUSES.get(code, f"cannot be opened: {error}"))
@@ -213,7 +213,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
     after the adapter was unplugged, and must not delay exchanges with other devices.
 
     Attributes:
-        given_back: Done when the port is closed and can be opened again.
+        given_back: Future that is done when the port is closed and can be opened again.
     """
 
     _serial: Any
@@ -286,7 +286,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
 
 
 def _close(port: Any) -> None:
-    # Closing waits for the output to be sent, maybe long on a dead line, so it is discarded first.
+    # Closing waits for unsent output, maybe long on a dead line, so discard the output first.
     with contextlib.suppress(Exception):
         port.reset_output_buffer()
     with contextlib.suppress(Exception):
@@ -319,11 +319,11 @@ class ThreadTransport(asyncio.Transport):
             self._writer.submit(self._write, bytes(data))
 
     def close(self) -> None:
-        """Stop both threads and close the port; the protocol is notified."""
+        """Stop both threads, close the port and notify the protocol."""
         self._finish(None)
 
     def abort(self) -> None:
-        """Close at once, as `close` does, too."""
+        """Close at once, like `close`."""
         self._finish(None)
 
     def is_closing(self) -> bool:

@@ -38,7 +38,7 @@ _OF_GATEWAYS = (10, 11)
 
 
 class UnitUnreachable(BusTimeout):
-    """A gateway answered, but only to say that the unit behind it does not."""
+    """A gateway reports that the unit behind it does not answer."""
 
 
 class ModbusRefusal(BusError):
@@ -50,7 +50,7 @@ class ModbusRefusal(BusError):
     """
 
     def __init__(self, bus: str, function: int, code: int) -> None:
-        name = EXCEPTIONS.get(code, "which the specification does not name")
+        name = EXCEPTIONS.get(code, "a code that the specification does not name")
         super().__init__(bus, f"Modbus exception {code} for function {function:#04x}: {name}")
         self.function = function
         self.code = code

@@ -38,7 +38,7 @@ class AnswerParser:
 
     pymodbus's framers expect a frame at the beginning of their input, and wait for the rest of
     anything that looks like one. So they only get bytes that begin like the answer to this request
-    or like its exception; garbage and other answers before these bytes do no harm.
+    or like its exception; garbage and other answers before these bytes are skipped.
 
     Args:
         framer: pymodbus's framer for RTU or TCP.
@@ -75,7 +75,7 @@ class AnswerParser:
         self._buffer = b""
 
     def request(self, number: int) -> bytes:
-        """Return the frame of the request; from now on, only an answer to this frame is found.
+        """Return the frame of the request; `feed` then finds only an answer to this frame.
 
         Only TCP frames contain the transaction number.
         """
@@ -201,8 +201,8 @@ def _request_size(data: bytes, start: int) -> int:
 class TcpRequests(_Requests):
     """Finds requests in the bytes of a Modbus TCP connection.
 
-    TCP frames have no checksum. So that garbage does not hide a good frame, the length of a frame
-    must fit its function, and data that is exactly one request discards an incomplete one before.
+    TCP frames have no checksum. To keep garbage from hiding a good frame, a frame's length must fit
+    its function, and data that is exactly one request discards an incomplete one before it.
     """
 
     def feed(self, data: bytes) -> list[ModbusRequest]:

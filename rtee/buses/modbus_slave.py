@@ -32,7 +32,7 @@ Framing = Literal["rtu", "tcp"]
 
 
 class Refused(Exception):
-    """The device refuses a request: by an exception, or by silence where it has none.
+    """The device refuses a request, with a Modbus exception or, if it has none, with silence.
 
     Attributes:
         code: The Modbus exception code.
@@ -48,7 +48,7 @@ class ModbusEmulator(Emulator):
 
     Attributes:
         FUNCTIONS: Supported function codes, unless the caller gives others.
-        EXCEPTIONS: Whether it refuses a request by an exception; otherwise it stays silent.
+        EXCEPTIONS: Whether it refuses a request with an exception; otherwise it stays silent.
         PORT: Default address, for drivers whose options give none.
         unit: Its number on the line.
         any_unit: Whether it answers to any number, as many devices do on TCP.
@@ -85,7 +85,7 @@ class ModbusEmulator(Emulator):
         return {}
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers, which lie in one of the `windows`; raises `Refused`."""
+        """Return registers; raises `Refused` unless they lie in one of the `windows`."""
         self.advance(now)
         for first, values in self.windows(function).items():
             if first <= address and address + count <= first + len(values):
@@ -98,7 +98,7 @@ class ModbusEmulator(Emulator):
 
     @classmethod
     def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the properties that follow from a driver's options, the framing among them."""
+        """Return the properties that follow from a driver's options, including the framing."""
         found = super().fitting(options)
         if "framing" in getattr(cls.PROPERTIES, "__struct_fields__", ()):
             tcp = str(options.get("port") or cls.PORT).startswith("tcp://")

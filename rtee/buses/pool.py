@@ -37,7 +37,7 @@ class BusPool:
 
     Attributes:
         trace: Trace hook of every bus made from now on.
-        wire_time: Whether simulated lines take the time that the bytes would take.
+        wire_time: Whether bytes on simulated lines take as long as on real ones.
     """
 
     def __init__(self, *, trace: TraceHook | None = None, wire_time: bool = True) -> None:
@@ -214,7 +214,7 @@ class BusPool:
             places = self._ends.zmq(address, owner, emulator)
         else:
             given = Endpoints(*(f"{address}:{port}" for port in ports))
-            places = lambda: given  # noqa: E731 - the same type as of the simulated ones
+            places = lambda: given  # noqa: E731 - a function, as for simulated ones
         return await self._acquire(address, ZmqBus, ports, owner, lambda: ZmqBus(address, places))
 
     async def ethercat(
@@ -222,7 +222,7 @@ class BusPool:
     ) -> EthercatBus:
         """Return the EtherCAT network at an interface such as ``eth1``, its slaves pre-operational.
 
-        Emulated slaves are at the level of process data. Raises `BusBroken` if the network cannot
+        Slaves are emulated at the level of process data. Raises `BusBroken` if the network cannot
         be opened or no slave answers, `ConfigError` if pysoem is not installed.
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
@@ -277,7 +277,7 @@ class BusPool:
         found.acquire(owner, forget)
         try:
             await found.connect()
-        except BaseException:  # cancellation included, since no owner must be left behind
+        except BaseException:  # including cancellation: no owner must be left behind
             await found.detach(owner)
             raise
         return found

@@ -26,7 +26,7 @@ async def patiently(
     Args:
         call: The function.
         times: Largest number of calls.
-        late: The errors after which it is repeated.
+        late: The errors after which the call is repeated.
 
     Raises:
         RteeError: the error of the last call.

@@ -119,7 +119,7 @@ class SerialBus(Bus):
                 if frame is not _NOTHING:
                     return cast("F", frame)
                 counters.timeouts += 1
-            # Invalid bytes are another error than silence.
+            # Invalid bytes and silence are different errors.
             received = counters.bytes_received - before
         finally:
             counters.checksum_errors += parser.errors - errors
@@ -163,7 +163,7 @@ class SerialBus(Bus):
         return answer
 
     def _not_silent(self, ask: Callable[[], None]) -> bool:
-        """Return whether the gap is not over yet; if so, call ``ask`` again when it should be."""
+        """Return whether the gap is not over yet; if so, call ``ask`` again at its end."""
         # `ask` checks again, since a late answer may have extended the gap meanwhile.
         if not self.gap or (due := self._last + self.gap) <= monotonic.now():
             return False
@@ -277,7 +277,7 @@ class _Protocol(asyncio.Protocol):
         received: Callable[[bytes], None],
         lost: Callable[[asyncio.Protocol, Exception | None], None],
     ) -> None:
-        # Directly the method of the bus, since a forwarding method would cost time in every cycle.
+        # Directly the bus's method, since a forwarding method would cost time in every cycle.
         self.data_received = received  # type: ignore[method-assign,assignment]
         self._end = lost
 

@@ -113,13 +113,13 @@ class Simulation(ABC):
         """Run a function between two turns of the simulation's thread and return its result.
 
         Raises:
-            RteeError: if an error of an emulator has ended the thread.
+            RteeError: if an emulator's error has ended the thread.
         """
         if self._loop is not None:
             result = function()
             self._schedule()
             return result
-        # Called in the simulation's thread, it would wait for itself.
+        # In the simulation's own thread, a wait would never end.
         if not self._running or threading.current_thread() is self._thread:
             return function()
         done = threading.Event()
@@ -147,7 +147,7 @@ class Simulation(ABC):
         os.write(self._wake_in, b"\0")
 
     def _schedule(self) -> None:
-        """Have the event loop take the next step when it is due; on simulated time."""
+        """On simulated time, have the event loop take the next step when it is due."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -208,9 +208,8 @@ _SPIN = 1e-4
 class SimulatedLine(Simulation):
     """A byte line over a pty or a TCP port of this machine.
 
-    With a timed wire, the thread wakes up before a message is due, earlier by the recent lateness
-    of its sleeps, and spins for the rest, so that bytes arrive within microseconds of the modelled
-    time.
+    With a timed wire, the thread wakes up before a message is due, by the usual lateness of its
+    sleeps. It spins for the rest, so that bytes arrive within microseconds of the modelled time.
 
     Attributes:
         wire: Model of the wire: emulators, baud rate, faults.
@@ -305,7 +304,7 @@ class SimulatedLine(Simulation):
         self.wire.receive(data, monotonic.now())
 
     def _take(self, data: bytes) -> None:
-        """Receive bytes on simulated time; nothing is answered before the next turn of the loop."""
+        """Receive bytes on simulated time; answers follow in a later turn of the loop."""
         self._hear(data)
         self._schedule()
 
@@ -315,7 +314,7 @@ class SimulatedLine(Simulation):
             self._end.write(data)
 
     def _wait(self, timeout: float | None, ends: list[int]) -> list[int]:
-        """Return the file descriptors that can be read, at the latest after the timeout [s]."""
+        """Wait at most for the timeout [s]; return the file descriptors that can be read."""
         files = [self._wake_out, *ends]
         if timeout is None or not self.wire.timed:
             return select.select(files, [], [], timeout)[0]

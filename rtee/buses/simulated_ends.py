@@ -77,7 +77,7 @@ class Pty:
             self._folder = tempfile.mkdtemp(prefix="rtee-")
             self._link = Path(self._folder) / "port"
         try:
-            # A link to a pty was left by another emulator, mostly one that was killed; any other
+            # A link to a pty comes from another emulator, usually one that was killed. Any other
             # link belongs to another program, such as udev, and is kept.
             if self._leads_to().startswith("/dev/pts/"):
                 self._link.unlink()
@@ -112,7 +112,7 @@ class Pty:
             self._folder = self._link = None
 
     def files(self) -> list[int]:
-        """File descriptors to wait for."""
+        """Return the file descriptors to wait for."""
         return [self._changes.fileno()] if self._changes is not None else []
 
     def read(self, file: int) -> bytes | None:
@@ -128,7 +128,7 @@ class Pty:
         except BlockingIOError:
             self._deserted = False
         except OSError:
-            # EIO: no program has it open. Handled once, though the hang-up persists.
+            # EIO: no program has it open. Handle this once, although the hang-up persists.
             if data or not self._deserted:
                 self._desert()
         return bytes(data)
@@ -204,7 +204,7 @@ class Tcp:
         """Do nothing: a socket leaves no files."""
 
     def files(self) -> list[int]:
-        """File descriptors to wait for."""
+        """Return the file descriptors to wait for."""
         return [s.fileno() for s in (self._peer, self._server) if s is not None]
 
     def read(self, file: int) -> bytes | None:

@@ -137,6 +137,6 @@ class SimulatedRing(Ring):
         self._played().set_watchdog(position, seconds)
 
     def close(self) -> None:
-        """Leave the slaves initialised."""
+        """Bring the slaves to INIT."""
         if self._simulation.plugged and self._simulation.emulators:
             self._simulation.played.become(SlaveState.INIT, monotonic.now())

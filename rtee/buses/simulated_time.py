@@ -1,9 +1,9 @@
 """An event loop on simulated time: it never waits, but sets its clock to the next timer.
 
-With it, emulators, the model of the wire, drivers and the loop live in one time that only they use
-up. Ten seconds of homing take as long as their computations, and every deadline is exact on any
-computer under any load. Everything must happen in this process: what comes over a real port or from
-another process would come too late, since time does not wait for it.
+Emulators, the model of the wire, drivers and the loop share this time; their waits advance it, not
+their computations. Ten seconds of homing take only as long as the computations, and every deadline
+is exact on any computer under any load. Everything must happen in this process: data from a real
+port or from another process would come too late, since time does not wait for it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _START = 1000.0
 
 _TURN = 10e-6
 """Time that one turn of the event loop takes [s]: about that of a real one. Without it, a program
-that asks a device again and again until a time is over would never end."""
+that polls a device until a timeout would never end."""
 
 _Select = Callable[[float | None], list[tuple[selectors.SelectorKey, int]]]
 
@@ -42,8 +42,8 @@ class _Wait:
 class SimulatedTimeLoop(asyncio.SelectorEventLoop):
     """An event loop whose time stops while anything computes, and then jumps to the next timer.
 
-    While it runs, `rtee.monotonic` gives its time. Worker threads are waited for: time passes only
-    while all of them have ended or wait, too (`wait`, `rtee.monotonic.sleep`).
+    While it runs, `rtee.monotonic` returns its time. Time passes only while every worker thread has
+    ended or waits, too (`wait`, `rtee.monotonic.sleep`).
 
     Use it as the loop of a test: ``asyncio.Runner(loop_factory=SimulatedTimeLoop)``.
 
@@ -100,9 +100,9 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         self._working -= 1
 
     def wait(self, ready: Callable[[], bool], within: float) -> bool:
-        """Wait in a worker thread until ``ready()``, or until a time is over [s]; return which.
+        """Wait in a worker thread until ``ready()``, at most ``within`` [s]; return ``ready()``.
 
-        ``ready`` is called in the loop's thread.
+        The loop's thread calls ``ready`` meanwhile, and the worker thread calls it at the end.
         """
         wait = _Wait(ready, self._time + within)
         self._waits.append(wait)
@@ -141,7 +141,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         if events or (timeout is not None and timeout <= 0.0):
             return events
         if self._working:
-            # Whatever a thread does next wakes the loop up.
+            # The next action of a thread wakes the loop up.
             return select(None)
         due = [wait.until for wait in self._waits]
         if timeout is not None:

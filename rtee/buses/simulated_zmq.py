@@ -107,7 +107,7 @@ class SimulatedZmq(Simulation, DirectServer):
                 socket.bind(place)
             except zmq.ZMQError as error:
                 socket.close()
-                # All sockets or none, since a server with only some of them is of no use.
+                # All sockets or none, since a server with only some of them is useless.
                 self._unplug()
                 raise BusBroken(place, f"cannot listen there: {error}") from error
             self._sockets.append(socket)
@@ -185,7 +185,7 @@ class SimulatedZmq(Simulation, DirectServer):
 
     def _publish(self, now: float) -> None:
         period = min((e.period for e in self.emulators if e.period), default=0.0)
-        # Rounded to milliseconds, a wait may end a little early, but not by half a period.
+        # A wait is rounded to milliseconds and may end early, but not by half a period.
         if not period or now - self._stepped < period * 0.5:
             return
         self._stepped = now

@@ -102,7 +102,7 @@ class Pause:
             asyncio.get_running_loop().remove_reader(self._timer.fd)
 
     def _ready(self) -> None:
-        if self._timer is not None and self._timer.expiries():  # none: restarted since
+        if self._timer is not None and self._timer.expiries():  # 0 if it was restarted since
             self._call()
 
     def _call(self) -> None:

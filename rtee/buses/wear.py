@@ -25,7 +25,7 @@ class Wear(Section, frozen=True):
         backlash: Play between motor and encoder, in which the encoder does not follow [share].
         offset: Constant error of a position [share].
         noise: Standard deviation of a measured position [share].
-        warmth: How far its motors get above the ambient temperature while it only waits [K].
+        warmth: Temperature rise of its idle motors above the ambient temperature [K].
         late: Delay of the first answer to a program that connects [s].
         garbled: Whether the first byte of that answer is damaged, on a serial line.
         touch: What its touch sensors read while nothing touches them [their counts].
@@ -59,9 +59,9 @@ TYPICAL = Wear(
     late=0.05,
     garbled=True,
 )
-"""Assumed where nothing was measured: a hobby or industrial drive in use. Two exchanges of lag, a
-tenth less speed, half a per cent of play and offset, and an adapter that is slow and noisy when its
-port is opened."""
+"""Wear assumed for a device without measurements: a used hobby or industrial drive. It has two
+exchanges of lag, a tenth less speed, about half a per cent of play and offset, and an adapter that
+is slow and noisy when its port opens."""
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ class WornSensor:
     """A position sensor with backlash, an offset and noise.
 
     Attributes:
-        backlash: Play in which it does not follow [units of the position].
+        backlash: Play within which it does not follow the motor [units of the position].
         offset: Constant error [units of the position].
         noise: Standard deviation [units of the position].
     """
@@ -78,7 +78,7 @@ class WornSensor:
     offset: float = 0.0
     noise: float = 0.0
     _held: float | None = None
-    # One seed for all: what an emulated device measures must be the same in every run.
+    # One seed for all: an emulated device must measure the same in every run.
     _random: random.Random = field(default_factory=lambda: random.Random(1), repr=False)  # noqa: S311
 
     @classmethod

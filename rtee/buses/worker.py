@@ -27,8 +27,8 @@ class Worker:
     A call that misses its deadline occupies the thread until it returns; its result is discarded,
     and the next call waits. So two calls never use the library at the same time.
 
-    The executor of the event loop would need twice as many iterations of the loop to pass on a
-    result, which happens in every cycle.
+    The event loop's own executor is not used: it needs twice as many iterations of the loop to pass
+    on a result, in every cycle.
     """
 
     def __init__(self, name: str) -> None:
@@ -62,7 +62,7 @@ class Worker:
 
 
 class _Thread:
-    """The thread with its calls."""
+    """The thread and its queue of calls."""
 
     def __init__(self, name: str) -> None:
         self._calls: queue.SimpleQueue[_QueuedCall | None] = queue.SimpleQueue()
@@ -72,7 +72,7 @@ class _Thread:
         thread.start()
 
     def put(self, function: Callable[[], T], loop: asyncio.AbstractEventLoop) -> asyncio.Future[T]:
-        """Have a function called after all others; return the future of its result."""
+        """Queue a function behind all others; return the future of its result."""
         result: asyncio.Future[T] = loop.create_future()
         # Simulated time stops for the thread, not for every call: a second call waits for the
         # first, which may itself be waiting for time to pass.
@@ -83,7 +83,7 @@ class _Thread:
         return result
 
     def end(self, loop: asyncio.AbstractEventLoop) -> asyncio.Future[None]:
-        """Drop the calls that have not begun, end after the running one; return when it ends."""
+        """Drop the waiting calls and end after the running one; return a future of the end."""
         with contextlib.suppress(queue.Empty):
             while call := self._calls.get_nowait():
                 call.result.cancel()

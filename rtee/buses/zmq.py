@@ -43,7 +43,7 @@ class DirectServer(ABC):
 
     @abstractmethod
     def command(self, message: bytes) -> None:
-        """Receive a command; lost if the server is not there."""
+        """Receive a command; drop it if the server is not there."""
 
     @abstractmethod
     async def request(self, message: bytes) -> bytes:
@@ -71,11 +71,11 @@ class ZmqBus(Bus):
         self._asking = asyncio.Lock()
 
     def subscribe(self, callback: Callable[[bytes, float], None]) -> Callable[[], None]:
-        """Call ``callback(message, stamp)`` for every state; return a function that ends it."""
+        """Call ``callback(message, stamp)`` for every state; return a function that ends this."""
         return listen(self._listeners, callback)
 
     def send_now(self, message: bytes) -> None:
-        """Send a command, in place of one that is not yet sent; raises `BusBroken`, `BusClosed`."""
+        """Send a command, replacing one not yet sent; raises `BusBroken` or `BusClosed`."""
         self.check()
         self.counters.transactions += 1
         self._count("tx", message, monotonic.now())
@@ -131,8 +131,8 @@ class ZmqBus(Bus):
             self._command.setsockopt(zmq.CONFLATE, 1)
             self._command.connect(places.command)
             self._service = context.socket(zmq.REQ)
-            # A request without an answer must not block the next one, nor its late answer be
-            # mistaken for that of the next.
+            # An unanswered request must not block the next one, and its late answer must not be
+            # mistaken for the next one's.
             self._service.setsockopt(zmq.REQ_RELAXED, 1)
             self._service.setsockopt(zmq.REQ_CORRELATE, 1)
             self._service.connect(places.service)

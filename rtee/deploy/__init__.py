@@ -1,1 +1,1 @@
-"""Installation of a hand as a service of a robot PC, and its removal."""
+"""Installation and removal of a hand as a service on a robot PC."""

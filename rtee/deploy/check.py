@@ -16,7 +16,7 @@ from rtee.remote.credentials import HAND_KEY
 
 
 def is_installed(hand: str, root: Path = Path("/")) -> bool:
-    """Return whether a hand is a service of this computer; false if that cannot be read."""
+    """Return whether a hand is a service on this computer; false if the manifest is unreadable."""
     try:
         return bool(Installation(root).manifest.of(hand))
     except ConfigError:
@@ -24,14 +24,14 @@ def is_installed(hand: str, root: Path = Path("/")) -> bool:
 
 
 def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
-    """Return the checks of a hand's service below a root folder; one if it was never installed."""
+    """Return the checks of a hand's service below a root folder; only one if none is installed."""
     install = f"sudo rtee deploy install {needs.hand}"
     try:
         installation = Installation(root)
     except ConfigError as error:
         return [wrong("service", str(error), f"restore it, or remove it and type: {install}")]
     if not installation.manifest.of(needs.hand):
-        return [ok("service", f"none for {needs.hand}; `{install}` makes it one")]
+        return [ok("service", f"none for {needs.hand}; `{install}` installs one")]
     return [
         _files(needs, installation, install),
         _user(installation, install),
@@ -49,13 +49,13 @@ def _files(needs: Needs, installation: Installation, install: str) -> Check:
         return wrong("service", f"missing: {', '.join(lost)}", install)
     changed = [path for path, state in states.items() if state is FileState.KEPT]
     if changed:
-        # Installing again would keep such a file, so that the user has to remove it first.
+        # Installing again would keep such a file, so the user must remove it first.
         text = f"changed by hand: {', '.join(changed)}"
-        return warning("service", text, f"if that was not meant, remove it and type: {install}")
+        return warning("service", text, f"if not intended, remove it and type: {install}")
     wanted = drop_in(needs) | hand_files(needs, installation.root)
     behind = [path for path, content in wanted.items() if installation.content(path) != content]
     if behind:
-        text = f"the hand was changed since it was installed: {', '.join(behind)}"
+        text = f"the hand has changed since its installation: {', '.join(behind)}"
         return warning("service", text, install)
     return ok("service", f"{len(states)} files as installed")
 
@@ -88,11 +88,11 @@ def _certificates(needs: Needs, installation: Installation) -> list[Check]:
 
 
 def _ports(needs: Needs) -> list[Check]:
-    """Check for serial ports whose names may belong to another adapter at the next start."""
+    """Return warnings about serial ports whose names may go to other adapters at the next start."""
     return [
         warning(
             f"name of {port.path}",
-            "it is given to whichever adapter comes first",
+            "the first adapter to appear gets this name",
             f"sudo rtee deploy install {needs.hand} --serial {port.device}=NUMBER   "
             f"# and in hand.yaml: port: {link_of(port, needs.hand)}; "
             f"the number: udevadm info {port.path} | grep SERIAL_SHORT",
@@ -105,16 +105,16 @@ def _ports(needs: Needs) -> list[Check]:
 def _recordings(needs: Needs, root: Path) -> Check:
     folder = root / str(STATE / needs.log).lstrip("/")
     try:
-        # The first run makes the folder; until then, its nearest parent is on the same disk.
+        # The first run creates the folder; until then, its nearest parent is on the same disk.
         while not folder.exists() and folder != root:
             folder = folder.parent
         space = shutil.disk_usage(folder)
-        # Present recordings already have their space. Not by glob, which is silent about a folder
-        # that cannot be read.
+        # Existing recordings already use part of the space. `iterdir`, since `glob` ignores a
+        # folder that it cannot read.
         files = [file for file in folder.iterdir() if file.suffix == ".mcap"]
         used = sum(file.stat().st_size for file in files)
     except OSError as error:  # other users may not read the service's folders
-        text = f"{folder} cannot be looked at: {reason(error)}"
+        text = f"{folder} cannot be read: {reason(error)}"
         return warning("recordings", text, f"sudo rtee doctor {needs.hand}")
     wanted = f"{needs.log_size / 1e9:.0f} GB of recordings are kept"
     if space.free + used < needs.log_size:
@@ -141,14 +141,14 @@ def _kernel(needs: Needs, root: Path) -> list[Check]:
     return [
         warning(
             "CPUs of the loop",
-            f"{', '.join(shared)}: other programs run there, too",
+            f"{', '.join(shared)}: shared with other programs",
             f"sudo rtee deploy install {needs.hand} --realtime; sudo update-grub   # then restart",
         )
     ]
 
 
 def _cpus(part: str) -> range:
-    """Return the CPUs in a part of a kernel's list, ``2`` or ``2-3``."""
+    """Return the CPUs in a part of a kernel list, such as ``2`` or ``2-3``."""
     first, _, last = part.partition("-")
     if not (first.isdecimal() and (last or first).isdecimal()):
         return range(0)

@@ -1,4 +1,4 @@
-"""The system files of a robot PC: those shipped with rtee, and those for a hand."""
+"""System files of a robot PC: those shipped with rtee, and those for a hand."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from rtee.errors import ConfigError
 from rtee.hand.files import files_below, make_folder, write_atomically
 
 PROGRAM = "/opt/rtee/bin/rtee"
-"""Path of the program in the shipped unit."""
+"""Path of the `rtee` program in the shipped unit."""
 
 HANDS = "/etc/rtee/hands"
-"""Folder of the service's hands."""
+"""Folder of the hands that run as a service."""
 
 UNIT = "/etc/systemd/system/rtee@.service"
 RULES = "/etc/udev/rules.d/99-rtee.rules"
@@ -39,7 +39,7 @@ _HIDDEN = {
     "/tmp": "PrivateTmp",  # noqa: S108 - nothing is written there
     "/var/tmp": "PrivateTmp",  # noqa: S108
 }
-"""Folders that the unit hides from its service, and the settings that do."""
+"""Folders that the unit hides from its service, with the settings that hide them."""
 
 _ALLOWED_PORTS = ("ttyUSB", "ttyACM", "ttyS", "ttyAMA")
 """Kinds of serial ports that the unit permits for every hand."""
@@ -67,19 +67,19 @@ def shipped() -> Path:
 
 
 def own_program() -> str:
-    """Return the path of the ``rtee`` of this environment."""
+    """Return the path of this environment's ``rtee``."""
     return str(Path(sys.executable).parent / "rtee")
 
 
 def check_visible(program: str | None, *, live: bool) -> None:
-    """Refuse a program that the unit's own sandbox would hide from its service.
+    """Refuse a program that the unit's sandbox would hide from the service.
 
-    ``program`` is the ``rtee`` given by the user; ``None``: that of this environment, of which the
-    service also needs the interpreter and the package. In an image, which is not the running system
-    (``live``), only the path counts.
+    ``program`` is the path of an ``rtee``; ``None`` means that of this environment, whose
+    interpreter and package the service needs, too. In an image, that is not ``live``, links are not
+    followed.
 
     Raises:
-        ConfigError: if the service cannot see it, with a remedy.
+        ConfigError: if the service cannot see the program, with a remedy.
     """
     paths = [Path(program or own_program())]
     if live:
@@ -95,10 +95,10 @@ def check_visible(program: str | None, *, live: bool) -> None:
 
 
 def write_files(folder: Path) -> list[Path]:
-    """Write the shipped files, with the `rtee` of this environment in the unit; return their paths.
+    """Write the shipped files, with this environment's `rtee` in the unit; return their paths.
 
-    Makes the folder if it does not exist. Raises `ConfigError` if this installation has no such
-    files, or they cannot be written.
+    Creates the folder if necessary. Raises `ConfigError` if this installation lacks the files, or
+    they cannot be written.
     """
     source = shipped()
     make_folder(folder)
@@ -111,9 +111,9 @@ def write_files(folder: Path) -> list[Path]:
 
 
 def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, bytes]:
-    """Return the contents of the system files for a hand, by path; the service starts a program.
+    """Return the contents of the system files for a hand, by path; the service starts ``program``.
 
-    With ``realtime``, also sets the CPUs' governor, and isolates those of the loop.
+    With ``realtime``, the files also set the CPU governor, and isolate the CPUs of the loop.
     """
     source = shipped()
     program = checked_path(program, "the program")
@@ -122,7 +122,7 @@ def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, byt
         for path, name in _SHIPPED.items()
     } | {
         ACCOUNTS: _USER,
-        # Above 60, since udev's own 60-serial.rules read the serial number that this one compares.
+        # Above 60, since udev's own 60-serial.rules set the serial number that this rule compares.
         f"/etc/udev/rules.d/90-rtee-{needs.hand}.rules": _rules(needs),
     }
     if realtime:
@@ -137,11 +137,11 @@ def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, byt
 
 
 def drop_in(needs: Needs) -> dict[str, bytes]:
-    """Return the additions to the unit for a hand, by path; empty if it needs none.
+    """Return the drop-in of the unit for a hand, by path; empty if the hand needs none.
 
     Raises `ConfigError` if the path of the recordings is not valid in a unit.
     """
-    lines = [f"# What {needs.hand} needs besides. Written by rtee deploy.", "[Service]"]
+    lines = [f"# Additions for {needs.hand}. Written by rtee deploy.", "[Service]"]
     kinds = sorted({port.kind for port in needs.ports} - {"", *_ALLOWED_PORTS})
     lines += [f"DeviceAllow=char-{kind} rw" for kind in kinds]
     lines += [f"IPAddressAllow={address}" for address in needs.addresses]
@@ -163,9 +163,9 @@ def drop_in(needs: Needs) -> dict[str, bytes]:
 
 
 def kernel_words(cpus: Sequence[int], of: int | None = None) -> str:
-    """Return the parameters of the kernel's command line that isolate CPUs from other programs.
+    """Return the kernel command-line parameters that isolate CPUs from other programs.
 
-    With the number of all CPUs in ``of``, interrupts are kept off these CPUs, too.
+    If ``of`` gives the number of all CPUs, the parameters also keep interrupts off these CPUs.
     """
     these = ",".join(map(str, cpus))
     words = f"isolcpus={these} nohz_full={these} rcu_nocbs={these}"
@@ -179,16 +179,16 @@ def link_of(port: Port, hand: str) -> str:
 
 
 def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
-    """Return the files of a hand that have to be copied for the service, by path.
+    """Return the files of a hand that must be copied for the service, by path.
 
-    Empty for hands shipped with the rtee of the service or already in `HANDS`. Raises `ConfigError`
-    if a file cannot be read.
+    The result is empty for hands that are shipped with rtee or already in `HANDS`. Raises
+    `ConfigError` if a file cannot be read.
     """
     folder = needs.folder.resolve()
     inside = Path(__file__).resolve().parents[1] / "_config"
     if folder.is_relative_to(inside) or folder == (root / HANDS[1:] / needs.hand).resolve():
         return {}
-    # A link may lead to a file that other users must not read, and be made while this runs.
+    # A link, even one made meanwhile, could lead to a file that other users must not read.
     return {
         f"{HANDS}/{needs.hand}/{name.as_posix()}": content for name, content in files_below(folder)
     }
@@ -213,10 +213,10 @@ def _rules(needs: Needs) -> str:
 
 
 def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> list[str]:
-    """Return the steps that the user must or may do after the installation.
+    """Return the steps that the user must or may take after the installation.
 
-    ``program`` is the ``rtee`` given by the user, ``None`` that of this environment; the system is
-    ``live`` if it is the running one.
+    ``program`` is the path of an ``rtee``, or ``None`` for that of this environment; ``live`` means
+    that the system is the running one.
     """
     sentences: list[str] = []
     for port in needs.ports:
@@ -224,13 +224,13 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
         if port.serial and name != port.path:
             sentences.append(f"in hand.yaml, at '{port.device}': port: {name}")
         elif not port.serial and port.has_own_name:
-            sentences.append(f"{port.path} needs a rule: --serial {port.device}=NUMBER makes it")
+            sentences.append(f"{port.path} needs a udev rule: give --serial {port.device}=NUMBER")
     if needs.addresses:
         sentences.append(f"its network is open to: {', '.join(needs.addresses)}")
     if needs.unknown:
         sentences.append(
-            f"the drivers of {', '.join(needs.unknown)} are not rtee's: what they need beyond their"
-            " options in hand.yaml belongs into a drop-in of your own (systemctl edit"
+            f"the drivers of {', '.join(needs.unknown)} are not part of rtee: if they need more"
+            " than their options in hand.yaml, add it to a drop-in of your own (systemctl edit"
             f" rtee@{needs.hand})"
         )
     if needs.certificates is not None:
@@ -249,12 +249,12 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
         )
     if live:
         sentences.append(f"start it: sudo systemctl start rtee@{needs.hand}")
-        sentences.append("people who command hands: sudo usermod -aG rtee USER, and log in again")
+        sentences.append("for users who command hands: sudo usermod -aG rtee USER; log in again")
     return sentences
 
 
 def certificates_made(needs: Needs, program: str | None = None) -> list[str]:
-    """Return the commands that make a hand's certificates in the folder of its service."""
+    """Return the commands that create a hand's certificates, or give them to the service's user."""
     if needs.certificates is None:
         return []
     if needs.certificates.is_relative_to(SECURE):
@@ -271,7 +271,7 @@ def secure_command(needs: Needs, program: str | None = None) -> str:
 
 
 def words_of(files: Mapping[str, bytes]) -> list[str]:
-    """Return the lines of system files, each with a heading."""
+    """Return the lines of system files, each file with a heading."""
     lines: list[str] = []
     for path, content in files.items():
         lines += [f"# {path}", *content.decode("utf-8", "replace").splitlines(), ""]

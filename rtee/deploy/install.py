@@ -1,4 +1,4 @@
-"""Installation of a hand's service in a system, and removal of exactly the written files."""
+"""Installation of a hand's service in a system, and removal of exactly the installed files."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Manifest:
     Attributes:
         files: SHA-256 of each written file, by path.
         hands: The hands that need each file, by path.
-        folders: Folders that were made, parents first.
-        user: Whether the user was made.
+        folders: Folders that rtee created, parents first.
+        user: Whether rtee created the user.
     """
 
     files: dict[str, str] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class Manifest:
 
     @classmethod
     def read(cls, root: Path) -> Manifest:
-        """Return a system's manifest, empty if it has none; `ConfigError` if it is invalid."""
+        """Return a system's manifest, or an empty one; raises `ConfigError` if it is invalid."""
         path = root / MANIFEST[1:]
         try:
             with path.open("rb") as file:
@@ -84,7 +84,7 @@ class Manifest:
 class Installation:
     """The services of hands in a system, whose root folder is ``/`` or the folder of an image.
 
-    Raises `ConfigError` if that is not a folder, or its manifest is invalid.
+    Raises `ConfigError` if the root is not a folder, or its manifest is invalid.
     """
 
     def __init__(self, root: Path = Path("/")) -> None:
@@ -101,8 +101,8 @@ class Installation:
     def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, FileState]:
         """Return the change that `install` would make to each file, without making it.
 
-        Raises `ConfigError` if a file exists that rtee did not write, or a folder of the system
-        leads out of it.
+        Raises `ConfigError` if a file exists that rtee did not write, or a folder is a link that
+        leads out of the system.
         """
         states: dict[str, FileState] = {}
         link = self._link(hand)
@@ -121,7 +121,7 @@ class Installation:
         return states
 
     def written(self, path: str) -> FileState:
-        """Return the state of a written file; `FileState.NEW` if it is gone."""
+        """Return the state of an installed file; `FileState.NEW` if it is gone."""
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
             return FileState.NEW
@@ -132,7 +132,7 @@ class Installation:
         return FileState.SAME if same else FileState.KEPT
 
     def content(self, path: str) -> bytes:
-        """Return the content of a file; empty if it cannot be read."""
+        """Return the content of a file, empty if it cannot be read."""
         with contextlib.suppress(OSError):
             return self._place(path).read_bytes()
         return b""
@@ -142,7 +142,7 @@ class Installation:
         return self._account("passwd") is not None
 
     def user_id(self) -> int | None:
-        """Return the number of the user that runs hands, or ``None``."""
+        """Return the ID of the user that runs hands, or ``None``."""
         account = self._account("passwd") or []
         with contextlib.suppress(ValueError, IndexError):
             return int(account[2])
@@ -154,18 +154,18 @@ class Installation:
         Raises `ConfigError` if a file cannot be written; the manifest lists those that were.
         """
         states = self.compare(hand, files)
-        # The hand may need fewer files than when it was installed before.
+        # The hand may need fewer files than at its last installation.
         stale = [path for path in self.manifest.of(hand) if path not in states]
         manifest = self.manifest
         wanted = [Path(path).parent for path in (*states, MANIFEST)]
         with _usual_permissions():
             self._make_folders(wanted)
-            # Listed before it is written, so that an interrupted installation can be undone.
+            # List files before writing them, so that an interrupted installation can be undone.
             for path, state in states.items():
                 if path in files and state is not FileState.KEPT:
                     manifest.files[path] = hashlib.sha256(files[path]).hexdigest()
                 hands = manifest.hands.setdefault(path, [])
-                # A link has no digest, but is one of the hand's files.
+                # A link has no digest, but counts as one of the hand's files.
                 manifest.files.setdefault(path, "")
                 if hand not in hands:
                     hands.append(hand)
@@ -176,12 +176,12 @@ class Installation:
             link = self._link(hand)
             if not link.is_symlink():
                 link.symlink_to(UNIT)
-        # After the new files, so that a failed installation lacks none of the old ones.
+        # Remove old files last, so that a failed installation still has them.
         states |= self._drop(hand, stale)
         return states
 
     def uninstall(self, hand: str) -> dict[str, FileState]:
-        """Remove the files that only this hand needs, except those changed since.
+        """Remove the files that only this hand needs, except those changed by hand.
 
         Raises `ConfigError` if the hand was not installed, or a file cannot be removed.
         """
@@ -195,22 +195,22 @@ class Installation:
         return self._drop(hand, paths)
 
     def make_user(self) -> str:
-        """Make the user that runs hands, unless it exists.
+        """Create the user that runs hands, unless it exists.
 
-        Returns a sentence about a problem that the user has to solve; empty if there is none.
+        Returns a sentence about a problem that needs attention, or ``""``.
         """
         if self.has_user():
             return ""
         problem = self._call("systemd-sysusers", *self._in_root("--root={}"), Path(ACCOUNTS).name)
         if problem:
-            return f"the user was not made ({problem}); at its next start the system makes it"
+            return f"the user was not created ({problem}); the system creates it at its next start"
         self.manifest.user = True
         with _usual_permissions():
             self._save()
         return ""
 
     def remove_user(self) -> str:
-        """Remove the user if `make_user` made it and no hand is left; returns like `make_user`."""
+        """Remove the user if `make_user` created it and no hand is left; return as `make_user`."""
         if not self.manifest.user or self.manifest.files:
             return ""
         problem = self._call("userdel", *self._in_root("--prefix", "{}"), USER)
@@ -224,20 +224,20 @@ class Installation:
         return ""
 
     def reload(self) -> list[str]:
-        """Have the running system read the files; return sentences about failures."""
+        """Make the running system read the files; return sentences about failures."""
         if not self.live:
             return []
         commands = (
             ("systemctl", "daemon-reload"),
             ("udevadm", "control", "--reload"),
-            # Rules apply when a device appears, so that present devices are announced again.
+            # Rules apply when a device appears; announce present devices again.
             ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=usb-serial"),
         )
         failed = [(words, self._call(*words)) for words in commands]
         return [f"{' '.join(words)}: {problem}" for words, problem in failed if problem]
 
     def stop(self, hand: str) -> str:
-        """Stop the service of a hand, which brings it to rest; returns like `make_user`."""
+        """Stop the service of a hand, which brings it to rest; return as `make_user`."""
         if not self.live:
             return ""
         return self._call("systemctl", "stop", f"rtee@{hand}.service")
@@ -245,7 +245,7 @@ class Installation:
     # --- within the system -------------------------------------------------------------------
 
     def _place(self, path: str) -> Path:
-        """Return the path of a file below the system's root; `ConfigError` if links leave it."""
+        """Return a file's path below the root; raises `ConfigError` if links leave the root."""
         return self._folder(str(Path(path).parent)) / Path(path).name
 
     def _folder(self, path: str) -> Path:
@@ -272,7 +272,7 @@ class Installation:
 
     def _make_folders(self, folders: Sequence[Path]) -> None:
         for folder in folders:
-            # One by one, since each folder that was made is removed again with the last hand.
+            # One by one, since `_tidy` removes each created folder with the last hand.
             for each in (*reversed(folder.parents), folder):
                 place = self._folder(str(each))
                 if place.is_dir():
@@ -285,7 +285,7 @@ class Installation:
                     self.manifest.folders.append(str(each))
 
     def _drop(self, hand: str, paths: Sequence[str]) -> dict[str, FileState]:
-        """Remove a hand from those that need some files, and remove files that none needs."""
+        """Remove a hand from the users of some files, and remove files that no hand needs."""
         states: dict[str, FileState] = {}
         manifest = self.manifest
         for path in paths:
@@ -297,27 +297,27 @@ class Installation:
                 try:
                     place.unlink()
                 except OSError as error:
-                    # Removed files have left the manifest; the rest can be tried again.
+                    # Removed files are no longer in the manifest; the rest can be tried again.
                     manifest.hands[path].append(hand)
                     self._save()
                     raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
                 states[path] = FileState.REMOVED
             elif state is FileState.KEPT:
-                # A changed file also leaves the manifest: from now on it belongs to its author.
+                # A changed file also leaves the manifest: it now belongs to its author.
                 states[path] = state
             del manifest.hands[path], manifest.files[path]
         self._tidy()
         return states
 
     def _tidy(self) -> None:
-        """Remove an empty manifest, and the empty folders that were made."""
+        """Remove an empty manifest, and the empty folders that rtee created."""
         needed = bool(self.manifest.files or self.manifest.user)
         if not needed:
-            # Before the folders, since its own folder must be empty.
+            # Before the folders, since the manifest's own folder must be empty.
             self._place(MANIFEST).unlink(missing_ok=True)
         # The longest path first, so that a folder is removed before its parent.
         for folder in sorted(self.manifest.folders, key=len, reverse=True):
-            with contextlib.suppress(OSError):  # others have put something there
+            with contextlib.suppress(OSError):  # other files are in the folder
                 self._folder(folder).rmdir()
                 self.manifest.folders.remove(folder)
         if needed:
@@ -328,9 +328,9 @@ class Installation:
         write_atomically(self._place(MANIFEST), self.manifest.document())
 
     def _account(self, file: str) -> list[str] | None:
-        """Return the user's entries in the system's ``passwd`` or ``group``, if the file exists."""
+        """Return the fields of the user's line in the system's ``passwd`` or ``group``, if any."""
         with contextlib.suppress(OSError):
-            # The modules pwd and grp know only the accounts of the running system.
+            # The modules pwd and grp only know the accounts of the running system.
             for line in self._place(f"/etc/{file}").read_text("utf-8", "replace").splitlines():
                 if line.startswith(f"{USER}:"):
                     return line.split(":")
@@ -340,7 +340,7 @@ class Installation:
         return [] if self.live else [word.replace("{}", str(self.root)) for word in words]
 
     def _call(self, *words: str) -> str:
-        """Run a program; return the reason of a failure, or ``""``."""
+        """Run a program; return the reason for a failure, or ``""``."""
         # A user's PATH often lacks sbin, the folder of userdel and groupdel.
         program = shutil.which(words[0], path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
         if program is None:
@@ -364,7 +364,7 @@ def _digest(place: Path) -> str:
 @contextlib.contextmanager
 def _usual_permissions() -> Iterator[None]:
     """Set the umask so that everybody may read new files and only their owner may change them."""
-    # Root's own may be stricter, but the service's user has to read the hand's files.
+    # Root's own umask may be stricter, but the service's user must read the hand's files.
     before = os.umask(0o022)
     try:
         yield

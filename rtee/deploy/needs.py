@@ -1,4 +1,4 @@
-"""The needs of a hand from its computer, by its hand.yaml."""
+"""What a hand requires from its computer, according to its hand.yaml."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ CAN_BITRATE = 1_000_000
 """Bit rate of a CAN bus whose driver has no setting for it [bit/s]."""
 
 SECURE = Path("/var/lib/rtee/secure")
-"""Default folder of the certificates of the service's hands."""
+"""Default folder of the certificates of hands that run as a service."""
 
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108
-"""Folders hidden from the service by ``ProtectHome`` and ``PrivateTmp``."""
+"""Folders that ``ProtectHome`` and ``PrivateTmp`` hide from the service."""
 
 Options = Mapping[str, Mapping[str, Any]]
-"""Options of the devices, by name of the device."""
+"""Options of the devices, by device name."""
 
-# Valid in a rule or a unit: no characters that end a line, a value or a word.
+# Valid in a udev rule or systemd unit: no characters that end a line, a value or a word.
 _WORD = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+@-]*\Z")
 _PATH = re.compile(r"(/[A-Za-z0-9_.][A-Za-z0-9_.:+@-]*)+\Z")
 _KERNEL_NAME = re.compile(r"/dev/(tty[A-Za-z]*?)\d+\Z")
@@ -39,7 +39,7 @@ _OWN_NAME = re.compile(r"/dev/(?!serial/|tty)[A-Za-z0-9_][A-Za-z0-9_./-]*\Z")
 
 
 def checked_word(value: str, what: str) -> str:
-    """Return a word unchanged if it is valid in a system file.
+    """Return a word, unchanged, if it is valid in a system file.
 
     Raises `ConfigError` if it contains anything but letters, digits and ``_ . : + @ -``.
     """
@@ -49,9 +49,9 @@ def checked_word(value: str, what: str) -> str:
 
 
 def checked_path(value: Path | str, what: str) -> str:
-    """Return an absolute path unchanged if it is valid in a system file.
+    """Return an absolute path, unchanged, if it is valid in a system file.
 
-    Raises `ConfigError` if it is relative, or contains characters with a meaning there.
+    Raises `ConfigError` if it is relative, or contains special characters.
     """
     text = str(value)
     if not _PATH.match(text) or ".." in Path(text).parts:
@@ -63,7 +63,7 @@ def checked_path(value: Path | str, what: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A device's serial port: path in hand.yaml and, if given, its adapter's serial number."""
+    """A device's serial port: its path in hand.yaml and, if given, the adapter's serial number."""
 
     device: str
     path: str
@@ -71,29 +71,32 @@ class Port:
 
     @property
     def kind(self) -> str:
-        """The kernel's name of the port without the number, such as ``ttyUSB``; otherwise empty."""
+        """Kernel name without the number, such as ``ttyUSB``; empty if the path is not one."""
         name = _KERNEL_NAME.match(self.path)
         return name[1] if name else ""
 
     @property
     def has_own_name(self) -> bool:
-        """Whether a rule must create the name: neither the kernel nor udev does."""
+        """Whether a udev rule must create the name, since neither the kernel nor udev does."""
         return bool(_OWN_NAME.match(self.path))
 
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """The needs of a hand from its computer.
+    """What a hand requires from its computer.
 
     Attributes:
+        hand: Name of the hand.
+        folder: Folder of the hand.
+        ports: Serial ports of the devices.
         can: Bit rates of CAN interfaces by name [bit/s].
-        ethercat: Whether a device is on an EtherCAT bus, which needs raw frames.
-        unknown: Devices with drivers of other packages, whose needs are unknown.
-        certificates: Folder of the certificates for its network; ``None``: it needs none.
-        addresses: Other computers or networks that it talks to; ``any``: all of them.
-        cpus: CPUs of its loop; empty: all.
+        ethercat: Whether a device is on an EtherCAT bus, which requires raw frames.
+        unknown: Devices with drivers from other packages, whose needs are unknown.
+        certificates: Folder of the network certificates; ``None`` if the hand needs none.
+        addresses: Other computers or networks that the hand talks to; ``any`` for all.
+        cpus: CPUs of the loop; empty for all.
         log: Folder of the recordings.
-        log_size: Largest disk space of the recordings [bytes].
+        log_size: Maximum disk space of the recordings [bytes].
     """
 
     hand: str
@@ -110,15 +113,15 @@ class Needs:
 
     @classmethod
     def of(cls, prepared: PreparedHand, serials: Mapping[str, str]) -> Needs:
-        """Return the needs of a hand that is prepared with the driver ``devices``.
+        """Return the needs of a hand that was prepared with the driver ``devices``.
 
         Args:
             prepared: The hand.
             serials: Serial numbers of adapters by device name.
 
         Raises:
-            ConfigError: if a device with a serial number has no port, a value is not valid in a
-                system file, or the service could not run with it.
+            ConfigError: if a device with a serial number has no serial port, or a value is not
+                valid in a system file or for the service.
         """
         options = {device.spec.name: _options(device.spec) for device in prepared.devices}
         exposed(prepared.config.remote)  # the service would refuse to start
@@ -127,7 +130,7 @@ class Needs:
             folder=prepared.folder,
             ports=_ports(options, serials),
             can=_can(options),
-            # Devices on a CAN bus have a channel, too; those on EtherCAT only an interface.
+            # Devices on a CAN bus also have a channel; those on EtherCAT only an interface.
             ethercat=any(o.get("interface") and o.get("channel") is None for o in options.values()),
             unknown=tuple(d.spec.name for d in prepared.devices if d.spec.driver not in DRIVERS),
             certificates=_certificates(prepared),
@@ -181,7 +184,7 @@ def _addresses(options: Options, remote: RemoteSettings) -> tuple[str, ...]:
 
 
 def _certificates(prepared: PreparedHand) -> Path | None:
-    """Return the folder of the hand's certificates for the service; ``None``: it needs none."""
+    """Return the folder of the service's certificates; ``None`` if the hand needs none."""
     remote = prepared.config.remote
     if credentials_of(prepared.hand.name, remote) is None:
         return None
@@ -197,9 +200,9 @@ def _certificates(prepared: PreparedHand) -> Path | None:
 
 
 def _options(spec: DeviceSpec) -> dict[str, Any]:
-    """Return a device's options, with the defaults of its driver if it is part of rtee.
+    """Return a device's options, with the driver's defaults if the driver is part of rtee.
 
-    Drivers of other packages are not imported, since their code would run as root.
+    Drivers from other packages are not imported, since their code would run as root.
     """
     if spec.driver not in DRIVERS:
         return dict(spec.options)
@@ -207,9 +210,10 @@ def _options(spec: DeviceSpec) -> dict[str, Any]:
 
 
 def _beyond(address: str, *, listens: bool = False) -> set[str]:
-    """Return the address of another computer, ``any`` for a host name; empty for this computer.
+    """Return the address of another computer, or ``any`` for a host name; empty for this computer.
 
-    Raises `ConfigError` if the text is not an address.
+    With ``listens``, an address of another computer becomes ``any``. Raises `ConfigError` if the
+    text is not an address.
     """
     try:
         host = urlsplit(address if "://" in address else f"//{address}").hostname or ""
@@ -220,7 +224,7 @@ def _beyond(address: str, *, listens: bool = False) -> set[str]:
     try:
         number = ipaddress.ip_address(host)
     except ValueError:
-        # systemd permits networks only by number, and the number of a name may change.
+        # systemd permits networks only by number, and the address of a name may change.
         return {"any"}
     if number.is_loopback:
         return set()

@@ -1,9 +1,9 @@
-"""Assumptions of drivers about their devices, not confirmed on one, each with its source.
+"""Assumptions of drivers about their devices, each with its source; none is confirmed on a device.
 
-A wrong assumption of one kind is a reason to look at that kind in every family: what counts belong
-to one finger or to both, what registers hold at power-up, what sensors read at rest, which devices
-answer, what a device does when the host is silent. The first contact with a real device confirms or
-refutes them; the pages of the devices show them.
+If an assumption on one topic proves wrong, check that topic in every family: whether counts refer
+to one finger or to both, the registers at power-up, the sensors at rest, which devices answer, the
+behaviour when the host is silent. The first contact with a real device confirms or refutes them;
+the device pages list them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Topic(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Something that a driver relies on.
+    """An assumption on which a driver relies.
 
     Attributes:
-        topic: Its subject.
+        topic: Its topic.
         text: The assumption.
-        source: Where it comes from; empty: nowhere, it is a guess.
+        source: Its source; empty if it is a guess.
     """
 
     topic: Topic

@@ -15,7 +15,7 @@ _MOST_STEPS = 400
 
 
 _ENDLESS = 1e6
-"""Distance of stops from which an axis counts as turning without end [axis units]."""
+"""An axis with at least this distance between its stops counts as continuous [axis units]."""
 
 
 @dataclass(slots=True)
@@ -62,10 +62,10 @@ class Axis:
         heating: Heating rate at the effort `rating` [K/s].
         cooling: Share of the difference to `ambient` lost per second [1/s].
         rating: Effort at which `heating` applies.
-        travel: Its whole travel, to which shares of wear refer; by default that between the stops.
-        lag: Time from a change of `target` until it is followed [s]; a stop, the target at the
-            present position, is followed at once.
-        pace: Share of `max_velocity` that it reaches.
+        travel: Full travel, of which wear is a fraction; by default the distance between the stops.
+        lag: Delay before the axis follows a new `target` [s]; a stop, which sets the target to the
+            present position, takes effect at once.
+        pace: Fraction of `max_velocity` that the axis reaches.
         sensor: Its encoder.
     """
 
@@ -118,7 +118,7 @@ class Axis:
         self._now: float | None = None
 
     def wear_down(self, wear: Wear) -> None:
-        """Make the axis differ from its data sheet, and become warm."""
+        """Apply wear: lag, lower speed, encoder errors and a higher ambient temperature."""
         self.lag, self.pace = wear.lag, wear.pace
         self.sensor = WornSensor.of(wear, self.travel)
         self.ambient += wear.warmth
@@ -139,7 +139,7 @@ class Axis:
         return self.enabled and not self.moving and self.position != self.target
 
     def _bounds(self) -> tuple[float, float]:
-        """Return the range that it can reach, limited by the stops and by the squeezed object."""
+        """Return the reachable range, limited by the stops and by the squeezed object."""
         lower, upper = self.lower, self.upper
         obstacle = self.obstacle
         if obstacle is not None:
@@ -149,7 +149,7 @@ class Axis:
             else:
                 lower = min(max(lower, deepest), upper)
         if self.self_locking:
-            # The gear keeps the position to which the object alone would push the axis back.
+            # The object cannot push the axis back, so the present position stays reachable.
             if self.target >= self.position:
                 upper = max(upper, self.position)
             else:
@@ -157,7 +157,7 @@ class Axis:
         return lower, upper
 
     def _contact(self) -> float:
-        """Return the effort with which the object resists, not negative."""
+        """Return the effort with which the object resists, at least 0."""
         obstacle = self.obstacle
         if obstacle is None:
             return 0.0
@@ -178,7 +178,7 @@ class Axis:
         dt /= steps
         # The exact solution over a step, which is stable for steps of any length.
         share, limit = -math.expm1(-dt / self.time_constant), self.max_velocity * self.pace * dt
-        # Several, since contact force and heat change the motion and are computed after each.
+        # Several steps, since contact force and heat are recomputed after each.
         for step in range(1, steps + 1):
             self._advance(dt, share, limit)
             self._warm(dt)
@@ -188,7 +188,7 @@ class Axis:
                 return
 
     def _follow(self, dt: float) -> None:
-        """Determine the target that it follows by now."""
+        """Update the target that the axis follows, delayed by its lag."""
         self._age += dt
         if self.lag <= 0.0 or self.target == self.position:
             self._due.clear()
@@ -201,7 +201,7 @@ class Axis:
             self._followed = self._due.popleft()[1]
 
     def _advance(self, dt: float, share: float, limit: float) -> None:
-        """Move by one step: a share of the error, at most by a limit."""
+        """Move by one step: by a fraction of the error, at most by a limit."""
         self._follow(dt)
         if self.enabled and not self.stuck:
             lower, upper = self._bounds()

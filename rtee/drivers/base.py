@@ -44,7 +44,7 @@ class Driver(ABC):
         object_description: Shape of the object that a simulated device grasps, after `configure`.
         connection: The device's bus from `configure` to `close`, for drivers that have one bus.
         standstill: Judges the positions that `stop` measures, before they are commanded; the caller
-            passes it what `sense` returned and what `move` was given.
+            passes it the states from `sense` and the references given to `move`.
     """
 
     Options: ClassVar[type[Any] | None] = None
@@ -60,13 +60,13 @@ class Driver(ABC):
         self.standstill = Standstill(spec.actuators)
 
     async def configure(self) -> None:
-        """Open the bus and identify the device; never moves anything.
+        """Open the bus and identify the device, without moving anything.
 
-        Called again after `close` when the link was lost, so it must rely on no earlier state.
+        It is called again after `close` if the link was lost, so it must not rely on earlier state.
 
         Raises:
             NotConnected: if the device does not answer.
-            HandshakeError: if another device answers than the one expected.
+            HandshakeError: if the device that answers is not the expected one.
             BusError: if the bus cannot be used.
         """
 
@@ -86,7 +86,7 @@ class Driver(ABC):
             bus: The method of `buses` that acquires the bus.
             address: The bus's address.
             talk: Makes the link from the bus.
-            emulator: The emulator or its name; by default the one named as the driver.
+            emulator: The emulator or its name; by default the one with the driver's name.
             emulated: Options of an emulated device, beside those in hand.yaml.
             settings: Further arguments of ``bus``, such as ``baudrate``.
 
@@ -112,17 +112,17 @@ class Driver(ABC):
         *strangers: type[Exception],
         check: str = "check the address",
     ) -> Iterator[None]:
-        """Raise errors that distinguish a missing device from another one, in the first exchanges.
+        """Convert errors of the first exchanges: either no device answers, or the wrong one does.
 
         Args:
             expected: The device, with its article, such as ``an SVH``.
             absent: The message if no device answers, such as ``no SVH answers at /dev/ttyUSB0``.
-            hint: What to check then.
+            hint: What to check in that case.
             strangers: The errors that another device causes.
             check: What to check if another device answers.
 
         Raises:
-            NotConnected: if no device answers, or none that can be understood.
+            NotConnected: if no device answers, or its answer cannot be decoded.
             HandshakeError: if another device answers.
         """
         try:
@@ -143,7 +143,7 @@ class Driver(ABC):
             self.doing = ""
 
     async def activate(self) -> None:
-        """Power and enable the device; homes it only if the options allow it and it is not homed.
+        """Power and enable the device; home it only if it is not homed and the options allow it.
 
         Raises:
             DeviceFault: if the device refuses.
@@ -152,7 +152,7 @@ class Driver(ABC):
 
     @abstractmethod
     async def sense(self) -> ActuatorState:
-        """Return what the device measures now, in SI units and the order of ``spec.actuators``.
+        """Return the present measurements, in SI units and in the order of ``spec.actuators``.
 
         Every state needs new arrays, which the driver must not change afterwards.
 
@@ -174,9 +174,9 @@ class Driver(ABC):
     async def stop(self) -> None:
         """Stop motion now and stay powered; must not raise.
 
-        A device with a brake of its own uses that. Another one holds the measured posture, but for
-        the actuators for which ``standstill.instead`` gives another position: a measurement that
-        cannot be true would make the device jump.
+        A device with a brake of its own uses that brake. Any other device holds the measured
+        posture, except for actuators for which ``standstill.instead`` gives another position: a
+        measurement that cannot be true would make the device jump.
         """
 
     async def disable(self) -> None:
@@ -199,7 +199,7 @@ class Driver(ABC):
         """Check whether a device that is connected, but not active, could be activated at once.
 
         Returns:
-            Why it would have to move first, such as ``not homed``; otherwise empty.
+            The reason why it would have to move first, such as ``not homed``; otherwise empty.
 
         Raises:
             DeviceFault: if the device reports a fault.
@@ -212,13 +212,13 @@ class Driver(ABC):
         self.capabilities = replace(self.capabilities, **changes)
 
     def fault(self, code: int, name: str, hint: str = "") -> DeviceFault:
-        """Return a fault that the device reports; the driver is inactive from here on."""
+        """Return the error for a fault that the device reports, and make the driver inactive."""
         # An inactive driver only reads, so that the fault is raised once and not in every cycle.
         self.active = False
         return DeviceFault(self.spec.name, code, name, hint=hint)
 
     def stranger(self, expected: str, found: str, hint: str = "") -> HandshakeError:
-        """Return the error for another device than the one expected."""
+        """Return the error for a device other than the expected one."""
         return HandshakeError(self.spec.name, expected, found, hint=hint)
 
     def counters(self) -> Mapping[str, int]:

@@ -36,7 +36,7 @@ class GripForce:
 
     def range_at(self, position: float) -> tuple[float, float]:
         """Return the weakest and the strongest force [N] at a position [rad | m]."""
-        # One point, which `interp` continues on both sides, if the force is the same everywhere.
+        # A force that is the same everywhere has one point, which `interp` extends to both sides.
         at = self.position or (0.0,)
         low, high = (np.interp(position, at, force) for force in (self.weakest, self.strongest))
         return float(low), float(high)

@@ -15,7 +15,7 @@ L = TypeVar("L")
 
 
 def owner_of(spec: DeviceSpec) -> str:
-    """Return the name by which a device owns its bus, unique among all hands of a process."""
+    """Return the name under which a device owns its bus, unique among all hands of a process."""
     return f"{spec.hand}/{spec.name}"
 
 
@@ -53,7 +53,7 @@ class Connection(Generic[L]):
     ``L`` is the type of the link: the bus, or an object that implements the device's protocol.
 
     Attributes:
-        owner: The name by which the device owns its bus.
+        owner: The name under which the device owns its bus.
     """
 
     def __init__(self, spec: DeviceSpec) -> None:

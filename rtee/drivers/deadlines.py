@@ -1,4 +1,4 @@
-"""Deadlines of drivers: of an exchange in a cycle or outside one, and of the end of a motion."""
+"""Deadlines of drivers: for exchanges in and outside the cycle, and for operations like homing."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ async def time_limit(
 
     Args:
         seconds: The longest time [s].
-        fault: Makes the exception to raise when the time is over.
-        end: Ends the operation on the device, when the time is over or the task is cancelled.
+        fault: Makes the exception to raise when the time is up.
+        end: Ends the operation on the device when the time is up or the task is cancelled.
 
     Raises:
         BusTimeout: if the device does not answer.

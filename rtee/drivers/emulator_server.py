@@ -22,16 +22,16 @@ from rtee.errors import ConfigError, RteeError, suggestion
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
 _ZMQ_PORT = 5556
-"""TCP port where a ZeroMQ server publishes; the next answers requests, the one after commands."""
+"""TCP port where a ZeroMQ server publishes; the next one takes requests, the third one commands."""
 HELP = """\
 fault NAME        put a fault into the device
-clear [NAME]      take it away, or all
-wire NAME=SHARE   let the wire drop, corrupt, duplicate, delay or split a share of what passes,
+clear [NAME]      clear that fault, or all
+wire NAME=SHARE   let the wire drop, corrupt, duplicate, delay or split a share of the traffic,
                   or put noise before it: wire drop=0.05 noise=0.01
 unplug, replug    pull the cable, put it back
 power             cut the supply for a moment
-object SIZE       put an object between the fingers, 50mm wide or met after 0.4 of the travel
-object            take it away
+object SIZE       put an object between the fingers: 50mm wide, or met at 0.4 of the travel
+object            remove the object
 state             show the device
 quit              end
 """
@@ -225,4 +225,4 @@ def _check_rate(name: str, emulator: Emulator, baudrate: int | None) -> None:
     rates = emulator.BAUDRATES
     if baudrate is not None and rates and baudrate not in rates:
         known = ", ".join(str(rate) for rate in sorted(rates))
-        raise ConfigError(f"'{name}' has no line at {baudrate} baud; possible: {known}")
+        raise ConfigError(f"'{name}' cannot be set to {baudrate} baud; possible: {known}")

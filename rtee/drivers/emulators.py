@@ -28,7 +28,7 @@ def emulator_names() -> list[str]:
 
 
 def find_emulator(name: str) -> type[Emulator]:
-    """Return the emulator class of a driver's name, entry point or ``module:Class``.
+    """Return the emulator class for a driver's name, an entry point or ``module:Class``.
 
     Raises:
         ConfigError: if there is no emulator of that name, or the class cannot be imported or is not
@@ -55,12 +55,12 @@ def emulator_of(
 ) -> EmulatorFactory | None:
     """Return the factory that a driver passes to the pool's methods: ``None`` for a real device.
 
-    A driver names its emulator instead of importing it, so that a real device does without the
+    A driver names its emulator instead of importing it, so that a real device does not load the
     emulator's module.
 
     Args:
         spec: The device.
-        kind: The emulator or its name in the registry; by default the one named as ``spec.driver``.
+        kind: The emulator or its name in the registry; by default the name is ``spec.driver``.
         options: Options that replace those of the device.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Actuators that were active when the driver connected, and must keep their grip until they move.
+"""Actuators that were active when the driver connected: they keep their grip until commanded.
 
 The target of an actuator that holds an object lies beyond its position; the controller turns the
 difference into force. The first reference after connecting is the measured position, and sending it
@@ -21,7 +21,7 @@ range]."""
 
 
 class Attached:
-    """Keeps track of the actuators to which no reference may be sent yet.
+    """The actuators to which no reference may be sent yet.
 
     Args:
         actuators: The actuators of the device.

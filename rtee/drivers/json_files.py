@@ -26,7 +26,8 @@ def read_calibration_file(
         made_with: Required values of fields; a file with other values belongs to another device.
 
     Raises:
-        CalibrationError: if the file is missing, not such a calibration, or that of another device.
+        CalibrationError: if the file is missing, holds no such calibration, or is for another
+            device.
     """
     try:
         found = validated(kind, json.loads(path.read_text("utf-8")))
@@ -44,6 +45,6 @@ def read_calibration_file(
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON, and make the folder; raises `ConfigError` if that is impossible."""
+    """Write a value as JSON, creating the folder if needed; raises `ConfigError` if that fails."""
     make_folder(path.parent)
     write_atomically(path, json.dumps(value, indent=2) + "\n")

@@ -42,11 +42,11 @@ def known_names(built_in: Mapping[str, str], group: str) -> list[str]:
 def find_class(
     name: str, what: str, built_in: Mapping[str, str], group: str, base: type, unknown: str
 ) -> Any:
-    """Return the class of a name.
+    """Return the class with a given name.
 
     Args:
         name: A built-in name, an entry point's name, or ``module:Class``.
-        what: What it is, for the message, such as ``driver``.
+        what: The kind of class, for the message, such as ``driver``.
         built_in: The built-in ones, ``module:Class`` by name; they take precedence.
         group: The entry point group of the others.
         base: The class that it must be derived from.
@@ -71,7 +71,7 @@ def find_class(
 
 
 def _offered(group: str) -> Mapping[str, str]:
-    # Imported only here: it takes 1.5 MB, and most hands have drivers of rtee's.
+    # Imported only here: it takes 1.5 MB, and most hands need only built-in drivers.
     from importlib.metadata import entry_points
 
     return {point.name: point.value for point in entry_points(group=group)}

@@ -1,4 +1,4 @@
-"""An object between the fingers of an emulated device, in the same way for every device."""
+"""Objects between the fingers of emulated devices, described in the same way for every device."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STIFFNESS = 50.0
 """Default stiffness of an object; for its unit, see `ObjectInHand`."""
 
 WRITTEN = "0.4 (fraction of the closing travel), 50mm (its width), or 50mm:20 (softer)"
-"""How an object is written, for messages."""
+"""The notation of an object, for messages."""
 
 _PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -41,7 +41,7 @@ _SOFTEST, _HARDEST = 0.1, 1e6
 """Range of an object's stiffness: around a softer one the fingers close as if nothing were there;
 in a harder one a single encoder count is more than full effort."""
 _SLACK = 0.02
-"""How far the fingers may already be closed beyond an object that is placed [fraction of their
+"""How far beyond a newly placed object the fingers may already be closed [fraction of their
 travel]: friction and the resolution of encoders leave fingers that far from their target."""
 
 
@@ -73,7 +73,7 @@ class Closing(NamedTuple):
 
     @property
     def part(self) -> float:
-        """Fraction of the travel that it is closed, 0 to 1."""
+        """Fraction of the travel by which the motor is closed, 0 to 1."""
         return (self.motor.position - self.opened) / (self.closed - self.opened)
 
 
@@ -108,17 +108,15 @@ class ObjectInHand:
             size, stiffness = math.nan, 0.0
         if match is None or not math.isfinite(size) or not _SOFTEST <= stiffness <= _HARDEST:
             raise ConfigError(
-                f"the object '{value}' cannot be read; an object is {WRITTEN}, its stiffness 0.1 "
-                "to 1e6"
+                f"the object '{value}' cannot be read; write {WRITTEN}; the stiffness is 0.1 to 1e6"
             )
         unit = match[2]
         if unit is not None:
             return cls(width=size * _METRES[unit], stiffness=stiffness)
         if not 0.0 <= size <= 1.0:
             raise ConfigError(
-                f"the fingers must meet the object after 0 to 1 of the travel, not {size:g}; a "
-                "width has a "
-                "unit, such as 50mm"
+                f"the fingers must meet the object at 0 to 1 of the travel, not at {size:g}; a "
+                "width needs a unit, such as 50mm"
             )
         return cls(closure=size, stiffness=stiffness)
 
@@ -132,7 +130,7 @@ class Grasps(ABC):
 
     @abstractmethod
     def closings(self) -> Sequence[Closing]:
-        """Return how each motor that closes on an object does so."""
+        """Return the closing motion of each motor that closes on an object."""
 
     def closure_at(self, width: float) -> float:
         """Return the fraction of the travel at which the fingers meet an object of a width [m].
@@ -177,13 +175,13 @@ class Grasps(ABC):
 
 
 def grasping(emulator: Emulator) -> Grasps:
-    """Return the emulator as one that can hold an object.
+    """Return the emulator, if it can hold an object.
 
     Raises:
         ConfigError: if nothing can be put between its fingers.
     """
     if not isinstance(emulator, Grasps):
-        raise ConfigError("this emulated device takes no object between its fingers")
+        raise ConfigError("this emulated device cannot hold an object between its fingers")
     return emulator
 
 
@@ -215,7 +213,7 @@ def between_fingers(hand: str, specs: Sequence[DeviceSpec], text: str) -> tuple[
 
 
 def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
-    """Make an emulator from a driver's options: worn, and with an object between its fingers.
+    """Make an emulator from a driver's options, with the wear and the object that they give.
 
     Raises:
         ConfigError: if the options do not suit the emulator.
@@ -255,14 +253,14 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
         return validated(Wear, {**structs.asdict(kind.WEAR), **state})
     except Invalid as error:
         if error.first.fault is MistakeKind.UNKNOWN:
-            unknown = f"nothing wears by '{error.first.at[0]}'; {error.sentence}"
+            unknown = f"unknown kind of wear '{error.first.at[0]}'; {error.sentence}"
             raise ConfigError(unknown) from None
         what = ".".join(map(str, error.first.at))
         raise ConfigError(f"wear '{what}' of the emulated device: {error.sentence}") from None
 
 
 def wear_down(emulator: Emulator, wear: Wear) -> None:
-    """Make an emulated device differ from its sheet."""
+    """Apply wear to an emulated device, which then differs from its data sheet."""
     for one in emulator.closings() if isinstance(emulator, Grasps) else ():
         if isinstance(one.motor, Axis):
             one.motor.travel = abs(one.closed - one.opened)

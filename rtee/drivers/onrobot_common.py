@@ -23,7 +23,7 @@ FIRMWARE = 0x0604  # register of the firmware's version
 SERIAL = 0x0609  # first register of the serial number
 SERIAL_COUNT = 16  # its registers, two characters each
 
-TENTH_MM = 1e-4  # m in a register's unit of widths and diameters
+TENTH_MM = 1e-4  # unit of the registers of widths and diameters [m]
 
 PRODUCTS: dict[int, str] = {0x20: "RG2", 0x21: "RG6", 0xC0: "2FG7", 0xC1: "2FG14"}
 """Product codes from the vendor's own packages; sources disagree about that of the 3FG."""
@@ -45,7 +45,7 @@ class OnRobotOptions(DeviceOptions, frozen=True):
     rate: Positive = 50.0
     """Exchanges per second through the Compute Box."""
     settle: NotNegative = 0.1
-    """Time after which the driver grips with force at a reference at rest [s]."""
+    """Time after which the driver grips with force at a resting reference [s]."""
 
     @property
     def address(self) -> str:
@@ -54,12 +54,12 @@ class OnRobotOptions(DeviceOptions, frozen=True):
 
 
 def signed(register: int) -> int:
-    """Return a register that is signed."""
+    """Return the value of a signed register."""
     return register - 0x10000 if register & 0x8000 else register
 
 
 def metres(tenth_mm: int) -> float:
-    """Return a length register of 0.1 mm in metres."""
+    """Convert the value of a length register [0.1 mm] to metres."""
     return tenth_mm * TENTH_MM
 
 

@@ -39,7 +39,7 @@ class OnRobotDriver(Driver, Generic[S]):
     """An OnRobot gripper on Modbus, with one actuator.
 
     It needs no activation and no homing. A cycle is one exchange, which writes a command and reads
-    the state; where nothing is to be commanded, the state is read.
+    the state; without a command, the driver only reads the state.
 
     Attributes:
         MODEL: Its name in messages.
@@ -69,7 +69,7 @@ class OnRobotDriver(Driver, Generic[S]):
 
     @abstractmethod
     def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
-        """Return the quantities that the device measures and accepts."""
+        """Return the capabilities of the device."""
 
     @abstractmethod
     def _measured(self, status: S, stamp: float) -> ActuatorState:
@@ -151,14 +151,14 @@ class OnRobotDriver(Driver, Generic[S]):
         return identity
 
     async def activate(self) -> None:
-        """Check that it reports no fault."""
+        """Check that the gripper reports no fault."""
         with self.connection.link.relaxed_deadline():
             self._refuse(await self.connection.link.read())
         self._forget()
         self.active = True
 
     async def examine(self) -> str:
-        """Raise the fault that it reports."""
+        """Raise the fault that the gripper reports, if any."""
         self._refuse(await self.connection.link.read())
         return ""
 

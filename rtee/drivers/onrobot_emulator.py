@@ -15,7 +15,7 @@ from rtee.drivers.options import Byte, Duration, Positive, Rate
 from rtee.hand.validation import Section
 
 _GATEWAY_NO_TARGET = 0x0B  # Modbus exception: the target device does not answer the gateway
-_VERSION, _BUILD = 0x0105, 7  # firmware 1.5, build 7, as of no gripper in particular
+_VERSION, _BUILD = 0x0105, 7  # firmware 1.5, build 7: chosen arbitrarily
 
 Window = tuple[int, int]
 """First and last register of a block that can be read or written."""
@@ -68,7 +68,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
     def __init__(self, properties: OnRobotProperties) -> None:
         made = self._made = properties
         super().__init__(made.unit, made.framing, baudrate=made.baudrate)
-        # Over TCP, too: behind a Compute Box the unit distinguishes the tools of a dual changer.
+        # Also over TCP: behind a Compute Box the unit distinguishes the tools of a dual changer.
         self.any_unit = False
         self.moves = 0
 
@@ -103,7 +103,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
 
     @abstractmethod
     def _effort(self, part: float) -> float:
-        """Return the effort limit when a part of the force is built up, 0 to 1."""
+        """Return the effort limit once a part of the force, 0 to 1, has built up."""
 
     def _set(self, address: int, values: Sequence[int]) -> None:
         """Set target registers, and carry out a command among them; raises `Refused`."""
@@ -118,11 +118,11 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
 
     @property
     def _built_up(self) -> float:
-        """The part of the force that is built up, 0 to 1."""
+        """The part of the force that has built up, 0 to 1."""
         return min(self._building / max(self._made.force_time, 1e-6), 1.0)
 
     def _advance_by(self, dt: float) -> None:
-        """Let ``dt`` seconds pass; at an object, the force is built up."""
+        """Let ``dt`` seconds pass; at an object, the force builds up."""
         self.axis.advance(dt)
         if not self._busy or self.axis.moving:
             return
@@ -137,12 +137,12 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         self._busy = self._built_up < 1.0
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers, if the tool is there."""
+        """Return registers; raises `Refused` if the tool is missing."""
         self._reachable()
         return super().read(function, address, count, now)
 
     def windows(self, function: int) -> Mapping[int, Sequence[int]]:
-        """Return the readable blocks; registers that no document names are 0."""
+        """Return the readable blocks; undocumented registers are 0."""
         known = self.registers()
         return {
             low: [known.get(register, 0) & 0xFFFF for register in range(low, high + 1)]

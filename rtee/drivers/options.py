@@ -34,7 +34,7 @@ class DeviceOptions(Section, frozen=True):
     """Options that every device has; unknown names are refused."""
 
     emulator: dict[str, Any] = field(default_factory=dict)
-    """Properties of the emulated device (``rtee run --emulated``), by its emulator."""
+    """Properties of the emulated device (``rtee run --emulated``), as its emulator defines them."""
 
 
 S = TypeVar("S", bound=Section)

@@ -19,14 +19,14 @@ def text(raw: bytes) -> str:
 
 
 class PackedPart(NamedTuple):
-    """The place of a value, behind those declared before it.
+    """The format of a value, which follows those declared before it.
 
     Attributes:
         code: Its format in `struct`.
-        many: Values of a tuple; 0: a single value.
+        many: Number of values in a tuple; 0 for a single value.
         kind: Makes the value from the number or bytes.
         per: Counts per unit of the value; ``None``: the value is the number itself.
-        skip: Bytes without a meaning before it.
+        skip: Unused bytes before it.
     """
 
     code: str
@@ -36,9 +36,9 @@ class PackedPart(NamedTuple):
     skip: int = 0
 
     def getter(self, at: int) -> Callable[[tuple[Any, ...]], Any]:
-        """Return a function that takes the value from all numbers, the first of them at an index.
+        """Return a function that makes the value from a block's numbers, starting at an index.
 
-        It raises `ValueError` for a number that does not encode a value.
+        The function raises `ValueError` for a number that does not encode a value.
         """
         kind, per, many = self.kind, self.per, self.many
         if per is not None:
@@ -78,7 +78,7 @@ def part(
 
 
 class Packed:
-    """Bytes with the low one of a number first: a frozen dataclass whose fields `part` declares.
+    """Little-endian bytes: a frozen dataclass whose fields are declared by `part`.
 
     Attributes:
         WHAT: Its name in messages, with its article, such as ``a report of an RH56``.
@@ -91,7 +91,7 @@ class Packed:
     LONGER: ClassVar[bool] = False
 
     def to_bytes(self) -> bytes:
-        """Return the bytes; a number too large or small becomes the nearest that they can hold."""
+        """Return the bytes; a number out of range becomes the nearest one that fits."""
         layout = _layout(type(self))
         form, found = layout.form, layout.values(self)
         if layout.putters is not None:
@@ -121,7 +121,7 @@ class Packed:
 
 
 class _Layout(NamedTuple):
-    """Layout of a block; ``None``: each value is its only number."""
+    """Layout of a block; without ``getters`` and ``putters``, each value is a single number."""
 
     form: struct.Struct
     codes: str

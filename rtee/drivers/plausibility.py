@@ -1,4 +1,4 @@
-"""Judge measured positions: which no actuator can have reached, which a reference may start from.
+"""Judge measured positions: could an actuator have reached them, may a reference start from them?
 
 `Plausibility.start` alone decides whether a reference may start from a measurement.
 """
@@ -12,24 +12,24 @@ from dataclasses import dataclass
 from rtee.types import ActuatorSpec, Event, JointKind
 
 MARGIN = 5.0
-"""Plausible speed of an actuator, in multiples of its velocity limit: that limit is one of
+"""Plausible speed of an actuator, in multiples of its velocity limit: that limit applies to
 set-points, and an actuator that is pushed, slips or catches up exceeds it."""
 
 _SPARE = 0.1
-"""Extra time at that speed, added to the time between two measurements [s]: they are older than the
-ticks that collect them. It covers half a second at the velocity limit; a device that is silent for
-longer is lost."""
+"""Extra time at that speed, added to the time between two measurements [s], which are older than
+the ticks that collect them. It covers half a second at the velocity limit; a device that is silent
+for longer is lost."""
 
 _SLACK = 0.05
-"""Travel allowed in addition, as a share of the range: a coarse sensor, an object that slips."""
+"""Additional travel, as a share of the range, for a coarse sensor or an object that slips."""
 
 _OUTSIDE = 0.5
 """A position further outside of its limits than this share of the range is implausible. Devices do
 come to rest outside of the limits, which are often narrower than the mechanism."""
 
 _CALM = 0.5
-"""A position is plausible again after this time without an implausible step [s]: some exchanges of
-the slowest device."""
+"""A position is plausible again after this time without an implausible step [s]: long enough for
+several exchanges of the slowest device."""
 
 _PERSISTENT = 5
 """This many implausible steps with less than `_CALM` between them are not a glitch. A position
@@ -45,12 +45,12 @@ between measurements: two more measurements agree, even if they are late."""
 
 
 _OLD = 0.05
-"""A measurement older than this is too old for a reference to start from [s], but for devices that
-are measured less often: at 2 rad/s, an actuator moves 0.1 rad in it."""
+"""Age above which no reference may start from a measurement [s], except for devices that are
+measured less often: at 2 rad/s, an actuator moves 0.1 rad in this time."""
 
 _OLD_INTERVALS = 2.5
-"""A measurement of such a device is too old after this many usual intervals: one was missed, and
-the next one is late."""
+"""A measurement of such a device is too old after this many usual intervals: by then one was
+missed, and the next one is late."""
 
 _LONGEST_INTERVAL = 0.25
 """A longer time between two measurements is not an interval, but a silence [s]."""
@@ -60,7 +60,7 @@ _WEIGHT = 0.125
 
 _FROZEN = 0.01
 """An encoder looks frozen if its value has not changed at all while the reference has moved by this
-share of the range: more than friction and play keep from a servo."""
+share of the range: friction and play hide less than that."""
 
 
 @dataclass(slots=True)
@@ -117,9 +117,9 @@ class Plausibility:
         return bool(self._doubted) and any(i in self._doubted for i in indices)
 
     def leaping(self, indices: Iterable[int], stamp: float) -> bool:
-        """Return whether measurements of any given actuator are too rare to tell its position.
+        """Return whether the position of any given actuator is unsettled after a leap.
 
-        It has leapt, even if plausibly, and too few later measurements agree.
+        The leap may be plausible, but too few later measurements agree with it yet.
         """
         return any(stamp < self._leaping_until[i] for i in indices)
 
@@ -141,8 +141,8 @@ class Plausibility:
         Args:
             i: The actuator.
             stamp: Now [s].
-            reference: Its position sent last [rad | m].
-            touching: Whether something else than the position shows that the actuator presses
+            reference: The position sent to it last [rad | m].
+            touching: Whether something other than the position shows that the actuator presses
                 against an object, which keeps it as still as a frozen encoder.
         """
         here = self._last[i]
@@ -184,7 +184,7 @@ class Plausibility:
             reference: Positions sent last [rad | m].
         """
         last = self._last
-        if position != last:  # this test alone for a hand at rest
+        if position != last:  # the only test needed for a hand at rest
             for i, here in enumerate(position):
                 if here != last[i]:
                     self._moved(i, here, stamp, active[i])
@@ -227,7 +227,7 @@ class Plausibility:
             if travel > self._leap[i]:
                 # A device may repeat an answer until it has a new one.
                 repeated = min(stamp - self._changed[i], _SPARE)
-                # After a silence, as of a cable that was out, it is measured as often as before.
+                # After a silence, as of an unplugged cable, measurements are as frequent as before.
                 interval = min(stamp - before, _LONGEST_INTERVAL)
                 self._leaping_until[i] = stamp + _AGREEING * max(interval, repeated)
             rest = left + rate * (stamp - before) - travel
@@ -264,7 +264,7 @@ class Plausibility:
 
 
 def _usual(before: float, interval: float) -> float:
-    """Return the usual interval between measurements after another one [s]."""
+    """Return the usual interval between measurements, updated with the newest one [s]."""
     if interval > _LONGEST_INTERVAL:
         return before
     return before + _WEIGHT * (interval - before)

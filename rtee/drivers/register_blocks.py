@@ -24,7 +24,7 @@ _TRIES = 3
 """Attempts before function 23 counts as not supported, and for a write that must arrive."""
 
 _REFRESH = 0.005
-"""Robotiq's grippers refresh their registers every 5 ms [s]; their manuals, Modbus RTU section."""
+"""Refresh period of the registers of Robotiq's grippers [s]; their manuals, Modbus RTU section."""
 
 
 class Blocks(RelaxedDeadline, Generic[S]):
@@ -94,7 +94,7 @@ class Blocks(RelaxedDeadline, Generic[S]):
         await self.bus.write(self.unit, self._output, values, deadline=deadline or self.deadline)
 
     async def insist(self, values: Sequence[int]) -> bool:
-        """Write the output block, several times if need be; return whether it arrived."""
+        """Write the output block, up to `_TRIES` times; return whether it arrived."""
         for _ in range(_TRIES):
             # A lost frame is no reason to give up a stop.
             with contextlib.suppress(BusError):
@@ -103,9 +103,9 @@ class Blocks(RelaxedDeadline, Generic[S]):
         return False
 
     async def exchange(self, values: Sequence[int]) -> S:
-        """Write the output block; return the state, also to the next `newest`; errors as `read`."""
+        """Write the output block, and return and keep the state; errors as for `read`."""
         state = await self._exchange(values)
-        # The answer is kept: one exchange in a cycle instead of two.
+        # The next `newest` returns the kept state: one exchange in a cycle instead of two.
         self._kept = state, monotonic.now()
         return state
 
@@ -134,7 +134,7 @@ class Blocks(RelaxedDeadline, Generic[S]):
         return await self.read()
 
     async def newest(self) -> tuple[S, float]:
-        """Return the state that came with the last exchange, or read it; and its time [s]."""
+        """Return the state kept by the last exchange, or read it, with its time [s]."""
         # Returned only once: a second `sense` in the same cycle must read the gripper.
         kept, self._kept = self._kept, None
         if kept is None or monotonic.now() - kept[1] > self._age:

@@ -16,7 +16,7 @@ class RegisterField(NamedTuple):
     Attributes:
         word: Its register, counted from the first of the block.
         bit: Its lowest bit there.
-        width: Its bits.
+        width: Its number of bits.
         kind: Makes the value from the number.
         signed: Whether the number is in two's complement.
     """
@@ -49,7 +49,7 @@ class Group(NamedTuple):
 
     Attributes:
         kind: Makes an object from its values; ``None``: each value stands for itself.
-        members: The places of the values of each.
+        members: For each element of the tuple, the places of its values.
     """
 
     kind: Callable[..., Any] | None
@@ -101,7 +101,7 @@ class Registers:
     """A block of registers: a frozen dataclass whose fields are declared by `at`, `flag`, `each`.
 
     Attributes:
-        COUNT: Registers of the block.
+        COUNT: Number of registers in the block.
         WHAT: Its name in messages, such as ``status of an RG``.
         STRICT: Whether bits outside all fields are always clear.
     """
@@ -129,7 +129,7 @@ class Registers:
             raise FrameError(bus, f"not a valid {cls.WHAT}: {raw.hex(' ')}", raw) from None
 
 
-@lru_cache(maxsize=64)  # a device at rest repeats itself
+@lru_cache(maxsize=64)  # a device at rest repeats its answers
 def _read(block: Any, registers: tuple[int, ...]) -> Any:
     known = _known(block) if block.STRICT else ()
     if len(registers) < block.COUNT or any(registers[i] & ~k for i, k in enumerate(known)):
@@ -144,7 +144,7 @@ def _layout(block: Any) -> tuple[tuple[str, RegisterField | Group], ...]:
 
 @cache
 def _known(block: Any) -> tuple[int, ...]:
-    """Return the bits of each register that a field has."""
+    """Return the bits of each register that belong to a field."""
     known = [0] * block.COUNT
     for _, place in _layout(block):
         for member in place.members if isinstance(place, Group) else [[place]]:

@@ -15,7 +15,7 @@ def driver_names() -> list[str]:
 
 
 def find_driver(name: str, *, source: str = "") -> type[Driver]:
-    """Return the driver class of a name.
+    """Return the driver class with a given name.
 
     Args:
         name: A name in `DRIVERS`, an entry point's name, or ``module:Class``.

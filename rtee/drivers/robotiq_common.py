@@ -1,4 +1,4 @@
-"""Common parts of all Robotiq grippers: options, faults, how they report contact.
+"""Common parts of all Robotiq grippers: options, faults, reports of contact.
 
 Sources: the instruction manuals of the 2F-85, 2F-140 and Hand-E, and of the 3-Finger gripper, whose
 register names (rACT, gFLT ...) are used here.
@@ -50,7 +50,7 @@ class Fault:
     Attributes:
         name: Its name for messages.
         hint: What to do.
-        warning: Whether the gripper goes on in spite of it.
+        warning: Whether the gripper continues in spite of it.
         major: Whether only a reset with a new activation clears it.
     """
 
@@ -75,7 +75,7 @@ class RobotiqOptions(DeviceOptions, frozen=True):
     check_fingers: bool = True
     """Refuse a gripper whose registers are those of another number of fingers."""
     activation_timeout: Positive = 15.0
-    """Longest time [s]."""
+    """Longest time of an activation [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class RobotiqCommand(Registers):
 
 @dataclass(frozen=True, slots=True)
 class RobotiqStatus(Registers):
-    """The part that every gripper's input block has.
+    """The part common to the input blocks of all grippers.
 
     Attributes:
         activated: gACT.

@@ -1,7 +1,7 @@
 """Common parts of the emulated Robotiq grippers: registers, activation, faults, automatic release.
 
-What no manual states is a property: how long the activation takes, for example. Illegal requests,
-like bad frames, are not answered.
+Behaviour that no manual states is a property, such as the duration of the activation. Illegal
+requests, like bad frames, are not answered.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from rtee.drivers.robotiq_common import (
 from rtee.hand.validation import Section
 
 BLOCK = 8
-"""Registers of either block that are served; published programs read six of a two-finger one."""
+"""Number of registers served in each block; published programs read six from a two-finger one."""
 
 _RELEASING, _RELEASED = 0x0B, 0x0F  # gFLT: automatic release under way, completed
 _ACTIVATION_FAILED = 0x0D  # gFLT: activation fault
 
 _SELF_TEST = 800.0
-"""Travel of a motor during an activation, at most [counts]: three times its range, there and back
-with a margin."""
+"""Longest travel of a motor during an activation [counts]: three times its range, which covers the
+way there and back with a margin."""
 
 
 class RobotiqProperties(Section, frozen=True):
@@ -67,8 +67,8 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         WRONG: A register of the input block and bits of it that no such gripper sets.
         axes: The motors; positions in counts, efforts in N.
         output: The registers that the host has written.
-        activations: Activations completed since it was made.
-        moves: Times a new target was set.
+        activations: Number of activations completed since the emulator was made.
+        moves: Number of new targets.
         begun: The command that set the last new target.
     """
 
@@ -101,11 +101,11 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
 
     @abstractmethod
     def _windows(self) -> Sequence[tuple[int, int]]:
-        """Return the first registers of input and output block, for each address they have."""
+        """Return the first registers of the input and output blocks, for each pair of addresses."""
 
     @abstractmethod
     def status(self) -> RobotiqStatus:
-        """Return what the gripper reports."""
+        """Return the status that the gripper reports."""
 
     @abstractmethod
     def _follow(self, command: Any) -> bool:
@@ -152,7 +152,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
     # --- registers ---------------------------------------------------------------------------
 
     def windows(self, function: int) -> Mapping[int, Sequence[int]]:
-        """Return the input block, and the output block where that is read."""
+        """Return the input block, and the output block where it can be read."""
         found: dict[int, Sequence[int]] = {}
         for inputs, outputs in self._windows():
             found[outputs] = self.output
@@ -169,7 +169,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         return values + [0] * (BLOCK - len(values))
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
-        """Merge registers into the output block, wherever they start, and obey."""
+        """Merge registers into the output block, wherever they start, and execute the command."""
         for _, outputs in self._windows():
             start = address - outputs
             if start >= 0 and start + len(values) <= BLOCK:
@@ -180,7 +180,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         raise Refused(ILLEGAL_ADDRESS)
 
     def _reported_fault(self, command: RobotiqCommand) -> int:
-        """Return gFLT: a fault, or why a request to move is not followed yet."""
+        """Return gFLT: a fault, or the reason why a request to move is not followed yet."""
         if self._fault or not command.go:
             return self._fault
         if not command.activate:

@@ -1,4 +1,4 @@
-"""From a device's counts to SI units and back: straight lines, and those of a gripper's fingers."""
+"""Convert a device's counts to SI units and back: linear scales, also for a gripper's fingers."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ class LinearScale:
 
 
 class FingerScale:
-    """The counts of a gripper whose speed and force are those of its fingertips.
+    """The scales of a gripper whose counts of speed and force refer to its fingertips.
 
-    At the actuator they follow by virtual work: force times change of width is effort times change
-    of position.
+    Those of the actuator follow from virtual work: force times change of width is effort times
+    change of position.
 
     Args:
         position: Counts of the position to [rad | m].
-        lever: Change of the width by the actuator's position [m/rad | 1].
+        lever: Change of the width per change of the actuator's position [m/rad | 1].
         counts: Least and greatest count of speed and force.
         forces: Weakest and strongest grip [N].
-        speeds: Slowest and fastest fingertip [m/s]; 0 where it takes none.
+        speeds: Slowest and fastest fingertip [m/s]; 0 if the gripper accepts no speed.
 
     Attributes:
         position: Counts to [rad | m].

@@ -30,7 +30,7 @@ class EmulatedServo(ABC):
         keep: Sets it and stores the value.
         cause: The bits of errors whose cause persists.
         model: Its model number.
-        travel: Its positions at power-up and closed, on the axis.
+        travel: Positions of the axis at power-up and when closed.
     """
 
     ID: ClassVar[Any]
@@ -60,7 +60,7 @@ class EmulatedServo(ABC):
         return self.get(self.RETURN_DELAY) * DELAY_UNIT
 
     def strained_for(self, strained: bool, now: float) -> float:
-        """Return for how long it has been strained [s], if it is."""
+        """Return how long the servo has been strained [s]; 0 if it is not."""
         self._strained = (now if self._strained is None else self._strained) if strained else None
         return 0.0 if self._strained is None else now - self._strained
 
@@ -78,7 +78,7 @@ class EmulatedServo(ABC):
 
     @abstractmethod
     def write(self, address: int, data: bytes) -> object:
-        """Write bytes as a host may, and act on them."""
+        """Write bytes, with the checks of a host's write, and act on them."""
 
     def hold_back(self, address: int, data: bytes) -> None:
         """Store bytes to be written by `action`."""
@@ -124,7 +124,7 @@ class ServoLine(Emulator, Grasps, Generic[S]):
 
     @classmethod
     def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the ids of a device's servos and their initial positions: 0 rad."""
+        """Return the properties from a device's options: ids, initial positions and latency."""
         found = super().fitting(options)
         if "turnaround" in options:
             found["latency"] = options["turnaround"]
@@ -139,7 +139,7 @@ class ServoLine(Emulator, Grasps, Generic[S]):
     @classmethod
     @abstractmethod
     def _places(cls, options: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-        """Return where each servo of a device starts, and how it closes, by id."""
+        """Return the initial position and closing travel of each servo of a device, by id."""
 
     @property
     def servos(self) -> dict[int, S]:
@@ -154,7 +154,7 @@ class ServoLine(Emulator, Grasps, Generic[S]):
         return [servo for servo in found if now >= servo.silent_until]
 
     def write_each(self, address: int, size: int, entries: bytes, now: float) -> None:
-        """Write to several servos; for each there are its id and ``size`` bytes."""
+        """Write to several servos; ``entries`` holds an id and ``size`` bytes for each."""
         for at in range(0, len(entries) - size, size + 1):
             for servo in self.listening([entries[at]], now):
                 servo.write(address, entries[at + 1 : at + 1 + size])
@@ -184,18 +184,18 @@ class ServoLine(Emulator, Grasps, Generic[S]):
                 servo.keep(servo.BAUD_RATE, self.RATES.index(self.baudrate))
 
     def inject(self, fault: str) -> None:
-        """Put a fault into the first servo (its errors) or all (the rest)."""
+        """Put a fault into the servos: an error into the first, any other fault into all."""
         super().inject(fault)
         if fault in self.ERRORS:
             self.ordered[0].fail(self.ERRORS[fault])
 
     def on_faults(self) -> None:
-        """Block the servos while they are stuck, and set their errors and model numbers."""
+        """Apply the faults: block stuck servos, and set errors and model numbers."""
         super().on_faults()
         self.ordered[0].cause = sum(bit for name, bit in self.ERRORS.items() if name in self.faults)
         for servo in self.ordered:
             servo.keep(servo.MODEL, self.STRANGER if "wrong_device" in self.faults else servo.model)
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the servos close, from their positions at power-up."""
+        """Return the closing motions of the servos, from their positions at power-up."""
         return [Closing(servo.axis, *servo.travel, servo.axis.rating) for servo in self.ordered]

@@ -1,4 +1,4 @@
-"""Give a servo another id before it shares a line with others: the same for all families."""
+"""Change a servo's id before it shares a line with others, in the same way for all families."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rtee.drivers.servos import ServoLink
 from rtee.errors import ConfigError, DriverError, NotConnected
 
 ATTEMPTS = 4
-"""Attempts to write an id or a rate that the servo does not use afterwards."""
+"""Attempts to write an id or a rate until the servo uses it."""
 
 SETTLES = 0.02
 """Time for a servo to store a value [s]; no source gives one."""
@@ -19,7 +19,7 @@ _ASKED = 3
 
 
 async def model_of(link: ServoLink, number: int) -> int | None:
-    """Return the model number of the servo with an id, ``None`` if none answers."""
+    """Return the model number of the servo with an id, or ``None`` if no servo answers."""
     for _ in range(_ASKED):
         model = await link.model(number)
         if model is not None:
@@ -32,7 +32,7 @@ async def claim(link: ServoLink, port: str, old: int, new: int) -> int:
 
     Raises:
         ConfigError: if another servo has that id.
-        NotConnected: if no servo answers to the old one.
+        NotConnected: if no servo answers to the old id.
     """
     if new != old and await model_of(link, new) is not None:
         raise ConfigError(f"a servo {new} is already at {port}; disconnect it")
@@ -46,9 +46,9 @@ async def claim(link: ServoLink, port: str, old: int, new: int) -> int:
 async def renumber(
     link: ServoLink, port: str, old: int, new: int, store: Callable[[], Awaitable[None]]
 ) -> None:
-    """Let ``store`` write the new id until the servo answers to it; raises `BusError`.
+    """Call ``store`` to write the new id until the servo answers to it; raises `BusError`.
 
-    Raises `DriverError` if it does not take it.
+    Raises `DriverError` if the servo does not accept the id.
     """
     for _ in range(ATTEMPTS):
         await store()

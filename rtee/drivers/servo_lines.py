@@ -36,7 +36,7 @@ _MOST_SPEED = 0x7FFF
 
 
 class ServoOptions(Section, frozen=True, kw_only=True):
-    """Options of one servo that all kinds have.
+    """Options of one servo, common to all kinds.
 
     Attributes:
         id: Its id on the line.
@@ -62,7 +62,7 @@ class ServoOptions(Section, frozen=True, kw_only=True):
 
 
 class LineOptions(DeviceOptions, frozen=True):
-    """Options of a line of servos that all kinds have."""
+    """Options of a line of servos, common to all kinds."""
 
     port: str = "/dev/ttyUSB0"
     """A tty, socket:// or rfc2217://."""
@@ -77,7 +77,7 @@ class LineOptions(DeviceOptions, frozen=True):
     d: Annotated[int, Meta(ge=0)] | None = None
     """Derivative gain."""
     return_delay: Annotated[int, Meta(ge=0, le=254)] | None = 0
-    """Set in servos that have another one [2 µs]; null: leave."""
+    """Written to servos that have another one [2 µs]; null leaves them."""
     outside: Positive = 0.35
     """How far a joint may be outside its limits before its zero is doubted."""
     deadline: Positive = 0.1
@@ -261,7 +261,8 @@ class ServoScale:
         current_unit: Current per count [A].
         effort_unit: Torque of the joint per count of its measurement [N·m].
         limit_unit: Torque of the joint per count of the torque limit [N·m].
-        turns: Counts by which the servo's position exceeds the joint's; set by `unwrap`.
+        turns: Whole turns by which the servo's position is ahead of the joint's [counts]; set by
+            `unwrap`.
     """
 
     count: float
@@ -297,7 +298,7 @@ class ServoScale:
         return round(abs(torque) / self.limit_unit)
 
     def unwrap(self, position: float, lower: float, upper: float) -> None:
-        """Choose the turn in which a position [counts] lies in a range [rad], or nearest to it.
+        """Choose the turn that places a position [counts] in a range [rad], or nearest to it.
 
         After a power cycle a servo counts within one turn again, so that a joint whose range
         crosses the wrap may read a whole turn off.

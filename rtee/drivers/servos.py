@@ -1,7 +1,7 @@
-"""The engine of drivers of servos on a shared line: find, set up, power, read, aim, stop.
+"""The engine of drivers of servos on a shared line: find, set up, power, read, command, stop.
 
-A family of servos gives its link (`ServoLink`), its registers, how its measurements are read and
-its goals written, and what is special about its set-up and its faults.
+A family of servos adds its link (`ServoLink`), its registers, the code to read measurements and
+write goals, and the particulars of its set-up and faults.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 TORQUE_LOST = 0x100
-"""Code of a fault of the driver's own, above the bits of the servos' errors."""
+"""Fault code of the driver for lost torque, above the bits of the servos' errors."""
 
 POWERED = 1
 """Value of the torque register that lets a servo drive."""
 
 _ATTEMPTS = 4
-"""Attempts to write values that servos do not have afterwards."""
+"""Attempts to write values until the servos have them."""
 
 
 class ServoLink(ABC):
@@ -69,7 +69,7 @@ class ServoLink(ABC):
 
     @abstractmethod
     async def model(self, number: int) -> int | None:
-        """Return a servo's model number, ``None`` if it does not answer."""
+        """Return a servo's model number, or ``None`` if it does not answer."""
 
     @abstractmethod
     async def data(self, number: int, address: int, size: int) -> bytes:
@@ -89,7 +89,7 @@ class ServoLink(ABC):
         """Set a register of several servos, read it back, and repeat for those without the value.
 
         Servos do not answer a write to several of them, so the value read back decides; it may
-        differ by ``within``. Returns the other values that servos have kept, by id.
+        differ by ``within``. Returns the values of the servos that have kept others, by id.
         """
         left, kept = dict(values), dict[int, int]()
         for _ in range(_ATTEMPTS if left else 0):
@@ -115,7 +115,7 @@ class FoundServo:
         return_delay: Its return delay [2 µs].
         limits: Its smallest and largest position [counts]; equal: it has none.
         most: Its largest torque or current [counts].
-        powered: Whether it has torque.
+        powered: Whether its torque is enabled.
         gains: Its P, I and D; empty if they were not read.
         marked: Whether it has the mark, which a power cycle removes.
     """
@@ -139,7 +139,7 @@ class Coupling(Protocol):
 
     @property
     def pairs(self) -> Sequence[tuple[int, int]]:
-        """The indices of the servos, and of the actuators, of each pair."""
+        """The indices of each pair, the same for the servos and the actuators."""
         ...
 
     def servos(self, positions: FloatArray) -> FloatArray:
@@ -195,7 +195,7 @@ L = TypeVar("L", bound=ServoLink)
 class ServoDriver(Driver, Generic[L]):
     """Servos on one line; ``L`` is their link.
 
-    Servos with torque keep it, and their goals, when the line is opened and when it is closed.
+    Opening and closing the line changes neither the torque nor the goals of the servos.
 
     Attributes:
         TORQUE: The register that switches the torque.
@@ -203,7 +203,7 @@ class ServoDriver(Driver, Generic[L]):
         GAINS: The registers of the gains that can be tuned, by name.
         MOST_GAIN: Largest gain [counts].
         STORED: Number of bytes at the beginning of the table that hold a servo's set-up.
-        NEAR: Difference of the goal read back from a servo without torque that is tolerated.
+        NEAR: Tolerance for the goal read back from a servo without torque [counts].
         HINT: What to do about the errors that servos report.
         LOST: What to do about servos that have lost their torque.
         line: The options of the line.
@@ -274,7 +274,7 @@ class ServoDriver(Driver, Generic[L]):
 
     @abstractmethod
     def _check_found(self, name: str, found: FoundServo) -> None:
-        """Raise `HandshakeError` if a servo is set up in a way that excludes driving it."""
+        """Raise `HandshakeError` if the set-up of a servo prevents driving it."""
 
     @abstractmethod
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
@@ -286,10 +286,10 @@ class ServoDriver(Driver, Generic[L]):
 
     @abstractmethod
     def _refuses_effort(self) -> str:
-        """Return why effort limits are not accepted; empty if they are."""
+        """Return the reason why effort limits are not accepted; empty if they are."""
 
     async def _place(self) -> None:
-        """Derive values from the positions before these are used."""
+        """Derive values from the positions before the driver uses the positions."""
 
     @abstractmethod
     def _check_range(self, number: int, ends: Sequence[float]) -> None:
@@ -300,7 +300,7 @@ class ServoDriver(Driver, Generic[L]):
         """Set up servos without torque; their goals and torque follow."""
 
     async def _arm(self) -> Collection[int]:
-        """Set the guards of powered servos; return those that a guard has stopped meanwhile."""
+        """Arm the watchdogs of powered servos; return the servos that a watchdog has stopped."""
         return ()
 
     async def _watch(self) -> None:
@@ -426,12 +426,12 @@ class ServoDriver(Driver, Generic[L]):
         """Set up the servos without torque and power them at their positions.
 
         Raises:
-            DeviceFault: if one reports an error, or does not take the torque.
-            DriverError: if one does not accept a setting.
+            DeviceFault: if a servo reports an error, or its torque cannot be enabled.
+            DriverError: if a servo does not accept a setting.
         """
         link = self.connection.link
         with link.relaxed_deadline():
-            # Again, since a power cycle in the meantime has reset the settings.
+            # Again, since a power cycle in the meantime may have reset the settings.
             await self.find()
             await self._refuse(await self._readings())
             await self._place()
@@ -445,7 +445,7 @@ class ServoDriver(Driver, Generic[L]):
                 await self._hold(off, within=self.NEAR)
                 kept = await link.set_all(self.TORQUE, dict.fromkeys(off, POWERED))
                 if kept:
-                    # Only if no other fault explains it.
+                    # Raised only if no error that the servos report explains it.
                     await self._refuse(await self._readings())
                     raise self._lost(kept)
             stopped = await self._arm()
@@ -458,7 +458,7 @@ class ServoDriver(Driver, Generic[L]):
             if not {i, j} <= held:
                 held -= {i, j}
         self._attached.begin(held)
-        # At the end: until here, missing torque is no fault.
+        # At the end: until here, missing torque is not a fault.
         self.active = True
 
     async def _set(self, register: Any, values: Mapping[int, int]) -> None:
@@ -471,7 +471,7 @@ class ServoDriver(Driver, Generic[L]):
             )
 
     async def _set_gains(self, off: Sequence[int]) -> None:
-        """Set the gains of servos that have other ones than the options give."""
+        """Set the gains of servos whose gains differ from those in the options."""
         for i, (name, register) in enumerate(self.GAINS.items()):
             common, wanted = getattr(self.line, name), dict[int, int]()
             for servo in self._servos.values():
@@ -493,7 +493,7 @@ class ServoDriver(Driver, Generic[L]):
 
     async def deactivate(self) -> None:
         """Disable the torque."""
-        # From here on, missing torque is no fault.
+        # From here on, missing torque is not a fault.
         self.active = False
         if self.connection.is_open:
             with self.connection.link.relaxed_deadline():
@@ -524,7 +524,7 @@ class ServoDriver(Driver, Generic[L]):
         code: int = TORQUE_LOST,
         hint: str = "",
     ) -> DeviceFault:
-        """Return a fault of servos that the driver has found."""
+        """Return the error for a fault of some servos that the driver itself has detected."""
         named = ", ".join(f"{n} ({self.names[n]})" for n in numbers)
         return DeviceFault(self.spec.name, code, f"{what}: servo {named}", hint=hint or self.LOST)
 
@@ -537,8 +537,8 @@ class ServoDriver(Driver, Generic[L]):
         """Return the servos' measurements.
 
         Raises:
-            DeviceFault: if one that must have torque has none, or one reports an error.
-            FrameError: if one reports an impossible position.
+            DeviceFault: if a servo has lost its torque, or reports an error.
+            FrameError: if a servo reports an impossible position.
             BusError: if the line fails.
         """
         await self._watch()
@@ -632,8 +632,8 @@ class ServoDriver(Driver, Generic[L]):
         for _ in range(_ATTEMPTS):
             readings = await self._readings()
             angles = self._take(readings).angle
-            # In the servos' counts: by the actuators' positions, a pair beyond its limit would
-            # move.
+            # In the servos' counts: goals from the actuators' positions would move a pair that is
+            # beyond its limit.
             counts = [int(position) for position in readings.columns[0]]
             goal = self._to_actuators(angles)
             if others := instead(goal.tolist()):
@@ -671,7 +671,7 @@ class ServoDriver(Driver, Generic[L]):
             self._attached.begin()
             powered = self.ids
             if not self.active:
-                # A goal would enable the torque of some servos.
+                # Writing a goal enables the torque of some servos.
                 read = partial(self.connection.link.values, self.TORQUE, self.ids)
                 powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
             # Within the cycle's deadline: a lost answer must not use up the time of a stop.
@@ -701,9 +701,9 @@ class ServoDriver(Driver, Generic[L]):
 
         Arguments and errors as for `Calibrates.calibrate`.
         """
-        # Servos with torque would resist the hand that bends the joints.
+        # Servos with torque would resist the user, who bends the joints.
         await self.deactivate()
-        await ready("Put every joint into the rest posture; the servos are without torque.")
+        await ready("Put every joint into the rest posture; the torque of the servos is off.")
         with self.connection.link.relaxed_deadline():
             readings = await patiently(self._readings)
         angles = self._to_servos(rest).tolist()

@@ -14,10 +14,10 @@ from rtee.types import ActuatorSpec, Event, Reference
 
 _BESIDE = 0.05
 """Largest distance of a device from the path between its last position and its reference, as a
-share of the range: overshoot, play, a push."""
+share of the range; it allows for overshoot, play and pushes."""
 
 _EVERY = 0.005
-"""Interval below which measurements are not judged [s]: in a tick of 1 ms, all of them are on the
+"""Least time between two judged measurements [s]: within a tick of 1 ms, all of them are on the
 path."""
 
 _MOVED_BY_OTHERS = 0.5
@@ -28,8 +28,8 @@ class Standstill:
     """Judges the measurements that a stop would command.
 
     A driver that stops its device by commanding the measured posture would make it jump if that
-    posture was invalid, implausible or frozen. The driver's caller passes it what was
-    measured and commanded; the driver calls `instead` before it commands a measurement. The
+    posture was invalid, implausible or frozen. The driver's caller records measurements and
+    references here; the driver calls `instead` before it commands a measurement. The
     alternative, the reference sent last, moves nothing that was not about to move; so this check
     is stricter than `Plausibility`.
 
@@ -64,10 +64,10 @@ class Standstill:
         np.copyto(self._asked, reference.position, where=reference.mask)
 
     def instead(self, position: Sequence[float]) -> dict[int, float]:
-        """Return where to hold the actuators that must not hold the measured position.
+        """Return the positions of actuators that must not hold their measured position, by index.
 
-        By their indices, in radians or metres: at the reference sent last, or, if there was none,
-        where they rested. The measured position then serves all others.
+        Each is the reference sent last or, if there was none, the last position that was believed
+        [rad | m]. All other actuators hold the measured position.
 
         Args:
             position: The posture measured just now ``(n,)`` [rad | m].
@@ -90,7 +90,7 @@ class Standstill:
         # Until an actuator gets a reference, it should stay at its position.
         reference = [here if w != w else w for here, w in zip(position, wanted, strict=True)]
         self._plausibility.step(stamp, position, [fresh] * n, [True] * n, reference)
-        if position == self._believed:  # this test alone for a hand at rest
+        if position == self._believed:  # the only test needed for a hand at rest
             self._strayed = [math.inf] * n
             return
         for i, here in enumerate(position):

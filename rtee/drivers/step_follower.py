@@ -76,7 +76,7 @@ class StepFollower:
         self._sent = here, 0.0 if self._sent is None else self._sent[1]
 
     def sent(self) -> None:
-        """Note that the gripper has accepted the command that `next` returned last."""
+        """Record that the gripper has accepted the command that `next` returned last."""
         self._sent, self._sent_at = self._due, monotonic.now()
 
     def next(self, target: float, force: float, here: float, *, busy: bool, held: bool) -> Order:

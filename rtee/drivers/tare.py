@@ -8,17 +8,17 @@ from rtee.sample import FloatArray
 
 _DRIFT = 30.0
 """Time constant with which rest values follow readings below the threshold [s]: the drift of a
-sensor takes minutes, and a contact that grows this slowly is none that a hand makes."""
+sensor takes minutes, and no contact of a hand grows this slowly."""
 _RELEASE = 0.2
-"""Time constant with which they follow a reading that is too low [s]: a rest value that was taken
-while something touched is wrong as soon as that is gone; one noisy reading must not change it."""
+"""Time constant with which they follow a reading that is too low [s]: a rest value taken during a
+contact is wrong as soon as the contact ends, but one noisy reading must not change it."""
 
 
 class SensorTare:
     """The rest values of contact sensors, and the readings above them.
 
-    The first readings count as those of untouched sensors, so what a hand holds
-    when it is connected is felt only once it has been let go. Rest values then follow slow drift.
+    The first readings count as those of untouched sensors, so an object that is held at connection
+    is not felt until it has been let go. Rest values then follow slow drift.
 
     Args:
         threshold: Difference above which a reading is a contact [the readings' unit]: above the
@@ -36,7 +36,7 @@ class SensorTare:
         self._rest = None
 
     def above(self, values: FloatArray, stamp: float) -> FloatArray:
-        """Return by how much readings are above rest, 0 for those within the threshold.
+        """Return the excess of readings over the rest values, 0 for those within the threshold.
 
         Args:
             values: The readings ``(n,)``; ``NaN``: not measured.

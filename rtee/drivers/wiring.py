@@ -85,9 +85,10 @@ def finger_motor(name: str, motors: Sequence[str]) -> str:
 
     Args:
         name: The actuator's name.
-        motors: The motors of a hand: fingers, then what bends the thumb, then what rotates it.
+        motors: The motors of a hand: those of the fingers, then the one that bends the thumb, then
+            the one that rotates it.
     """
-    # Some makers call little what others, and many models of hands, call pinky.
+    # Some makers say "little" where others, and many models of hands, say "pinky".
     lowered, (*fingers, bends, rotates) = name.lower().replace("pinky", "little"), motors
     if "thumb" in lowered:
         return rotates if any(word in lowered for word in _ROTATES) else bends

@@ -32,7 +32,7 @@ _COMPILER: Final = {
     # MuJoCo refuses lighter moving links, which a kinematic model may have [kg, kg·m²].
     "boundmass": "1e-3",
     "boundinertia": "1e-9",
-    # Correct rounded moments of inertia that no body can have, instead of refusing them.
+    # Correct moments of inertia that rounding made impossible, instead of refusing them.
     "balanceinertia": "true",
 }
 """MuJoCo's compiler settings in the URDF, which other programs ignore."""
@@ -66,7 +66,7 @@ def export_hand(
 
     Args:
         folder: The hand's folder.
-        target: Folder to write to; made if needed. Existing files of these names are replaced.
+        target: Folder to write to; made if needed. Replaces existing files of these names.
         kinds: Formats to write.
 
     Raises:
@@ -92,7 +92,7 @@ def export_hand(
         notes += remarks
     if ExportFormat.SRDF in kinds:
         files[target / f"{hand.name}.srdf"] = format_srdf(hand, hand.disabled_collisions)
-    # Only now, so that a format that is refused leaves no part of an export.
+    # Only now, so that a refused format does not leave part of an export behind.
     write_all(files, folders=[target])
     return Exported(tuple(files), tuple(notes))
 
@@ -160,7 +160,7 @@ def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]
     error = float(np.abs(slope * x + offset - y).max())
     return [
         f"joint '{joint}' follows '{mimic.get('joint')}' by nlFunPos; programs that do not know "
-        f"that take the nearest line, up to {error:.2g} off"
+        f"nlFunPos use the closest line, which is up to {error:.2g} off"
     ]
 
 
@@ -175,7 +175,7 @@ def _limit(hand: Hand, name: str, element: ElementTree.Element) -> list[str]:
             element.set("type", "revolute")
         elif ends == 1:
             notes.append(
-                f"joint '{name}' has one limit, which a URDF cannot have: it has none there"
+                f"joint '{name}' has only one limit; a URDF needs both, so it has none there"
             )
         if limit is None and ends == 2:
             limit = ElementTree.SubElement(element, "limit", effort="0", velocity="0")

@@ -65,8 +65,8 @@ _NEAR: Final = 1e-5
 both below a billionth of the stiffness."""
 
 _JUMP: Final = 20.0
-"""Largest motion of another joint within one step of the moving joint, in such steps: a stretched
-linkage moves fast, and a faster motion is a jump to another solution."""
+"""Largest motion of another joint within one step of the moving joint, in units of that step: a
+stretched linkage moves fast, and a faster motion is a jump to another solution."""
 
 _DEGREES: Final = 24
 """Highest degree of the polynomial fitted to a joint's motion."""
@@ -83,9 +83,9 @@ class Solved:
     """A linkage as couplings.
 
     Attributes:
-        places: Positions of the moving joint at which it was closed ``(n,)``, ascending [rad | m].
-        positions: Positions of the others there ``(n, k)`` [rad | m].
-        follows: Couplings of the other joints to it.
+        places: Positions of the moving joint with a closed linkage ``(n,)``, ascending [rad | m].
+        positions: Positions of the other joints there ``(n, k)`` [rad | m].
+        follows: Couplings of the other joints to the moving one.
         notes: Sentences about peculiarities.
     """
 
@@ -101,7 +101,7 @@ class Linkage:
     Attributes:
         model: The model.
         joint: The joint that moves the others.
-        others: The others.
+        others: The other joints.
     """
 
     def __init__(
@@ -119,12 +119,12 @@ class Linkage:
         Args:
             model: The model; its contacts and limits are switched off.
             joint: The joint that moves the others.
-            others: The others.
+            others: The other joints.
             equalities: The numbers of the equalities to solve.
             fixed: Positions of the joints that are held [rad | m].
             springs: Springs, which with the joints' limits decide the directions that the
                 equalities leave open.
-            cords: Spatial tendons with springs, which decide them together with these.
+            cords: Spatial tendons with springs, which also decide these directions.
         """
         flags = mujoco.mjtDisableBit
         # Contacts and limits would move the joints, but only the equalities are solved here.
@@ -164,7 +164,7 @@ class Linkage:
         """Return the deflections of the springs ``(s,)`` and their gradients ``(s, 1 + n)``.
 
         Both are scaled by the root of the stiffness, so that half the square of the first is the
-        energy [J]. The second is the change of the springs' lengths by all joints.
+        energy [J]. The gradients are those of the springs' lengths by all joints.
         """
         lacking = self._rest - self._moved * x - self._pull @ q
         pull = np.column_stack([self._moved, self._pull])
@@ -194,8 +194,9 @@ class Linkage:
     def _stiffness(self, x: float, q: FloatArray, left: FloatArray) -> FloatArray:
         """Return the springs' stiffness ``(k, k)`` along open directions ``(n, k)`` [N·m/rad].
 
-        The levers of cords and the open directions turn with the posture, which adds to it; so it
-        is a difference of the forces along the open directions of neighbouring postures.
+        The levers of cords and the open directions turn with the posture, which adds stiffness. So
+        the stiffness is a difference of the forces along the open directions of neighbouring
+        postures.
         """
         pull = self._springs(x, q)[1][:, 1:] @ left
         if not self._cords:
@@ -289,7 +290,7 @@ class Linkage:
         return best if least < _OPEN else None
 
     def _meet_stops(self, q: FloatArray) -> bool:
-        """Stop the joints beyond their limits at these; return whether there were any."""
+        """Stop joints that are beyond their limits at these limits; return whether any were."""
         met = {
             i: limit
             for i, (lower, upper) in enumerate(self._ranges)
@@ -355,7 +356,7 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str) -> Solv
     if lower > limits[0] + step or upper < limits[1] - step:
         notes.append(
             f"{what} closes only while '{joint_name(model, joint)}' is between {lower:.4g} and "
-            f"{upper:.4g}, which are its limits"
+            f"{upper:.4g}, which become its limits"
         )
     if upper - lower < step:
         raise ModelError(f"{what} cannot move")
@@ -450,7 +451,7 @@ def motion_of(model: mujoco.MjModel) -> ModelMotion:
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     constraints = constraints_of(model)
-    # First of all, since held joints drop their motors, and their followers need no solution.
+    # Do this first, since held joints drop their motors, and their followers need no solution.
     _hold(constraints)
     motion = ModelMotion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
     held = [motor for motor in constraints.motors if motor.joint in constraints.fixed]
@@ -485,7 +486,7 @@ def motion_of(model: mujoco.MjModel) -> ModelMotion:
         else:
             _solve_lines(model, group, motion)
     motion.notes += [
-        f"the spring of the spatial tendon '{model.tendon(cord).name}' is not read, since its "
+        f"the spring of the spatial tendon '{model.tendon(cord).name}' is ignored, since its "
         "joints are not those of one closed linkage with a motor"
         for cord in sorted(unread)
     ]
@@ -513,8 +514,8 @@ def _hold(constraints: ModelConstraints) -> None:
 
 
 def _peel(model: mujoco.MjModel, constraints: ModelConstraints, motion: ModelMotion) -> None:
-    """Remove the joints that only follow another one, from the ends of chains on."""
-    # A tendon with a spring may also pull such a joint, but the rigid coupling decides.
+    """Remove the joints that only follow another one, starting at the ends of chains."""
+    # A tendon with a spring may also pull such a joint, but the rigid coupling prevails.
     while True:
         used = [joint for curve in constraints.curves for joint in (curve.joint, curve.of)]
         for line in (*constraints.lines, *_sums(constraints.springs)):
@@ -550,7 +551,7 @@ def _supposed_motors(
     for group in _groups(model, constraints, motion):
         free = len(group.joints)
         if group.loops or group.curves:
-            # One that moves the linkage; solving it shows whether one is enough.
+            # One motor moves the linkage; solving the linkage shows whether one is enough.
             free = 1
         elif group.lines:
             free -= int(np.linalg.matrix_rank(_matrix(group.lines, group.joints)))
@@ -814,7 +815,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: ModelMotion
     if factors is None:
         motion.notes.append(
             f"the spatial tendon of '{motor.name}' moves joint '{joint_name(model, joint)}', which "
-            "is the actuator; its lever is not taken over"
+            "is the actuator; the tendon's lever is ignored"
         )
 
 

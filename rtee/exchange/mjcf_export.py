@@ -26,8 +26,8 @@ from rtee.hand.model import Hand
 from rtee.types import JointKind
 
 CLOSE: Final = 1e-4
-"""Largest deviation of a polynomial from a coupling without a note [rad | m]: less than encoders of
-hands resolve."""
+"""Largest deviation of a polynomial from a coupling that needs no note [rad | m]: less than hands'
+encoders resolve."""
 
 TOUCH: Final = "touch/"
 """Prefix of the touch sensors' names; the finger's name follows."""
@@ -48,7 +48,7 @@ _EXACT: Final = {
     "geom": ("pos", "quat", "size"),
     "site": ("pos", "quat", "size"),
 }
-"""Attributes written with all digits; MuJoCo writes six digits, which are 1 µm in 1 m."""
+"""Attributes written with all digits; MuJoCo writes only six, a resolution of 1 µm in 1 m."""
 
 _DEFAULTS: Final = {
     "pos": (0.0, 0.0, 0.0),
@@ -98,14 +98,16 @@ def _rigid_where_curved(hand: Hand) -> tuple[Hand, list[str]]:
         name = follower.actuator.name
         if follower.elastic and rigid[name].joints:
             rigid[name] = structs.replace(rigid[name], coupling=None, joints=None, shares=None)
-            notes.append(f"the joints of '{name}' follow along curves, so rigidly, not by springs")
+            notes.append(
+                f"the joints of '{name}' follow curves, so they are coupled rigidly, not by springs"
+            )
         error = fit(follower.coupling, *span(follower.actuator))[1]
         if error > CLOSE:
             kind = hand.joints[hand.joint_index(follower.joint)].kind
             unit = "m" if kind is JointKind.PRISMATIC else "rad"
             notes.append(
                 f"joint '{follower.joint}' follows '{name}' by a curve that MuJoCo's polynomial "
-                f"meets within {error:.2g} {unit}"
+                f"fits within {error:.2g} {unit}"
             )
     return replace(hand, dynamics=rigid), notes
 

@@ -1,8 +1,8 @@
 """Reader of MJCF files of unknown origin, which are checked before MuJoCo parses them.
 
-MuJoCo's parser opens any file that a model names, and allocates any number that it gives. Each file
-is therefore first read as plain XML, without entities, with limited sizes, and without paths that
-lead out of the model's folder.
+MuJoCo's parser opens any file that a model names, and allocates any size that it gives. So each
+file is first read as plain XML without entities; its numbers and sizes are limited, and its paths
+must not lead out of the model's folder.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MOST_NESTED: Final = 40
 linkages grows with a power of it."""
 
 _GREATEST: Final = 1e10
-"""Least number that is refused: MuJoCo's own limit for positions and forces."""
+"""Smallest number that is refused: MuJoCo's own limit for positions and forces."""
 
 _FIRST: Final = 100_000
 """Most words checked per attribute; only inline meshes have more, which MuJoCo checks."""
@@ -54,8 +54,8 @@ _MESHES: Final = (".stl", ".obj", ".msh")
 """Formats of meshes that MuJoCo reads."""
 
 _REFUSED: Final = {
-    "attach": "attaches other models; write it as one file first, by MuJoCo's compile",
-    "model": "attaches other models; write it as one file first, by MuJoCo's compile",
+    "attach": "attaches other models; write it as one file with MuJoCo's compile first",
+    "model": "attaches other models; write it as one file with MuJoCo's compile first",
     "replicate": "makes many bodies of one, which rtee does not read",
     "composite": "is a flexible body, which no hand model of rtee has",
     "flexcomp": "is a flexible body, which no hand model of rtee has",
@@ -80,7 +80,7 @@ _UNSEEN: Final = (
     "texts",
     "tuples",
 )
-"""Elements irrelevant for motion and contacts of a hand; some of them name further files."""
+"""Elements irrelevant to the motion and contacts of a hand; some of them name further files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,7 @@ def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
     """Return the root elements of a model's file and of its includes."""
     root = read_xml(file, "MJCF")[0]
     if root.tag != "mujoco":
-        what = "a URDF; give it by --urdf" if root.tag == "robot" else f"<{root.tag[:40]}>"
+        what = "a URDF (give it with --urdf)" if root.tag == "robot" else f"<{root.tag[:40]}>"
         raise root.error(f"is {what}, not MJCF, whose root element is <mujoco>")
     # By real path, since files may include each other.
     parts, size = {_real(file): root}, 0
@@ -249,7 +249,7 @@ def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
             if element.tag != "include":
                 continue
             name = element.required("file")
-            # MuJoCo searches beside the main file; the folder of the including file is cheap.
+            # MuJoCo only looks beside the main file; the including file's folder is cheap to try.
             places = dict.fromkeys((file.parent / name, element.path.parent / name))
             files = [place for place in places if _inside(place, allowed, element, name).is_file()]
             if not files:
@@ -298,11 +298,11 @@ def _check_meshes(
             if not files:
                 searched = ", ".join(dict.fromkeys(str(place.parent) for place in places))
                 missing[name] = (
-                    f"mesh '{name[:200]}' (line {element.line}) does not exist; it was searched in "
+                    f"mesh '{name[:200]}' (line {element.line}) does not exist; looked in "
                     f"{searched}" + ("" if folders else "; <compiler> has no meshdir")
                 )
             elif files[-1].suffix.lower() not in _MESHES:
-                missing[name] = f"mesh '{name[:200]}' is of none of MuJoCo's formats: stl, obj, msh"
+                missing[name] = f"mesh '{name[:200]}' is in none of MuJoCo's formats: stl, obj, msh"
             else:
                 data = read_bytes(files[-1], "mesh", ModelError)
                 fault = why_no_mesh(data, files[-1].suffix.lower())

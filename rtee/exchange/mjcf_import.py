@@ -85,13 +85,13 @@ def import_mjcf(
         path: The model's file.
         folder: Where to write.
         folders: Further folders of its includes and meshes.
-        root: The body below which the hand is, out of a whole robot or scene, whose floating base
-            then stands still, and whose free objects are left out.
-        radians: Whether the angles of a file that does not say are radians; ``None``: degrees.
+        root: Base body of the hand in a model of a whole robot or scene. The robot's floating base
+            then stands still, and free objects are left out.
+        radians: Whether the angles of a file that states no unit are radians; ``None``: degrees.
 
     Raises:
         UnknownLink: if the model has no body ``root``.
-        ConfigError: if a unit is given, and the file says it by itself.
+        ConfigError: if a unit is given, although the file states its own.
         ModelError: if the file cannot be read, or has elements that a URDF cannot represent; the
             message names file and line if they are known.
     """
@@ -112,7 +112,7 @@ def import_mjcf(
         with listening(notes):
             motion = motion_of(model)
     except ModelError as error:
-        # The solution knows only the model and not its file.
+        # The solver knows the model, but not its file.
         error.path = source.path
         raise
     except np.linalg.LinAlgError:
@@ -127,7 +127,7 @@ def import_mjcf(
 
 
 def _still(source: ParsedModel, root: str) -> list[str]:
-    """Take away the joints outside the hand that no URDF has, or their bodies; return notes."""
+    """Remove the joints outside the hand that no URDF has, or their bodies; return notes."""
     kinds, spec = mujoco.mjtJoint, source.spec
     odd = [each for each in spec.joints if each.type in (kinds.mjJNT_FREE, kinds.mjJNT_BALL)]
     if not odd:
@@ -156,7 +156,7 @@ def _check_joint(joint: mujoco.MjsJoint, source: ParsedModel) -> None:
     if kind == mujoco.mjtJoint.mjJNT_FREE:
         raise ModelError(
             f"joint {named}of body '{body}' is free; a hand's base is fixed, so give the "
-            "hand's base by --root, or remove the joint (and bodies that are not parts of the "
+            "hand's base with --root, or remove the joint (and bodies that are not parts of the "
             "hand)",
             path=source.path,
         )
@@ -182,7 +182,7 @@ def _degrees(model: mujoco.MjModel, source: ParsedModel) -> list[str]:
     if most > math.radians(2.0 * math.pi):
         return []
     return [
-        "the file does not say in which unit its angles are, so they count as degrees, and no "
+        "the file does not state the unit of its angles, so they count as degrees, and no "
         f"hinge turns beyond {math.degrees(most):.2g}°; if they are radians, give "
         '--angle radian, or add <compiler angle="radian"/>'
     ]
@@ -241,7 +241,7 @@ class _Writer:
         return "\n".join([*self._lines, "</robot>"]) + "\n"
 
     def _body(self, parent: _Link, body: int) -> _Link:
-        """Write a body with its joints, with links without shape between several joints."""
+        """Write a body with its joints, and empty links between several joints."""
         model = self._model
         place, turn = model.body_pos[body] - parent.origin, model.body_quat[body]
         first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -251,8 +251,8 @@ class _Writer:
             self._link(link)
             self._fixed(f"{link.name}_fixed", parent.name, link.name, place, turn)
             return link
-        # A joint of a URDF turns about the origin of its child link, one of MuJoCo about an anchor
-        # in the body, so that each link's frame is placed at the anchor of its joint.
+        # A joint of a URDF turns about the origin of its child link, but one of MuJoCo about an
+        # anchor in the body. So each link's frame is placed at the anchor of its joint.
         above, before = parent.name, np.zeros(3)
         link = parent
         for joint in joints:
@@ -300,7 +300,7 @@ class _Writer:
     def _moved(
         self, joint: int, place: FloatArray, turn: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the pose behind a held joint for that before it."""
+        """Return the pose after a held joint, given the pose before the joint."""
         axis, position = self._model.jnt_axis[joint], self._motion.fixed[joint]
         if self._slides(joint):
             return place + _matrix(turn) @ (axis * position), turn
@@ -460,7 +460,7 @@ class _Writer:
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """Return names with numbers appended to equal ones, as generated names may be equal."""
+    """Return names with numbers appended to equal ones: generated names may be equal."""
     unique: list[str] = []
     for name in names:
         unique.append(free_name(name, unique))

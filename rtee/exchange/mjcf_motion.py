@@ -20,8 +20,8 @@ TINY = 1e-9
 """Size below which slopes and remainders count as rounding [rad, m and their quotients]."""
 
 _NARROW = 0.1
-"""Share of a tendon's travel that its limits leave, below which they couple its joints: hands whose
-two tendons cross at the last joint leave 0.08, and limits that only end a motion leave 1."""
+"""Share of a tendon's travel that its limits permit, below which they couple its joints. The limits
+permit 0.08 in hands whose two tendons cross at the last joint, and 1 if they only end a motion."""
 
 _RIGID = 1e9
 """Stiffness of such a coupling, whose largest factor is 1 [N·m/rad | N/m]: a billion times that of
@@ -145,7 +145,7 @@ class ModelMotion:
         fixed: Positions of the joints that do not move [rad | m].
         passive: The joints that no motor moves.
         dropped: Joints of motors that are not part of the hand.
-        notes: Sentences about choices.
+        notes: Sentences about the choices made.
     """
 
     driven: dict[int, Driven] = field(default_factory=dict)
@@ -168,7 +168,7 @@ class ModelConstraints:
         curves: Polynomial couplings.
         loops: Constraints that are solved numerically.
         cords: Spatial tendons with springs, whose levers change with the posture.
-        notes: Sentences about choices.
+        notes: Sentences about the choices made.
     """
 
     motors: list[Motor]
@@ -271,8 +271,8 @@ def _add_limited_tendon(model: mujoco.MjModel, tendon: int, constraints: ModelCo
     line = {joint: factor / largest for joint, factor in factors.items()}
     constraints.springs.append(LinearCoupling(line, value, _RIGID))
     constraints.notes.append(
-        f"tendon '{model.tendon(tendon).name}' may move by {upper - lower:g} alone, so that joints "
-        f"{names_of(model, factors)} are taken as coupled"
+        f"tendon '{model.tendon(tendon).name}' can move by only {upper - lower:g}, so joints "
+        f"{names_of(model, factors)} count as coupled"
     )
 
 
@@ -288,11 +288,11 @@ def _motors(model: mujoco.MjModel) -> list[Motor]:
             joint, tendon = None, target
         else:
             raise ModelError(
-                f"actuator '{name}' moves neither a joint nor a tendon, which rtee cannot command"
+                f"actuator '{name}' moves neither a joint nor a tendon, so rtee cannot command it"
             )
         # Joints and tendons use the first of the six numbers.
         gear = float(model.actuator_gear[i, 0])
-        # Without a gear the motor has no effect on the joint.
+        # With a gear of 0, the motor has no effect on the joint.
         if abs(gear) < TINY:
             continue
         motor = Motor(
@@ -374,7 +374,7 @@ def _between(model: mujoco.MjModel, i: int) -> frozenset[int]:
     ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
     if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         ends = [int(model.site_bodyid[end]) for end in ends]
-    # Without the joints above both bodies, which move them together and do not change the loop.
+    # Leave out joints above both bodies, which move them together and do not change the loop.
     return frozenset(_joints_to(model, ends[0]) ^ _joints_to(model, ends[1]))
 
 

@@ -51,8 +51,8 @@ def as_urdf(
         mjcf: Its MJCF, instead of a URDF.
         arguments: Arguments of the xacro file, as ``NAME:=VALUE``.
         package_dirs: Folders to look packages up in.
-        root: The link below which the hand is, out of a whole robot.
-        angle: Unit of the angles of an MJCF that does not say; ``None``: degrees.
+        root: Base link of the hand in a model of a whole robot.
+        angle: Unit of the angles of an MJCF that states none; ``None``: degrees.
 
     Raises:
         ConfigError: if there are arguments without a xacro file, or a unit without an MJCF.
@@ -63,7 +63,8 @@ def as_urdf(
         return xacro_as_urdf(urdf, arguments_of(arguments), package_dirs)
     if arguments:
         raise ConfigError(
-            f"'{arguments[0]}' should be an argument of a xacro file, whose name ends with {XACRO}"
+            f"'{arguments[0]}' should be an argument of a xacro file, but the model's name does "
+            f"not end with {XACRO}"
         )
     if mjcf is not None:
         return mjcf_as_urdf(mjcf, package_dirs, root, angle)
@@ -122,8 +123,8 @@ def mjcf_as_urdf(
 ) -> Iterator[ReadableModel]:
     """Convert an MJCF file to a URDF, which exists inside the context.
 
-    Its includes and meshes may be in further ``folders``. With a ``root``, free joints outside the
-    hand below it are no obstacle. ``angle`` is the unit of a file that does not say; ``None``:
+    Its includes and meshes may be in further ``folders``. With a ``root``, the model may have free
+    joints outside the hand below it. ``angle`` is the unit of a file that states none; ``None``:
     degrees.
 
     Raises:

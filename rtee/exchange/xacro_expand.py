@@ -1,8 +1,8 @@
 """Expand xacro files in a separate process.
 
 A xacro file is a program whose expressions are Python. xacro hides the usual functions from them,
-which does not protect against a malicious file. The process has the user's rights; limits of its
-memory, time and output end a file that never ends by mistake.
+but this does not protect against a malicious file: the process has the user's rights. Limits on its
+memory, time and output stop a file that runs without end by mistake.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def expand(
     """
     with needing_extra("expanding xacro files", "xacro"):
         import xacro  # noqa: F401 - only the other process uses it
-    read_bytes(path, "xacro file", ModelError)  # before the process is started for it
+    read_bytes(path, "xacro file", ModelError)  # fails before a process is started
     task = {
         "path": str(path.absolute()),
         "target": str(target),
@@ -102,7 +102,7 @@ def expand(
     # Any other status means that a limit ended the process.
     if process.returncode != 0 or not target.is_file():
         raise ModelError(
-            f"xacro was stopped: the file computes for more than {_TIME:g} s, or makes more than "
+            f"xacro was stopped: the file computes for more than {_TIME:g} s, or writes more than "
             f"{MAX_SIZE // 1_000_000} MB",
             path=path,
         )
@@ -135,13 +135,13 @@ def _limit() -> None:
 
 
 def _offer_packages(folder: Path, package_dirs: Sequence[Path]) -> None:
-    """Provide the module of ROS 2, missing on PyPI, that xacro asks for the folders of packages."""
+    """Provide the ROS 2 module, missing on PyPI, that xacro uses to find package folders."""
 
     def share(name: str) -> str:
         package = find_package(name, folder, package_dirs)
         if package is None:
             raise LookupError(
-                f"package '{name}' is not found; give its folder, or the one that it is in, by "
+                f"package '{name}' is not found; give its folder, or the folder above it, with "
                 "--package-dir"
             )
         return str(package)
@@ -177,7 +177,7 @@ def _main() -> int:
     try:
         document = xacro.process_file(str(path), mappings=task["arguments"])
         Path(task["target"]).write_text(document.toprettyxml(indent="  "), encoding="utf-8")
-    # Whatever the file's own expressions raise.
+    # The file's own expressions may raise anything.
     except Exception as error:
         stack = getattr(xacro, "filestack", None) or [str(path)]
         line = getattr(error, "lineno", None)

@@ -1,1 +1,1 @@
-"""Extraction of the primitive grasping actions from a hand's model."""
+"""Extraction of primitive grasping actions from a hand's model."""

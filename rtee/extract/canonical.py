@@ -1,9 +1,9 @@
-"""The canonical form of a hand: the same, however its model is written.
+"""The canonical form of a hand, which does not depend on how its model is written.
 
-Two models of one hand may list links, joints, fingers and shapes in another order, call them by
-other names, stand elsewhere, be mirrored, or be drawn in another unit. The searches work on one
-form of all of these: elements in an order that follows from structure and geometry alone, one of
-the two mirror images, and a hand of a fixed size.
+Two models of one hand may list links, joints, fingers and shapes in different orders, use different
+names, base frames or units of length, or be mirror images. The searches work on one common form:
+elements in an order that follows from structure and geometry alone, one of the two mirror images,
+and a fixed size of the hand.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, JointKind, readonly
 
 SIZE: Final = 0.2
-"""Size of a hand in canonical form [m], about that of a human hand, for which the resolutions and
-steps of the searches are chosen."""
+"""Size of a hand in canonical form [m]: about that of a human hand, for which the resolutions and
+step sizes of the searches are tuned."""
 
 _SAME: Final = 1e-5
 """Difference of features, as a share of the hand's size, below which they count as equal: above the
-digits that files are written with, below what tells two fingers apart."""
+rounding errors in files, below the differences between fingers."""
 
 _TURN: Final = 1.0
-"""Motion of a continuous actuator to where fingers are compared [rad], as it has no limits."""
+"""Motion of a continuous actuator for comparing bent fingers [rad], as it has no limits."""
 
 _MOST_ORDERS: Final = 5040
-"""Most orders of the fingers that are compared: all of seven."""
+"""Maximum number of orders of the fingers to compare: all orders of seven fingers."""
 
 _DIGITS: Final = 9
 """Decimals of lengths in the evidence [m]."""
 
 _ROUNDED: Final = 3e-9
-"""Most that rounding in both units changes [m]."""
+"""Largest error of rounding in both units [m]."""
 
 
 @dataclass(frozen=True)
 class Canonical:
-    """A hand in canonical form, and the way back.
+    """A hand in canonical form, with methods that convert results back.
 
     Attributes:
-        source: The hand as given.
-        hand: Its canonical form: the same names, in another order, size and handedness.
-        unit: Size of a canonical metre's source: canonical lengths are those of the source times
-            this factor.
-        mirrored: Whether it is the mirror image.
+        source: The original hand.
+        hand: Its canonical form: the same names, with canonical order, size and handedness.
+        unit: Canonical length of one metre of the source [m]: canonical lengths are those of the
+            source times this factor.
+        mirrored: Whether the canonical hand is the source's mirror image.
     """
 
     source: Hand
@@ -70,12 +70,12 @@ class Canonical:
         result = np.empty(len(u))
         for i, spec in enumerate(self.source.actuators):
             value, canonical = float(u[at[spec.name]]), self.hand.actuators[at[spec.name]]
-            # Exactly at rest, whatever the factor makes of its last digit.
+            # Keep rest exact, despite rounding errors of the factor.
             result[i] = spec.rest if value == canonical.rest else value / _factor(spec, self.unit)
         return rounded(self.source, result)
 
     def fingers(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of fingers in the source's order."""
+        """Return names of fingers, sorted into the source's order."""
         order = self.source.finger_names
         return tuple(sorted(names, key=order.index))
 
@@ -119,7 +119,7 @@ class Canonical:
 
     def _clearance(self, value: float) -> float:
         length = self._length(value)
-        # The largest that is measured, whatever rounding has made of it.
+        # Restore the largest measured clearance, despite rounding errors.
         return FARTHEST_CLEARANCE if length > FARTHEST_CLEARANCE - _ROUNDED else length
 
     def _length(self, value: float) -> float:
@@ -168,10 +168,10 @@ def canonical(hand: Hand) -> Canonical:
 
 
 class _Points:
-    """Points of a hand's fingers at rest and bent, which distinguish the fingers.
+    """Points of a hand's fingers, at rest and bent, that distinguish the fingers.
 
     Attributes:
-        size: Largest distance of two of the points [m].
+        size: Largest distance between two of the points [m].
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -189,7 +189,8 @@ class _Points:
         shared: set[str] = set()
         if len(hand.fingers) > 1:
             shared = set.intersection(*(set(finger.links) for finger in hand.fingers))
-        # First, middle and last link of the finger alone, at rest, and the last one bent.
+        # First, middle and last link of the finger alone at rest, centre of the tip at rest and
+        # bent, and last link bent.
         rows = []
         for finger in hand.fingers:
             links = [link for link in finger.links if link not in shared] or [finger.links[-1]]
@@ -206,8 +207,8 @@ class _Points:
     def order(self) -> tuple[tuple[int, ...], bool]:
         """Return the canonical order of the fingers, and whether the mirror image is canonical.
 
-        Of all orders and both images, that with the least features is chosen, one feature after
-        the other. What is left then differs in nothing but names.
+        Chooses the order and image with the least value of the first feature, then of the next one,
+        and so on. Candidates that remain differ only in names.
         """
         if not self._fingers:
             return (), False
@@ -221,7 +222,7 @@ class _Points:
         return candidates[0][0], candidates[0][1] < 0.0
 
     def places(self, order: Sequence[int], mirrored: bool) -> Mapping[str, tuple[float, ...]]:
-        """Return features of links without fingers: distances from the fingers' points."""
+        """Return features that order all links: distances from the fingers' points, by link."""
         chosen = self.points[list(order)].reshape(-1, 3)
         size = self.size or 1.0
         if not len(chosen):
@@ -233,12 +234,12 @@ class _Points:
         return found
 
     def _orders(self) -> Iterable[tuple[int, ...]]:
-        """Yield the orders in which fingers of fewer and nearer points come first."""
+        """Return orders of the fingers, with those of most actuators first."""
         groups: dict[tuple[int, ...], list[int]] = {}
         for i, finger in enumerate(self._fingers):
             key = (-len(finger.actuators), -len(finger.own), finger.tip is None)
             groups.setdefault(key, []).append(i)
-        # Each iterator is limited, too, since `product` reads all of them first.
+        # Limit each iterator, too, since `product` reads all of them first.
         within = [islice(permutations(groups[key]), _MOST_ORDERS) for key in sorted(groups)]
         orders = (tuple(i for part in parts for i in part) for parts in product(*within))
         return islice(orders, _MOST_ORDERS)
@@ -285,7 +286,7 @@ _Feature = _Distance | _Volume
 
 
 def _centre(hand: Hand, link: str, pose: FloatArray) -> FloatArray:
-    """Return the middle of the origins of a link's shapes [m], at a pose ``(4, 4)`` of the link."""
+    """Return the mean origin of a link's shapes [m], at a pose ``(4, 4)`` of the link."""
     shapes = hand.urdf.links[link].collisions
     if not shapes:
         return pose[:3, 3]
@@ -353,7 +354,7 @@ def _shape(shape: UrdfGeometry, unit: float, mirrored: bool) -> UrdfGeometry:
 
 def _urdf_joint(joint: UrdfJoint, unit: float, mirrored: bool) -> UrdfJoint:
     slides = joint.kind == "prismatic"
-    # The axis of a rotation is no arrow: in a mirror, the others of its components are reversed.
+    # A rotation axis is an axial vector: a mirror reverses its other components.
     axis = _mirrored(joint.axis, mirrored) if slides else _mirrored_turn(joint.axis, mirrored)
     factor = unit if slides else 1.0
     return replace(
@@ -399,7 +400,7 @@ def _actuator(spec: ActuatorSpec, unit: float) -> ActuatorSpec:
 
 
 def _actuator_order(hand: Hand, fingers: Sequence[Finger], joints: Sequence[str]) -> list[int]:
-    """Return the indices of the actuators: finger by finger, nearest the palm first."""
+    """Return the indices of the actuators, finger by finger, those nearest the palm first."""
     place: dict[str, tuple[int, int]] = {}
     for number, finger in enumerate(fingers):
         for position, name in enumerate(finger.actuators):

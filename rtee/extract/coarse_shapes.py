@@ -1,4 +1,4 @@
-"""Simplification of convex parts for the searches: fewer vertices, and only outer parts."""
+"""Simplification of convex parts for searches: fewer vertices, and no parts inside others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.hand.linalg import rotated
 from rtee.sample import FloatArray
 
 SLACK: Final = 1e-4
-"""Largest distance of a coarse shape below a mesh's hull [m]; hands differ more from their
+"""Largest distance of a coarse shape below a mesh's hull [m]; real hands differ more from their
 models."""
 
 _SIMPLE: Final = 200
@@ -28,8 +28,8 @@ _DIRECTIONS: Final = np.array(
 """Directions of the first vertices of a coarse shape: to a cube's faces, edges and corners."""
 
 _SIDES: Final = 16
-"""Sides of the prism that replaces a cylinder: up to 32 corners, Coal compares them all and keeps
-nothing from one query to the next."""
+"""Number of sides of the prism that replaces a cylinder: Coal compares all of up to 32 corners, and
+keeps nothing from one query to the next."""
 
 _THICK: Final = 6.0
 """Largest distance of such a prism below its cylinder, in units of the slack; thicker cylinders get
@@ -40,17 +40,17 @@ _TURN: Final = 0.37
 faces are parallel to few others."""
 
 _ROUNDED: Final = 2e-9
-"""Upper bound of the motion of corners by rounding to a nanometre [m]."""
+"""Upper bound on the displacement of corners by rounding to a nanometre [m]."""
 
 _EQUAL: Final = 1e-9
-"""Difference of heights below which vertices are equally far out [m]: all of them are taken, as the
-last digit would choose between those of a symmetric mesh."""
+"""Difference of heights below which vertices are equally far out [m]: the hull gets all of them, as
+otherwise the last digit would choose between those of a symmetric mesh."""
 
 _ROUNDS: Final = 12
-"""Most rounds of adding vertices, each of which about halves the error."""
+"""Maximum number of rounds of adding vertices, each of which about halves the error."""
 
 _AT_ONCE: Final = 2**16
-"""Most projections computed at once: with 8 byte each, they stay in the processor's cache."""
+"""Maximum number of projections computed at once: at 8 bytes each, they fit in the CPU cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +96,10 @@ def _prism(radius: float, half: float) -> CoarseShape:
 
 
 def simplified(part: coal.ConvexBase) -> CoarseShape:
-    """Return a hull of fewer vertices within a hull, whatever the order of its vertices.
+    """Return a hull of fewer vertices inside a hull, independent of the order of the vertices.
 
-    Begins with the outermost vertices in evenly spread directions. If vertices lie beyond a face by
-    more than the slack, adds the farthest ones, until there are none.
+    Starts with the outermost vertices in evenly spread directions. While vertices lie beyond a face
+    by more than the slack, adds the farthest ones.
     """
     points = np.array(part.points())
     chosen = _outermost(points, _DIRECTIONS)
@@ -110,7 +110,7 @@ def simplified(part: coal.ConvexBase) -> CoarseShape:
         worst = float(beyond.max())
         if worst <= SLACK:
             return CoarseShape(hull, max(0.0, worst))
-        # Those of each face that is not good enough, so that few rounds suffice.
+        # Add vertices for every face that is not good enough, so that few rounds suffice.
         chosen |= _outermost(points, normals[beyond > SLACK])
     return CoarseShape(part, 0.0)
 
@@ -118,9 +118,9 @@ def simplified(part: coal.ConvexBase) -> CoarseShape:
 def outer(
     shapes: Sequence[Shape], coarse_shapes: Mapping[int, CoarseShape], link: Sequence[int]
 ) -> tuple[int, ...]:
-    """Return the indices of the shapes of a link that lie inside no other one's coarse shape.
+    """Return the indices of a link's shapes that lie inside no other shape's coarse shape.
 
-    A shape inside another convex part is never nearer to other links than that part.
+    A shape inside another shape's convex part is never nearer to other links than that part.
     """
     kept = list(link)
     for j in link:
@@ -129,12 +129,12 @@ def outer(
             continue
         normals = np.array(body.normals())
         levels = _farthest(np.array(body.points()), normals)
-        # A dropped shape may contain others, too, as it lies inside a kept one.
+        # A dropped shape may still drop others: it lies inside a kept shape, and so do they.
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
             corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
             local = rotated(corners - holder.translation, holder.rotation.T)
-            # All corners inside all faces, so that the whole shape is inside: both are convex.
+            # If all corners are inside all faces, the whole shape is inside: both are convex.
             if (_farthest(local, normals) <= levels).all():
                 kept.remove(i)
     return tuple(kept)
@@ -143,12 +143,12 @@ def outer(
 def least_width(shape: Shape, coarse_shape: coal.ShapeBase) -> float:
     """Return a lower bound on the width of a shape's convex part in any direction [m].
 
-    The width of a polyhedron is least across a face and a vertex or across two edges; a third of
-    the least width across its faces is less than either.
+    The width of a polyhedron is least between a face and a vertex or between two edges; a third of
+    the least width across its faces is less than both.
 
     Args:
         shape: The shape.
-        coarse_shape: Its coarse shape, which is not wider.
+        coarse_shape: Its coarse shape, which is no wider.
     """
     if not shape.is_mesh:
         low, high = shape.box
@@ -171,10 +171,10 @@ def _outermost(points: FloatArray, directions: FloatArray) -> NDArray[np.bool_]:
 
 
 def _heights(points: FloatArray, directions: FloatArray) -> Iterator[FloatArray]:
-    """Yield how far points ``(p, 3)`` reach along some of the directions after the other [m]."""
+    """Yield how far points ``(p, 3)`` reach along a few directions at a time ``(d, p)`` [m]."""
     count = max(1, _AT_ONCE // len(points))
     for i in range(0, len(directions), count):
-        # Each direction's in a row, along which the greatest is found fastest.
+        # One row per direction, along which the maximum is found fastest.
         yield _along(directions[i : i + count], points)
 
 

@@ -1,4 +1,4 @@
-"""Search for poses without other collisions, in the pose and on the straight path to it."""
+"""Search for poses without unwanted collisions, in the pose and on the straight path to it."""
 
 from __future__ import annotations
 
@@ -22,49 +22,49 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 _LITTLE: Final = 0.03
-"""Share of the value that a recalibrated step must gain for another one to follow."""
+"""Share of the value that a recalibrated step must gain before another step follows."""
 
 _RADIUS: Final = 0.08
-"""First radius of the trust region in each coordinate, as a share of an actuator's range: about the
-range in which the gaps of near links are linear."""
+"""Initial radius of the trust region in each coordinate, as a share of an actuator's range: about
+the range in which the gaps of near links are linear."""
 
 _TIGHTER: Final = 0.4
 _WIDER: Final = 1.6
-"""Factors of that radius after a step that failed, and after one that did not."""
+"""Factors of the radius after a step that failed, and after one that succeeded."""
 
 _SMALLEST: Final = 0.002
 """Smallest radius of the trust region, in which a fingertip moves a fraction of a millimetre."""
 
 _EVALUATIONS: Final = 40
-"""Most evaluations of a descent out of a collision."""
+"""Maximum number of evaluations of a descent out of a collision."""
 
 _QUICK: Final = 25
-"""Most evaluations of a descent that only keeps a start at a minimum."""
+"""Maximum number of evaluations of a descent that only keeps a start at a minimum."""
 
 _TRUST_EVALUATIONS: Final = 11
-"""Most evaluations of a step in the trust region: few suffice for its linear model."""
+"""Maximum number of evaluations of a step in the trust region: its linear model needs few."""
 
 _SAME: Final = 0.05
 """Difference in every coordinate below which starts count as equal."""
 
 GOOD: Final = 0.98
-"""Share of the greatest depth at which a clear pose ends the search for others."""
+"""Share of the greatest depth from which a clear pose ends the search for others."""
 
 _SHORT: Final = 2e-3
-"""Distance of a pose moved back before a collision, as a share of the path: some 0.1 mm."""
+"""Distance by which a pose moves back before a collision, as a share of the path: about 0.1 mm."""
 
 _BEFORE: Final = 1e-4
-"""Distance that a single actuator moves back: its bounds are exact except for rounding."""
+"""Distance by which a single actuator moves back: its bounds are exact except for rounding."""
 
 _FOLLOWED: Final = 2
 """Number of clear poses whose paths are checked per round: a path costs more than a pose."""
 
 _QUERY_BUDGET: Final = 300
-"""Budget of one search for queries of original meshes, in units of a collision query of 2 ms: less
+"""Budget of one search for queries on original meshes, in units of a collision query of 2 ms: less
 than a second."""
 
 _IMPROVED: Final = 2
-"""Number of clear poses that are improved: the others seldom become better than these."""
+"""Number of clear poses to improve: the others seldom become better than these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,16 +72,16 @@ class SearchBudget:
     """Limits of a search for clear poses.
 
     Attributes:
-        pool: Number of starts.
-        kept: Number of them that are kept at minima while constraints are learned, each of which
+        pool: Maximum number of starts.
+        kept: Maximum number of starts kept at minima while the search learns constraints; each
             costs a descent per round.
-        attempts: Most poses pushed out of their collisions.
-        pushes: Most descents to push a pose out.
-        recalibrations: Most steps to improve a pose, each with newly measured allowances.
-        trust_steps: Most steps to improve a pose in its trust region.
-        path_rounds: Most rounds that learn from blocked paths.
-        extra_attempts: Further attempts if none has succeeded.
-        settle: Whether poses are moved to minima of the goal before constraints are learned.
+        attempts: Maximum number of poses pushed out of their collisions.
+        pushes: Maximum number of descents to push a pose out.
+        recalibrations: Maximum number of steps to improve a pose with newly measured allowances.
+        trust_steps: Maximum number of steps to improve a pose in its trust region.
+        path_rounds: Maximum number of rounds that learn from blocked paths.
+        extra_attempts: Number of further attempts if none has succeeded.
+        settle: Whether to move poses to minima of the goal before constraints are learned.
     """
 
     pool: int = 12
@@ -98,9 +98,9 @@ class SearchBudget:
 class ClearSearch:
     """Pushes poses out of unwanted collisions.
 
-    Improves a pose under the constraints known so far, with an exact penalty, and then checks it
-    exactly; collisions become constraints, or tighten them (see `Constraints`). Refines a clear
-    pose: measures the allowances there, and moves it as long as it improves and stays clear.
+    The search improves a pose under the constraints known so far, with an exact penalty, and then
+    checks it exactly; collisions add or tighten constraints (see `Constraints`). It refines a clear
+    pose by measuring the allowances there and moving it while it improves and stays clear.
     """
 
     def __init__(
@@ -123,15 +123,15 @@ class ClearSearch:
 
     @property
     def _out_of_budget(self) -> bool:
-        """Whether the search has used up its budget for queries of original meshes."""
+        """Whether the search has used up its budget for queries on original meshes."""
         return self._scene.query_cost >= self._cost_limit
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return clear poses from good starts, the best ones with a clear path first.
+        """Return clear poses reached from good starts, those with a clear path first.
 
         Returns:
-            Coordinates ``(k,)`` of clear poses; if no clear path was found, of poses behind
-            collisions on the path.
+            Coordinates ``(k,)`` of clear poses with a clear path, the best first, and then of clear
+            poses beyond a collision on the path.
         """
         free: list[FloatArray] = []
         behind: list[FloatArray] = []
@@ -147,7 +147,7 @@ class ClearSearch:
                     free.append(y)
                     break
                 behind.append(y)
-                # A constraint for the next round; the pose before the collision is a fallback.
+                # Add a constraint for the next round; the pose before the collision is a fallback.
                 self._constraints.learn_path(blocked, y)
                 nearer = self._go_back(y, blocked)
                 if nearer is not None:
@@ -158,7 +158,7 @@ class ClearSearch:
         return [*sorted(free, key=self._function.value), *behind]
 
     def _go_back(self, y: FloatArray, blocked: Blocked) -> FloatArray | None:
-        """Return a pose with a clear path, from before a collision on the path to another one."""
+        """Return a pose with a clear path from before a collision, or ``None``."""
         for _ in range(self._budget.path_rounds):
             if self._out_of_budget:
                 break
@@ -183,11 +183,11 @@ class ClearSearch:
         clear: list[FloatArray] = []
         best, enough = np.inf, GOOD * min(map(value, pool), default=0.0)
         for number in range(attempts + self._budget.extra_attempts):
-            # Extra attempts are only for searches without a clear pose so far.
+            # Extra attempts are only for searches that have found no clear pose so far.
             if (clear and number >= attempts) or self._out_of_budget:
                 break
             while self._uncalibrated:
-                # Delayed until here, since the last pose found calibrates only further attempts.
+                # Delayed until here: after the last attempt, calibration would be useless.
                 self._constraints.calibrate(self._uncalibrated.pop())
             minima = self._settled(pool)
             pool = [
@@ -228,7 +228,7 @@ class ClearSearch:
         return [self._still(y, penalised) or self._settle(y) for y in pool]
 
     def _still(self, y: FloatArray, penalised: Objective) -> Minimum | None:
-        """Return a pose that is a minimum already, if no constraint has changed its value."""
+        """Return a pose that still is a minimum, since no constraint has changed its value."""
         known = self._settled_at.get(y.tobytes())
         if known is None or MEDIUM.rounded_value(penalised(y)[0]) != known.value:
             return None
@@ -240,15 +240,15 @@ class ClearSearch:
         return found
 
     def _push_out(self, start: FloatArray) -> FloatArray | None:
-        """Return a clear pose reached from a good one.
+        """Return a clear pose reached from a good one, or ``None``.
 
-        If the convex parts push the pose in the wrong direction, moves it back on the path to just
-        before the first contact of its colliding links, and improves it from there, unless the tips
-        do not touch there.
+        If descents do not lead out of the collisions, moves the start back on its path to just
+        before the first contact of the colliding links. Improves the pose from there if its tips do
+        not touch.
         """
         y, collided = start, list[LinkPair]()
         for _ in range(self._budget.pushes):
-            # Rounded as stored: the checked posture must be the stored one.
+            # Round as in storage: the checked posture must be the stored one.
             u = self._function.stored(y)
             # Check nested links, which are costly, only if the others are clear.
             hits = self._checker.unnested(u) or self._checker.nested(u)
@@ -273,7 +273,7 @@ class ClearSearch:
         return MEDIUM.snap(from_rest(self._space.rest, y, share))
 
     def _improve_recalibrated(self, y: FloatArray) -> FloatArray:
-        """Return a better clear pose, possibly far from a clear one.
+        """Return a better clear pose, which may be far from the given one.
 
         The gaps at the pose give larger allowances for the overlaps of convex parts. Improves the
         goal with these, and moves the pose as far as it stays clear.
@@ -296,10 +296,10 @@ class ClearSearch:
         return y
 
     def _improve_in_trust_region(self, y: FloatArray) -> FloatArray:
-        """Return a better clear pose near a clear one.
+        """Return a better clear pose near the given one.
 
-        Near the pose, the exact gaps of near links are nearly linear in the coordinates. Improves
-        the goal within these bounds and a radius that shrinks when the new pose is not clear.
+        Near the pose, the exact gaps of near links are almost linear in the coordinates. Improves
+        the goal under these linear constraints, within a radius that shrinks after each failure.
         """
         best, radius = self._function.value(y), _RADIUS
         concerned = self._constraints.concerned()
@@ -308,7 +308,7 @@ class ClearSearch:
         for _ in range(self._budget.trust_steps):
             if self._out_of_budget:
                 break
-            # Linear gaps meet in kinks, for which `polish` is made.
+            # Linear gaps meet in kinks, which `polish` handles.
             trial = polish(
                 self._above(gaps, y),
                 y,
@@ -317,17 +317,17 @@ class ClearSearch:
                 resolution=MEDIUM,
             ).y
             value = self._function.value(trial)
-            # Nothing better within the radius, so that the next step searches closer.
+            # Nothing better within the radius: search closer in the next step.
             if value >= best - CLOSE:
                 radius *= _TIGHTER
             elif hits := self._collides(trial):
                 radius *= _TIGHTER
                 new = {pair.links: pair for pair in hits if pair.links not in concerned}
-                # Only links that have collided before are bounded, so new ones are added here.
+                # Only links that have collided before have constraints; add the new ones.
                 concerned |= new
                 gaps += self._linear_gaps(y, new.values()) if new else []
             else:
-                # The model was right, so that the radius grows, with gaps of the new pose.
+                # The model was right: grow the radius, and measure the gaps at the new pose.
                 y, best, radius = trial, value, radius * _WIDER
                 gaps = self._linear_gaps(y, concerned.values())
             if radius < _SMALLEST:
@@ -339,8 +339,8 @@ class ClearSearch:
     ) -> list[tuple[float, FloatArray]]:
         """Return the gaps of near links at a clear pose, with their derivatives.
 
-        A gap is the distance minus the links' margin; that of the original geometry if the convex
-        parts are close or overlap.
+        A gap is the distance minus the links' margin. If the convex parts are close or overlap, it
+        is that of the original geometry.
         """
         self._scene.place(self._function.stored(y))
         gaps = []
@@ -356,7 +356,7 @@ class ClearSearch:
         return [(MEDIUM.rounded_value(g), MEDIUM.rounded_slope(rise) + 0.0) for g, rise in gaps]
 
     def _above(self, gaps: Sequence[tuple[float, FloatArray]], at: FloatArray) -> Objective:
-        """Return the goal with a penalty where a linear gap falls below 0."""
+        """Return the goal with a penalty on linear gaps below 0."""
         goal = self._constraints.penalised(paths_only=True)
 
         def function(y: FloatArray) -> tuple[float, Slope]:
@@ -391,7 +391,7 @@ def touching_postures(function: GoalFunction, poses: Iterable[FloatArray]) -> It
 
     Args:
         function: The goal, over the space of the search.
-        poses: Coordinates ``(k,)`` in it.
+        poses: Coordinates ``(k,)`` in this space.
     """
     return (u for u in map(function.stored, poses) if function.touching(u))
 
@@ -420,7 +420,7 @@ def clear_postures(
 def _free_interval(
     function: GoalFunction, motion: Motion, checker: CollisionChecker
 ) -> tuple[float, float]:
-    """Return the coordinates around rest up to the first collision, of a space of one actuator."""
+    """Return the interval around rest up to the first collisions, in a space of one actuator."""
     space, ends = function.space, []
     rest = float(space.rest[0])
     for bound in (0.0, 1.0):

@@ -1,4 +1,4 @@
-"""Checks for other collisions at a posture and on the straight path to it."""
+"""Checks for unwanted collisions at a posture and on the straight path to it."""
 
 from __future__ import annotations
 
@@ -26,44 +26,44 @@ STEP: Final = 0.001
 """Largest relative motion of near links between two exact checks on a path [m]."""
 
 _FINE: Final = 0.0005
-"""Step of the search for the first contact of two tips whose convex parts overlap [m]."""
+"""Step of the search for the first contact of tips whose convex parts overlap [m]."""
 
 _MOST: Final = 4096
-"""Most steps on a path, so that no path takes longer than some seconds."""
+"""Maximum number of steps on a path, so that no path takes longer than a few seconds."""
 
 _COARSE_PARTS: Final = 16
 _PARTS: Final = 32
-"""Number of parts into which a path is halved before exact checks: for links whose convex parts
-overlap, for which halving decides nothing, and for others."""
+"""Number of parts into which halving divides a path before exact checks: for links whose convex
+parts overlap, where halving decides nothing, and for other links."""
 
 _PLACE: Final = 2.0**-16
-"""Unit of the intensities checked on a path, which makes them independent of last digits; per unit,
-a fingertip moves some micrometres."""
+"""Unit of the intensities checked on a path, which makes them independent of last digits; in one
+unit, a fingertip moves a few micrometres."""
 
 _FEW: Final = 12
-"""Most pairs of links measured without comparing envelopes first, which would cost as much."""
+"""Largest number of pairs measured without comparing envelopes first, which would cost as much."""
 
 _SHARE: Final = 0.8
-"""Share of their distance at rest that near links have to keep: the rest is more than the rounding
-of stored postures."""
+"""Share of their distance at rest that near links must keep: the remainder exceeds the rounding of
+stored postures."""
 
 REDUCED: Final = 0.25
-"""Share of the margin for pinches without a posture of full margin: still clear, but only if the
+"""Share of the margins for pinches without a posture of full margins: still clear, but only if the
 model is exact."""
 
 _PLACES: Final = np.linspace(0.0, 1.0, 65)
 """Intensities at which the clearance on a path is measured, between which a fingertip moves a few
-millimetres; a multiple of `_PARTS` intervals."""
+millimetres. The number of intervals is a multiple of `_PARTS`."""
 
 _CAUTIOUS: Final = 2.0
-"""Factor on the motion of links between two checks on a path, which is measured at some points and
-taken as even between them."""
+"""Safety factor on the motion of links between two checks on a path, which is measured at some
+points and assumed to be even between them."""
 
 _PARALLEL: Final = 1e-3
 """Sine of the angle between two axes below which they are parallel."""
 
 _SURE: Final = 1e-5
-"""Distance beyond which links do not touch, however distances are rounded [m]."""
+"""Distance beyond which links do not touch, despite rounding errors [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Blocked:
     Attributes:
         pair: The links that collide.
         at: Intensity of their first collision.
-        until: Intensity up to which they have to stay apart.
+        until: Intensity up to which they must stay apart.
     """
 
     pair: LinkPair
@@ -85,14 +85,13 @@ class Blocked:
 class Closing:
     """The fingers of a pinch, which close on each other until contacts link their tips.
 
-    What lies behind the contact is a set-point that no finger reaches: from there on, the fingers
-    hold each other, or an object, and do not come nearer. Their links therefore have to stay apart
-    only until then.
+    The fingers never reach set-points beyond the contact: from there on, they hold each other, or
+    an object, and do not come nearer. Their links therefore must stay apart only until then.
 
     Attributes:
         bodies: The bodies of the tips, finger by finger.
         edges: The pairs of tips that can touch.
-        bars: The bodies of each finger beside the chain of its tip.
+        bars: The bodies of each finger outside the chain of its tip.
     """
 
     bodies: tuple[int, ...]
@@ -101,15 +100,15 @@ class Closing:
 
 
 class Collisions:
-    """The links that may collide at all.
+    """The pairs of links to check for collisions.
 
-    Excludes links joined by a moving joint, or by crossing ones with no geometry between them,
-    links that touch at rest, and pairs that the SRDF disables.
+    Excludes links joined by a moving joint, or by joints with crossing axes and no geometry between
+    them, links that touch at rest, and pairs that the SRDF disables.
 
     Attributes:
         checked: The remaining pairs of links.
         at_rest: The pairs that touch at rest.
-        narrow: The pairs whose distance at rest is too small for the hand's clearance, with that
+        narrow: The pairs whose distance at rest is too small for the hand's clearance, with this
             distance [m].
     """
 
@@ -121,7 +120,7 @@ class Collisions:
         parents, moves = scene.kinematics.model.parents, scene.hand.transmission.moves
 
         def rigid(body: int) -> int:
-            # A joint that nothing moves, such as a passive one, is as good as fixed.
+            # A joint that no actuator moves, such as a passive one, counts as fixed.
             while body and moves(body - 1) is None:
                 body = int(parents[body])
             return body
@@ -130,7 +129,7 @@ class Collisions:
 
         def next_to(body: int) -> int:
             above = rigid(int(parents[body]))
-            # Two axes that cross, as at a finger's root, have a link without geometry between them.
+            # Two crossing axes, as at a finger's base, have a link without geometry between them.
             while above and above not in solid and _crossing(scene, above, body):
                 body, above = above, rigid(int(parents[above]))
             return above
@@ -175,9 +174,9 @@ class Collisions:
         return bounds
 
     def margin(self, pair: LinkPair) -> float:
-        """Return the distance that two links have to keep in a clear pose [m].
+        """Return the distance that two links must keep in a clear pose [m].
 
-        The hand's clearance, or four fifths of their distance at rest if that is less.
+        It is the hand's clearance, or four fifths of their distance at rest if that is less.
         """
         least = self._scene.hand.clearance
         gap = self.narrow.get(pair.links)
@@ -189,11 +188,11 @@ class Collisions:
         tips: Iterable[frozenset[str]],
         closing: Closing | None = None,
     ) -> CollisionChecker:
-        """Return a checker of the links that some actuators move, except tips that shall touch.
+        """Return a checker of the links that the actuators move, except tips that should touch.
 
-        What stands still as soon as the tips of the pinch meet has to stay apart on the way only,
-        until they are within the hand's clearance of each other: links of two fingers that close on
-        each other, and all that is moved by the only actuator of such a finger.
+        Some links stand still once the tips of the pinch meet: those of two fingers that close on
+        each other, and those moved only by actuators that the contact stops. They must stay apart
+        only until the tips are within the hand's clearance of each other.
         """
         moving, wanted = frozenset(actuators), set(tips)
         pairs = [
@@ -212,12 +211,12 @@ class Collisions:
                     groups.setdefault(ends, []).append(pair)
             pairs = kept
         carrying = [pair for group in groups.values() for pair in group]
-        # `checked` is sorted, so that the nested pairs are the last in any selection.
+        # `checked` is sorted, so the nested pairs are the last in any selection.
         nested = sum(pair.links in self._nested for pair in pairs)
         margins = {pair.number: self.margin(pair) for pair in (*pairs, *carrying)}
         if closing is not None:
             near = self._near_tips(closing)
-            # Beside the tips, where other links carry the pinch as well as the tips do.
+            # Links beside the tips may touch: they carry the pinch as well as the tips do.
             beside = [pair for pair in carrying if near.issuperset(pair.bodies)]
             margins |= {pair.number: TOUCH for pair in beside}
         clearance = self._scene.hand.clearance
@@ -226,16 +225,16 @@ class Collisions:
         return CollisionChecker(measures, pairs, margins, nested, carried)
 
     def meetings(self, u: FloatArray) -> dict[int, float]:
-        """Return where the empty hand meets itself on the straight path from rest to a posture.
+        """Return where the empty hand touches itself on the straight path from rest to a posture.
 
-        Links meet where they are nearer than their margin.
+        Links touch where they are nearer than their margin.
 
         Args:
             u: The posture ``(n,)``.
 
         Returns:
-            The intensity of the first contact of links that an actuator moves against each other,
-            by index; without those that meet nothing.
+            By actuator index, the intensity of the first contact of links that the actuator moves
+            relative to each other; actuators without such a contact are missing.
         """
         scene, path = self._scene, self._motion.path_to(u)
         moving = np.flatnonzero(u != scene.hand.rest).tolist()
@@ -246,7 +245,7 @@ class Collisions:
                 found[i] = first.at
         whole = {pair.number for pair in self.checked}
         for pair in scene.tips.values():
-            # Joined tips, as a claw's, and those of several links are not among these.
+            # Joined tips, such as a claw's, and tips of several links are not among the checked.
             if pair.number not in whole and (concerned := pair.actuators.intersection(moving)):
                 at = first_contact(scene, pair, path, self._motion.speed(pair, path))
                 if at is not None:
@@ -254,7 +253,7 @@ class Collisions:
         return found
 
     def _fingers(self, closing: Closing) -> list[frozenset[int]]:
-        """Return the bodies of each finger alone: its bars, and those that carry its tip only."""
+        """Return the bodies that belong to one finger only: its bars, and the chain of its tip."""
         supports = [
             frozenset(self._scene.kinematics.model.supports[body]) | bars
             for body, bars in zip(closing.bodies, closing.bars, strict=True)
@@ -265,10 +264,10 @@ class Collisions:
         ]
 
     def _stopped(self, closing: Closing) -> frozenset[int]:
-        """Return the actuators that stand still when the pinch closes.
+        """Return the actuators that the contact of a closed pinch stops.
 
-        They are the only ones that move their finger's tip against the others. Where a finger has
-        more, it may still bend or swing with its tip held.
+        Each is the only actuator that moves its finger's tip relative to the others. A finger with
+        more such actuators may still bend or swing while its tip is held.
         """
         moves, stopped = self._scene.hand.transmission.moves, set[int]()
         for number, body in enumerate(closing.bodies):
@@ -287,7 +286,7 @@ class Collisions:
 
 
 def _crossing(scene: Scene, first: int, second: int) -> bool:
-    """Return whether two joints, one on the other's body, turn about axes that cross."""
+    """Return whether two consecutive joints turn about crossing axes."""
     joints = [scene.hand.joints[body - 1] for body in (first, second)]
     if any(joint.kind is JointKind.PRISMATIC for joint in joints):
         return False
@@ -295,27 +294,30 @@ def _crossing(scene: Scene, first: int, second: int) -> bool:
     axes = [np.array(scene.hand.urdf.joints[joint.name].axis) for joint in joints]
     across = cross(axes[0], matvec(placement.rotation, axes[1]))
     length = norm(across)
-    # The distance of the two lines, along their common perpendicular.
+    # The distance between the two axes, along their common perpendicular.
     return length > _PARALLEL and (
         abs(dot(across, np.array(placement.translation))) <= scene.hand.clearance * length
     )
 
 
 def _of_two(fingers: Sequence[frozenset[int]], bodies: tuple[int, int]) -> tuple[int, int] | None:
-    """Return the numbers of the two different fingers that two bodies are of, if they are."""
+    """Return the numbers of the two fingers that two bodies belong to.
+
+    Return ``None`` if the bodies do not belong to two different fingers.
+    """
     a, b = (next((i for i, own in enumerate(fingers) if body in own), None) for body in bodies)
     return None if a is None or b is None or a == b else (min(a, b), max(a, b))
 
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """The links that carry a pinch, and stay apart until it closes.
+    """The links that carry a pinch, which must stay apart until it closes.
 
     Attributes:
         closing: The pinch.
-        groups: Pairs of links, other than the tips that shall touch, by the numbers of the two
-            fingers that they are of: these have to stay apart until contacts link these two, and
-            all others until contacts link all fingers.
+        groups: Pairs of links, other than the tips that should touch, by the numbers of the two
+            fingers to which they belong. These pairs must stay apart until contacts link the two
+            fingers; those under ``None``, until contacts link all fingers.
         near: Distance at which tips count as touching [m].
     """
 
@@ -326,7 +328,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """Measurements of links: the scene, bounds on their motion and on their distances."""
+    """Objects that measure links: the scene, and bounds on their motion and distances."""
 
     scene: Scene
     motion: Motion
@@ -353,11 +355,11 @@ class CollisionChecker:
         """Prepare checks of some pairs of links.
 
         Args:
-            measures: What measures them.
+            measures: Objects that measure the links.
             pairs: The pairs.
-            margins: The distances that they have to keep, by number of the pair [m].
-            nested: Number of nested pairs, which are the last.
-            carried: Further pairs, which have to stay apart only until a pinch closes.
+            margins: The distances that the links must keep, by number of the pair [m].
+            nested: Number of nested pairs, which are the last in ``pairs``.
+            carried: Further pairs, which must stay apart only until a pinch closes.
         """
         self._measures = measures
         self._scene, self._motion = measures.scene, measures.motion
@@ -368,7 +370,7 @@ class CollisionChecker:
         self._carried = carried
         self._known = LinkDistanceBounds(self._motion, self.pairs)
         self._paths: dict[bytes, Blocked | None] = {}
-        # All pairs that any check may be of, and the bounds on their distances on the last path.
+        # All pairs that a check may need, and the bounds on their distances on the last path.
         groups = carried.groups.values() if carried else ()
         every = (*self.pairs, *(pair for group in groups for pair in group))
         self._ends = measures.envelopes.ends(every)
@@ -379,7 +381,7 @@ class CollisionChecker:
         self._along: tuple[bytes, FloatArray] | None = None
 
     def margin(self, pair: LinkPair) -> float:
-        """Return the distance that two links have to keep [m]."""
+        """Return the distance that two links must keep [m]."""
         return self._margin_of[pair.number]
 
     @cached_property
@@ -393,7 +395,7 @@ class CollisionChecker:
         key = path.goal.tobytes()
         if self._along is None or self._along[0] != key:
             postures = [path.at(t) for t in _PLACES.tolist()]
-            # Distance that pairs need to be free of each other on the smallest part of a path.
+            # Distance from which pairs are free on the smallest part of a path.
             apart = self._speeds(path) / (2.0 * _PARTS) + self._every
             apart = np.maximum(apart, FARTHEST_CLEARANCE * self._scene.unit)
             self._along = key, self._measures.envelopes.gaps(postures, self._ends, apart)
@@ -408,7 +410,7 @@ class CollisionChecker:
 
         Args:
             u: The posture ``(n,)``.
-            path: Measure on the straight path from rest, too, at 65 places.
+            path: Whether to measure on the straight path from rest, too, at 65 points.
         """
         scene = self._scene
         least = FARTHEST_CLEARANCE * scene.unit
@@ -419,7 +421,7 @@ class CollisionChecker:
         if not bounds.size:
             return least
         speeds = self._speeds(straight)
-        # The least bound first, until no pair can be nearer than the nearest so far.
+        # Measure the least bound first, until no pair can be nearer than the nearest so far.
         while True:
             k, c = divmod(int(np.argmin(bounds)), count)
             if bounds[k, c] >= least:
@@ -430,7 +432,7 @@ class CollisionChecker:
             # A proximity test of meshes is faster than their distance.
             if gap < least and scene.nearer(pair, least):
                 least = min(least, scene.exact_distance(pair))
-            # The pair cannot be much nearer at the neighbouring places, either.
+            # The pair cannot be much nearer at the neighbouring points, either.
             bounds[:, c] = np.maximum(bounds[:, c], gap - speeds[c] * np.abs(places - t))
             bounds[k, c] = np.inf
 
@@ -460,18 +462,21 @@ class CollisionChecker:
     def blocked(self, u: FloatArray) -> Blocked | None:
         """Return the first collision on the straight path from rest to a posture, or ``None``.
 
-        Links whose convex parts are farther apart than they can move are free. For others, halves
-        the path repeatedly, and checks the remaining parts exactly, at steps in which near links
-        move at most 1 mm against each other.
+        Links whose convex parts are farther apart than they can move are free. For the others, the
+        search halves the path repeatedly, and checks the remaining parts exactly, in steps in which
+        near links move at most 1 mm relative to each other.
         """
         key = u.tobytes()
-        # Cached, since the measurement of the evidence checks the same posture again.
+        # Cached, since measuring the evidence checks the same posture again.
         if key not in self._paths:
             self._paths[key] = self.first_blocked(self._motion.path_to(u))
         return self._paths[key]
 
     def first_blocked(self, path: StraightPath) -> Blocked | None:
-        """Return the first collision on a path, of links that carry the pinch before it closes."""
+        """Return the first collision on a path, or ``None``.
+
+        For links that carry the pinch, only collisions before it closes count.
+        """
         first, carried = self.first_on(path, self.pairs), self._carried
         if carried is None:
             return first
@@ -488,7 +493,7 @@ class CollisionChecker:
     def _contacts(
         self, path: StraightPath, carried: Carried
     ) -> list[tuple[tuple[int, int], float | None]]:
-        """Return the intensities at which the tips come near each other."""
+        """Return the intensities at which the tips come within `Carried.near` of each other."""
         scene, motion, near = self._scene, self._motion, carried.near
         return [
             (e.ends, first_contact(scene, e.tips, path, motion.speed(e.tips, path), near))
@@ -500,11 +505,10 @@ class CollisionChecker:
     ) -> Blocked | None:
         """Return the first collision of these links on a path, or ``None``.
 
-        Of collisions from the intensity ``until`` on, not all are found.
+        The search may miss collisions at or beyond the intensity ``until``.
         """
         first: Blocked | None = None
-        # In the order of their beginnings, so that runs behind the first collision need no exact
-        # checks.
+        # In the order of their starts: runs beyond the first collision need no exact checks.
         for pair, ends in sorted(self._near_runs(path, pairs, until), key=lambda run: run[1][0]):
             if first is not None:
                 if ends[0] >= first.at:
@@ -518,9 +522,9 @@ class CollisionChecker:
     def _near_runs(
         self, path: StraightPath, pairs: Sequence[LinkPair], until: float
     ) -> list[tuple[LinkPair, list[float]]]:
-        """Return the runs of the path on which a pair may touch, by the ends of their parts.
+        """Return the runs of the path on which each pair may touch, as the ends of their parts.
 
-        Those that begin at the intensity ``until`` or later are left out.
+        Runs that start at the intensity ``until`` or later are left out.
         """
         columns_of = [self._column[pair.number] for pair in pairs]
         speeds, margins = self._speeds(path)[columns_of].tolist(), self._every[columns_of].tolist()
@@ -528,7 +532,7 @@ class CollisionChecker:
         # The same test as below, of all pairs on all parts at once.
         reach = np.array(speeds) / _PARTS + 2.0 * np.array(margins)
         alive = apart[:-1] + apart[1:] <= reach
-        # Bounds on overlaps are useless.
+        # Bounds on overlaps decide nothing.
         alive |= np.minimum(apart[:-1], apart[1:]) <= np.array(margins)
 
         def live(part: tuple[float, float], columns: Iterable[int]) -> list[int]:
@@ -545,7 +549,7 @@ class CollisionChecker:
             for ends, columns in parts.items():
                 for t in ends:
                     asked.setdefault(t, set()).update(columns)
-            # Ordered by intensities, since placing the hand costs more than measuring a pair.
+            # Grouped by intensity, since placing the hand costs more than measuring a pair.
             for t, concerned in asked.items():
                 new = [c for c in concerned if t not in gaps[c]]
                 if new:
@@ -557,7 +561,7 @@ class CollisionChecker:
                 middle, halved = (start + end) / 2.0, []
                 for c in columns:
                     here, there = gaps[c][start] - margins[c], gaps[c][end] - margins[c]
-                    # Links that come near each other in between have to cover both gaps.
+                    # To touch in between, links would have to cover both gaps.
                     if here + there > speeds[c] * (end - start):
                         continue
                     overlap = here <= 0.0 and there <= 0.0
@@ -576,15 +580,15 @@ class CollisionChecker:
     ) -> float | None:
         """Return the intensity of a pair's first contact on a run of the path, or ``None``.
 
-        Looks no farther than to the first place at the intensity ``until`` or later.
+        Looks no farther than the first point at or beyond the intensity ``until``.
         """
         travelled = self._motion.travelled(pair, path, ends)
-        # Equal steps of motion instead of intensity: links move unevenly along the path.
+        # Take equal steps of motion, not of intensity: links move unevenly along the path.
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
         margin, places = self._margin_of[pair.number], [ends[0]]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
-            # On a lattice, which is independent of a processor's last digits.
+            # Round to a lattice, which is independent of a processor's last digits.
             places.append(min(ends[-1], round(t / _PLACE) * _PLACE))
         number = 1
         while number <= steps and places[number - 1] < until:
@@ -592,14 +596,14 @@ class CollisionChecker:
             self._scene.place(path.at(t))
             if self._scene.nearer(pair, margin):
                 return bisect(self._scene, pair, path, places[number - 1], t, margin)
-            # Skip the places at which the links cannot yet be near: a step moves them by `STEP`.
+            # Skip points at which the links cannot be near yet: a step moves them by `STEP`.
             gap = self._scene.at_least(pair) - margin
             number += 1 + max(0, int(gap / (_CAUTIOUS * STEP)))
         return None
 
 
 def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
-    """Return the ends of parts of a path, with consecutive parts joined."""
+    """Return runs of consecutive parts of a path, each as the ends of its parts."""
     runs: list[list[float]] = []
     for start, end in sorted(parts):
         if runs and runs[-1][-1] == start:
@@ -614,14 +618,14 @@ def linked_at(
     firsts: Sequence[tuple[tuple[int, int], float | None]],
     ends: tuple[int, int] | None = None,
 ) -> float | None:
-    """Return the least intensity at which contacts have linked all tips, or two of them.
+    """Return the intensity from which contacts link all tips, or two of them; ``None`` if never.
 
     Args:
         size: Number of tips.
         firsts: Pairs of tips, with the intensities at which they first touch.
-        ends: The two tips; all unless given.
+        ends: The two tips; all tips unless given.
     """
-    # Contacts are added in the order in which they come on the path, until all tips are linked.
+    # Add contacts in the order in which they occur on the path, until the tips are linked.
     known = sorted((at, edge) for edge, at in firsts if at is not None)
     for i, (at, _) in enumerate(known):
         edges = [edge for _, edge in known[: i + 1]]
@@ -631,7 +635,7 @@ def linked_at(
 
 
 def _joined(edges: Sequence[tuple[int, int]], ends: tuple[int, int]) -> bool:
-    """Return whether edges connect two nodes."""
+    """Return whether the edges connect two nodes, directly or through others."""
     reached, before = {ends[0]}, 0
     while len(reached) > before:
         before = len(reached)
@@ -651,10 +655,10 @@ def first_contact(
         scene: The scene.
         pair: The links.
         path: The path.
-        speed: Bound on the speed of the links against each other per unit of the path [m].
-        margin: Distance at which they count as touching [m].
+        speed: Bound on the relative speed of the links per unit of the path [m].
+        margin: Distance at which the links count as touching [m].
     """
-    # If the parts overlap, the gap gives no step, and the finest one is used.
+    # If the parts overlap, the gap gives no step; use the finest one.
     finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0
     t = before = 0.0
     while True:
@@ -677,14 +681,14 @@ def bisect(
     margin: float,
     precision: float = _PLACE,
 ) -> float:
-    """Return an intensity at which two links begin to touch, or to be nearer than a margin.
+    """Return an intensity at which two links begin to be nearer than a margin.
 
     Args:
         scene: The scene.
         pair: The links.
         path: The path.
-        apart: An intensity at which they do not touch; may equal ``touching``.
-        touching: A larger intensity at which they touch.
+        apart: An intensity at which they are farther apart; may equal ``touching``.
+        touching: A larger intensity at which they are nearer.
         margin: The margin [m].
         precision: Largest error of the result.
     """

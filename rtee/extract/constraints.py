@@ -1,4 +1,4 @@
-"""Constraints learned in a search for clear poses: links that have to stay apart, and distances."""
+"""Constraints learned in a search for clear poses: links that must stay apart, and how far."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 WEIGHT: Final = 5.0
-"""First weight of a violated constraint, in metres of depth per metre: more than the goal gains by
-a violation, so that the penalty is exact."""
+"""Initial weight of a violated constraint, in metres of depth per metre: more than the goal gains
+by a violation, so that the penalty is exact."""
 
 CLOSE: Final = 5e-5
 """Tolerance in comparisons of values and gaps [m]: a few units of the medium resolution."""
 
 NEAR: Final = 5e-3
-"""Distance beyond which links are out of reach of one step in the trust region [m]."""
+"""Distance beyond which links cannot collide within one step in the trust region [m]."""
 
 CLOSER: Final = 1e-3
 """Distance of convex parts beyond which the exact gap does not matter [m]."""
 
 _SHRINK: Final = 0.2
-"""Share by which an allowance is lowered if links still collide: enough to end the collision in a
-few rounds, without losing much depth."""
+"""Share by which an allowance shrinks if links still collide: enough to end the collision in a few
+rounds, without losing much depth."""
 
 _STRENGTHEN: Final = 2.0
 _STRONGEST: Final = 40.0
-"""Factor by which the weight of a violated constraint grows, and its upper bound: descents would
-end on a steeper penalty."""
+"""Factor by which the weight of a violated constraint grows, and the weight's upper bound: descents
+would stall on a steeper penalty."""
 
 _COARSE: Final = 0.01
 """Precision of the first contact on the path, as an intensity: the allowance measured there is only
 a first guess."""
 
 _SAFE: Final = 2e-5
-"""Distance of an actuator's bound before a collision, as an intensity: more than rounding."""
+"""Distance of an actuator's bound from a collision, as an intensity: more than rounding errors."""
 
 _MARGIN: Final = 1e-4
 """Difference between the overlap at the first contact and the first allowance [m]."""
@@ -54,11 +54,11 @@ find the deepest one."""
 
 _STATIONS: Final = 4
 _MOST_STATIONS: Final = 8
-"""Number of these intensities at which a constraint on the path holds, at first and at most: each
-costs a placement of the hand per evaluation."""
+"""Number of intensities of a constraint on the path, at first and at most: each costs a placement
+of the hand per evaluation."""
 
 _APART: Final = 0.02
-"""Difference of intensities below which they count as one station."""
+"""Largest difference of intensities that count as one station."""
 
 _POSE: Final = (1.0,)
 """The intensities of a constraint at the pose alone."""
@@ -66,12 +66,12 @@ _POSE: Final = (1.0,)
 
 @dataclass(slots=True)
 class Constraint:
-    """Two links that have to stay apart.
+    """Two links that must stay apart.
 
     Attributes:
         pair: The links.
-        times: Intensities on the path; 1 is the pose itself.
-        allowance: Largest overlap of their convex parts there [m]; negative if the parts have to
+        times: Intensities on the path at which they are measured; 1 is the pose itself.
+        allowance: Largest allowed overlap of their convex parts [m]; negative if the parts must
             stay apart.
         weight: Factor of the penalty.
     """
@@ -85,12 +85,12 @@ class Constraint:
 class Constraints:
     """Learns constraints from collisions at poses and on the paths to them.
 
-    Measures the convex parts of two links instead of the links. The parts overlap before the links
-    collide, by an allowance that is measured at the first contact of the links.
+    Constraints measure the convex parts of two links instead of the links themselves. The parts may
+    overlap before the links collide; the allowance is their overlap at the links' first contact.
     """
 
     def __init__(self, function: GoalFunction, motion: Motion, checker: CollisionChecker) -> None:
-        """Begin without constraints on a goal over the space to search."""
+        """Start without constraints, for a goal over the space to search."""
         self._function = function
         self._scene, self._space = function.scene, function.space
         self._motion = motion
@@ -111,7 +111,7 @@ class Constraints:
         return bool(self._known or self._low.any() or (self._high < 1.0).any())
 
     def concerned(self) -> dict[tuple[str, str], LinkPair]:
-        """Return the links that collided at poses, by their names."""
+        """Return the pairs of links that collided at poses, by the names of the links."""
         return {c.pair.links: c.pair for c in self._known if c.times == _POSE}
 
     def calibrate(self, y: FloatArray) -> None:
@@ -136,7 +136,7 @@ class Constraints:
             return
         path = self._path(y)
         at = bisect(self._scene, pair, path, 0.0, 1.0, self._checker.margin(pair), _COARSE)
-        # A little before the contact, whose intensity is known only to `_COARSE`.
+        # Slightly before the contact, whose intensity is known only to `_COARSE`.
         overlap = self._overlap(pair, path, max(0.0, at - _COARSE))
         self._known.append(Constraint(pair, _POSE, overlap))
 
@@ -150,7 +150,7 @@ class Constraints:
         deepest = times[int(np.argmax(overlaps))]
         known = self._of(blocked.pair, on_path=True)
         if known is None:
-            # The deepest place and some others, one of which may become the deepest.
+            # The deepest intensity and some others, one of which may become the deepest.
             few = (*times[:: _SAMPLES // _STATIONS], deepest)
             self._known.append(Constraint(blocked.pair, few, overlaps[0]))
         elif all(abs(t - deepest) > _APART for t in known.times):
@@ -167,13 +167,16 @@ class Constraints:
         """Lower the allowance below an overlap at which the links collide."""
         least = min(constraint.allowance, overlap)
         constraint.allowance = COARSE.rounded_value(least - max(CLOSE, _SHRINK * abs(least)))
-        # The penalty was too weak to prevent the collision, so that it becomes steeper, too.
+        # The penalty was too weak to prevent the collision; make it steeper, too.
         constraint.weight = min(_STRONGEST, constraint.weight * _STRENGTHEN)
 
     def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
-        """Bound an actuator that alone moves two links at their first collision on its path."""
+        """Bound the actuator at the first collision of two links, if only one moves them.
+
+        Return whether a bound was set.
+        """
         moving = pair.actuators & self._varying
-        # If the collision depends on one coordinate, a bound describes it completely.
+        # A collision that depends on a single coordinate is described completely by a bound.
         if len(moving) != 1:
             return False
         (actuator,) = moving
@@ -224,9 +227,9 @@ class Constraints:
 
             if not before:
                 return value, sloping
-            slope = sloping()  # now, since the links are moved next
+            slope = sloping()  # now, since the stations below move the links
             for c in before:
-                # Only the least gap of all stations counts, like the maximum of their overlaps.
+                # Only the least gap of all stations counts, that is the largest overlap.
                 least, steepest = np.inf, slope
                 for t in c.times:
                     scene.place(from_rest(scene.hand.rest, u, t))

@@ -1,4 +1,4 @@
-"""The transmission for the searches, with non-linear couplings interpolated in tables."""
+"""The transmission for searches, with non-linear couplings interpolated from tables."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Couplings:
     """Computes joint positions from actuator positions, fast.
 
     Linear couplings are evaluated directly. Non-linear ones are tabulated at 1025 knots over the
-    widened limits and interpolated by cubic Hermite polynomials. That agrees with smooth couplings
-    of real hands to 1e-8 rad, and to 3e-5 rad at kinks. If an expression has no finite value, the
-    nearest finite one replaces it.
+    widened limits and interpolated by cubic Hermite polynomials. Tables agree with smooth couplings
+    of real hands to 1e-8 rad, and to 3e-5 rad at kinks. Where an expression has no finite value,
+    the table interpolates between its finite values.
     """
 
     def __init__(self, hand: Hand) -> None:
         matrix, self._offset = hand.transmission.matrix, hand.transmission.offset
-        # A joint follows at most one actuator, so that no sum is needed.
+        # A joint follows at most one actuator, so no sum is needed.
         self._mover = np.abs(matrix).argmax(axis=1)
         self._factor = matrix[np.arange(len(matrix)), self._mover]
         self.linear = hand.transmission.linear
@@ -38,7 +38,7 @@ class Couplings:
         """Return joint positions ``(m,)`` at actuator positions ``(n,)`` [rad | m]."""
         q: FloatArray = self._factor * u[self._mover] + self._offset
         for table in self._tables:
-            # Their rows of the matrix are 0, and the table has their whole position.
+            # These joints have zero rows in the matrix; the table holds their whole position.
             q[table.rows] = table.at(float(u[table.actuator]))[0]
         return q
 
@@ -64,7 +64,7 @@ class _Table:
         self.actuator = actuator
         self.rows = np.array(rows, dtype=np.intp)
         self._low, self._step = low, (high - low) / (_KNOTS - 1)
-        # Two more knots beyond both ends, for the central differences there.
+        # Two more knots beyond each end, for the central differences there.
         x: FloatArray = low + self._step * np.arange(-2.0, _KNOTS + 2.0)
         columns = []
         for coupling in couplings:
@@ -81,8 +81,8 @@ class _Table:
         self._last, self._result = math.nan, (self._values[0], self._slopes[0])
 
     def at(self, x: float) -> tuple[FloatArray, FloatArray]:
-        """Return the joints' positions and their derivatives; the last result is cached."""
-        # Callers request position and slope one after the other, at the same place.
+        """Return the joints' positions and derivatives; the last result is cached."""
+        # Callers request position and slope one after the other, at the same position.
         if x != self._last:
             self._last, self._result = x, self._interpolate(x)
         return self._result

@@ -13,26 +13,26 @@ from rtee.hand.linalg import dot, matvec
 from rtee.sample import FloatArray
 
 Slope = Callable[[], FloatArray]
-"""Returns the derivative ``(k,)`` at the last evaluation of a function.
+"""Returns the derivative ``(k,)`` of a function at its last evaluation.
 
-Called before the next evaluation, or not at all, since half of the steps of a line search are too
+Must be called before the next evaluation, if at all: half of the steps of a line search are too
 long and need no derivative."""
 
 Objective = Callable[[FloatArray], tuple[float, Slope]]
 """Returns the value at coordinates in the unit box, and a function that returns its derivative."""
 
 Bounds = tuple[FloatArray | float, FloatArray | float]
-"""Lower and upper corner of the box of the coordinates."""
+"""Lower and upper corner of the box that bounds the coordinates."""
 
 _DECREASE: Final = 1e-4
 _CURVATURE: Final = 0.5
-"""Shares of the first slope in the two weak Wolfe conditions: the usual one, and less than the
-usual 0.9, since going on behind a kink gains little."""
+"""Shares of the initial slope in the two weak Wolfe conditions. The first is the usual one; the
+second is less than the usual 0.9, since going on beyond a kink gains little."""
 
 _FIRST_STEP: Final = 0.1
 _LONGEST_STEP: Final = 0.5
-"""Longest steps in the coordinate that moves farthest, as shares of an actuator's range: without
-knowledge of the curvature, and in general."""
+"""Longest steps in the coordinate that moves farthest, as shares of an actuator's range: before the
+curvature is known, and in general."""
 
 _FLAT: Final = 1e-10
 """Size below which a derivative counts as 0 [m]: far below the unit of every resolution."""
@@ -41,7 +41,8 @@ _CURVED: Final = 1e-14
 """Curvature along a step below which it is a rounding error and does not update the model [m]."""
 
 _MOST_TRIALS: Final = 10
-"""Most points of a line search; ten halvings of the longest step give the coarse unit."""
+"""Maximum number of points of a line search; ten halvings of the longest step give the coarse unit.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class Minimum:
 
     Attributes:
         y: Coordinates ``(k,)``.
-        value: The value there.
+        value: Value of the function there.
         evaluations: Number of evaluations of the function.
     """
 
@@ -71,18 +72,17 @@ def descend(
     """Return a local minimum by projected BFGS.
 
     Makes quasi-Newton steps in the coordinates that are not held at a bound, with a line search for
-    the weak Wolfe conditions. With these, the method converges on functions with kinks, although
-    the derivative jumps (Lewis and Overton, 2013). If it stalls, it restarts once from the
-    identity.
+    the weak Wolfe conditions. With these, BFGS converges even on functions with kinks, where the
+    derivative jumps (Lewis and Overton, 2013). If it stalls, it restarts once from the identity.
 
     Args:
         function: The function to minimise.
         start: Coordinates ``(k,)``.
-        evaluations: Most evaluations.
+        evaluations: Maximum number of evaluations.
         bounds: Corners of the box.
-        resolution: Units to which coordinates, values and slopes are rounded; a step that gains no
-            more than the unit of values ends the descent.
-        enough: Value at which the descent ends.
+        resolution: Units to which coordinates, values and slopes are rounded. If a step gains no
+            more than one unit of the value, the descent has stalled.
+        enough: Value at or below which the descent ends.
     """
     low, high = np.zeros(len(start)) + bounds[0], np.zeros(len(start)) + bounds[1]
     bounds = low, high = resolution.snap_box((low, high))
@@ -97,7 +97,7 @@ def descend(
         if max(map(abs, free.tolist()), default=0.0) < _FLAT:
             break
         direction = np.where(held, 0.0, -matvec(inverse, free))
-        if dot(direction, free) >= 0.0:  # no descent: the model is useless behind a kink
+        if dot(direction, free) >= 0.0:  # not a descent: the model is useless beyond a kink
             direction, inverse, fresh = -free, np.eye(len(y)), True
         longest = max(map(abs, direction.tolist()))
         if fresh:
@@ -109,7 +109,7 @@ def descend(
         if point is None or value - point[1] <= resolution.value:  # stalled
             if point is not None:
                 y, value, slope = point
-            # Stalled with the identity, so that this is a minimum, or as good as one.
+            # Stalled along the gradient itself, so this is a minimum, or as good as one.
             if restarted or fresh:
                 break
             inverse, fresh, restarted = np.eye(len(y)), True, True
@@ -161,7 +161,10 @@ def _search_line(
     bounds: Bounds,
     resolution: Resolution,
 ) -> tuple[_Point | None, int]:
-    """Return a point of sufficient decrease on the projected ray, if possible of flatter slope."""
+    """Return a point of sufficient decrease on the projected ray, or ``None``.
+
+    If possible, the slope there is also flatter. The second value is the number of evaluations.
+    """
     y, value, slope = origin
     below, above, t = 0.0, np.inf, 1.0
     best: _Point | None = None
@@ -170,7 +173,7 @@ def _search_line(
     for count in range(_MOST_TRIALS):
         there = resolution.snap(y + t * direction)
         inside = within(there, bounds)
-        # The step is shorter than a unit of the lattice.
+        # The step is shorter than one unit of the lattice.
         if inside.tolist() == here:
             return best, count
         new, rise = function(inside)
@@ -178,7 +181,7 @@ def _search_line(
         if new > value + _DECREASE * dot(slope, inside - y):
             above = t
         else:
-            # Not before: half of the trials are too long and need no derivative.
+            # Only here: half of the trials are too long and need no derivative.
             new_slope = resolution.rounded_slope(rise())
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
@@ -187,6 +190,6 @@ def _search_line(
             if projected or dot(new_slope, direction) >= _CURVATURE * steepness:
                 return best, count + 1
             below = t
-        # Double until there is an upper end, then bisect, which converges on kinks, too.
+        # Double the step until it is too long, then bisect, which also converges on kinks.
         t = (below + above) / 2.0 if above < np.inf else 2.0 * t
     return best, _MOST_TRIALS

@@ -17,15 +17,15 @@ TOUCH: Final = 1e-8
 _POLYTOPES: Final = 1e-9
 """Precision of distances and penetration depths of boxes, hulls and spheres [m]. With Coal's
 default, 1e-6, the last digit decides between two normals whose depths differ by less, and searches
-end at such places; distances depend on the frame of the base, the order of vertices and earlier
-measurements. For cylinders, which have no end of faces, the default stays: some would not
+end at such points; distances would depend on the base frame, the order of vertices and earlier
+measurements. Cylinders, which have infinitely many faces, keep the default: some queries would not
 converge."""
 
 _FAILED: Final = -1e6
-"""Distance below which Coal has failed to find a depth [m]: no hand penetrates itself so deeply."""
+"""Distance below which Coal has failed to find a depth [m]: no hand overlaps itself so deeply."""
 
 _CLIMBED: Final = 32
-"""Number of vertices above which Coal climbs along edges, from the end of its last query."""
+"""Number of vertices above which Coal climbs along edges, starting where its last query ended."""
 
 _ENDLESS: Final = (coal.Cylinder, coal.BVHModelBase)
 """Shapes that no polytope with finitely many faces represents exactly."""
@@ -39,18 +39,18 @@ _place, _measure = pin.updateGeometryPlacements, pin.computeDistances
 class DistanceQueries:
     """Distances and contacts of two links, by convex parts, coarse shapes, or original geometry.
 
-    One call measures all couples of shapes, one of the first link and one of the second.
-    Coal can use the end of a couple's last search as a guess for the next one, which changes the
-    last digits of results. Here every search begins from the same guess, so that results depend on
-    the posture alone. This is Coal's default for convex shapes; for original meshes it must be set
-    again each time.
+    One call measures all couples of shapes, one of the first link and one of the second. Coal can
+    use the end of a couple's last search as a guess for the next one, which changes the last digits
+    of results. Here, every search starts from the same guess, so that results depend on the posture
+    alone. For convex shapes, this is Coal's default; for original meshes, the guess must be reset
+    before each query.
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.
         slack: Largest excess of the bodies' distance over that of the convex parts [m].
-        remembers: Whether Coal keeps the direction of its last search for a vertex of a hull, which
-            changes the next distance from a cylinder by some 10 nm; only new queries have none.
-        results: Coal's last distance result of every couple.
+        remembers: Whether Coal remembers where its last search on a hull ended, which changes the
+            next distance from a cylinder by about 10 nm; only new queries have no memory.
+        results: Coal's last distance result for each couple.
     """
 
     def __init__(
@@ -67,10 +67,10 @@ class DistanceQueries:
         """Prepare the couples of two links.
 
         Args:
-            robot: The hand and where its joints are.
+            robot: Model and data of the hand; the data has the joint placements.
             shapes: All shapes.
-            first: Indices of those of the first link.
-            second: Indices of those of the second link.
+            first: Indices of the first link's shapes.
+            second: Indices of the second link's shapes.
             bodies: Geometry of each shape, by its index: its convex part, its coarse shape, or its
                 original geometry.
             coarse: Whether to measure for a search, with more precise distances of polytopes.
@@ -90,7 +90,7 @@ class DistanceQueries:
         self._precise, self.remembers = [], False
         for couple in self.couples:
             self._model.addCollisionPair(pin.CollisionPair(*(number[n] for n in couple)))
-            # Flat faces alone have exact depths.
+            # Only flat faces have exact depths.
             flat = not any(isinstance(bodies[n], _ENDLESS) for n in couple)
             hull = flat and any(shapes[n].is_mesh for n in couple)
             self._precise.append(flat and (coarse or hull))
@@ -104,14 +104,14 @@ class DistanceQueries:
         """Reset Coal's memory of earlier measurements."""
         self._data = self._model.createData()
         distance = coal.DistanceRequest()
-        # One contact is enough to know whether they touch.
+        # One contact suffices to know whether they touch.
         collision = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
         if self._guided:
             distance.gjk_initial_guess = collision.gjk_initial_guess = coal.CachedGuess
         for k in range(len(self.couples)):
             self._data.distanceRequests[k] = distance
             self._data.collisionRequests[k] = collision
-        # Their elements are Pinocchio's own requests, so that changes below take effect.
+        # The elements are Pinocchio's own requests, so that the changes below take effect.
         self._distances = list(self._data.distanceRequests)
         for request, precise in zip(self._distances, self._precise, strict=True):
             if precise:
@@ -123,7 +123,7 @@ class DistanceQueries:
 
     @property
     def used(self) -> bool:
-        """Whether anything was measured since the beginning."""
+        """Whether anything was measured since the last `forget`."""
         return self._measured >= 0 or self._placed >= 0
 
     @property
@@ -132,10 +132,11 @@ class DistanceQueries:
         return self._guided
 
     def least(self, stamp: int, convex: DistanceQueries | None = None) -> tuple[float, int]:
-        """Return the least distance [m] and the number of its couple, at a placement of the joints.
+        """Return the least distance [m] and the number of its couple.
 
-        The distance is negative if convex shapes overlap. Couples of meshes whose convex parts are
-        known to be farther apart, by the queries of these, are not measured.
+        The distance is negative if convex shapes overlap. ``stamp`` identifies the placement of the
+        joints. With ``convex``, the queries of the convex parts, couples whose convex parts are
+        farther apart than the nearest couple are not measured.
         """
         # Cached, since goal, constraints and checks request it at the same posture.
         if stamp != self._measured:
@@ -154,7 +155,7 @@ class DistanceQueries:
         return self._least
 
     def _nearest(self, bounds: Sequence[float]) -> int:
-        """Return the index of the nearest pair, by lower bounds on all distances [m]."""
+        """Return the number of the nearest couple, using lower bounds on all distances [m]."""
         nearest = (np.inf, 0)
         for bound, k in sorted((bound, k) for k, bound in enumerate(bounds)):
             if bound - TOUCH > nearest[0]:
@@ -164,11 +165,11 @@ class DistanceQueries:
         return nearest[1]
 
     def _measured_again(self) -> int:
-        """Return the number of the nearest couple after measuring failed depths less precisely."""
-        _measure(self._model, self._data)  # all couples, of which some may have been left out
+        """Measure failed depths again, less precisely; return the number of the nearest couple."""
+        _measure(self._model, self._data)  # all couples, since some may have been skipped
         for k, request in enumerate(self._distances):
             precision = request.epa_tolerance
-            # Only for this query, as the tolerance is restored below.
+            # Only for this query; the tolerance is restored below.
             while self.results[k].min_distance < _FAILED and request.epa_tolerance < 1.0:
                 request.epa_tolerance *= 10.0
                 pin.computeDistance(self._model, self._data, k)
@@ -179,9 +180,8 @@ class DistanceQueries:
         """Return whether the surfaces of a couple are closer than a margin [m].
 
         Use a margin of 10 nm for contact: if a triangle lies symmetrically in a primitive, Coal
-        returns a distance of the order of rounding errors instead of a collision.
-
-        Primitives are solid. ``stamp``: number of the joints' placement.
+        returns a distance of the order of rounding errors instead of a collision. Primitives are
+        solid. ``stamp`` identifies the placement of the joints.
         """
         if stamp != self._placed:
             _place(self._robot, self._joints, self._model, self._data)

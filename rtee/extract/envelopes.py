@@ -1,7 +1,7 @@
 """Lower bounds on the distances of many links at many postures at once.
 
-Each link is enclosed in a capsule, in a box and in a ball. The bounds only tell which links need no
-exact measurement, so that no result depends on their last digits.
+A capsule, a box and a ball enclose each link. The bounds only select links that need no exact
+measurement, so that results do not depend on the bounds' last digits.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from rtee.sample import FloatArray
 from rtee.types import JointKind
 
 _SLACK: Final = 2e-6
-"""Subtracted from every bound [m]: more than the rounding errors of what follows."""
+"""Margin subtracted from every bound [m]: more than the rounding errors of the computation."""
 
 _WORTH: Final = 40
-"""Number of distances that take as long to measure as the bounds of capsules and boxes."""
+"""Number of distances above which the bounds of capsules and boxes cost less than measuring."""
 
 _ALONG: Final = 1e-10
 """Squared sine of the angle between two axes below which they count as parallel; the error is less
 than a micrometre for links of 10 cm."""
 
 _TINY: Final = 1e-30
-"""Substitute for a divisor 0 [m²]."""
+"""Substitute for a zero divisor [m²]."""
 
 _SIDES: Final = 16
-"""Number of points around an end of a cylinder, whose hull, widened a little, encloses it."""
+"""Number of points around an end of a cylinder; their hull, slightly widened, encloses the end."""
 
 _sum = np.add.reduce
 
@@ -46,12 +46,12 @@ class _Envelope:
 
     Attributes:
         ends: Ends of the capsule's axis ``(2, 3)`` [m].
-        radius: Its radius [m].
+        radius: Radius of the capsule [m].
         centre: Centre of the box ``(3,)`` [m].
-        axes: Directions of its edges, in rows ``(3, 3)``.
-        halves: Half the lengths of its edges ``(3,)`` [m].
-        middle: Centre of a ball ``(3,)`` [m].
-        reach: Its radius [m].
+        axes: Directions of the box's edges, in rows ``(3, 3)``.
+        halves: Half the lengths of the box's edges ``(3,)`` [m].
+        middle: Centre of the ball ``(3,)`` [m].
+        reach: Radius of the ball [m].
     """
 
     ends: FloatArray
@@ -65,17 +65,17 @@ class _Envelope:
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Joints that are equally far from the base.
+    """Joints at the same depth of the kinematic tree.
 
     Attributes:
-        bodies: Their numbers.
-        parents: The numbers of the bodies that they are on.
-        rotations: Their orientations there ``(b, 3, 3)``.
-        positions: Their places there ``(b, 3, 1)`` [m].
-        axes: Their axes ``(b, 3, 1)``.
-        across: The matrices of the cross products with the axes ``(b, 3, 3)``.
-        along: The projections on the axes ``(b, 3, 3)``.
-        slides: Whether they are prismatic ``(b, 1, 1)``.
+        bodies: Numbers of the joints, and of the bodies that they move.
+        parents: Numbers of the parent bodies.
+        rotations: Orientations of the joints in the parent bodies ``(b, 3, 3)``.
+        positions: Positions of the joints in the parent bodies ``(b, 3, 1)`` [m].
+        axes: Axes of the joints ``(b, 3, 1)``.
+        across: Cross-product matrices of the axes ``(b, 3, 3)``.
+        along: Projection matrices onto the axes ``(b, 3, 3)``.
+        slides: Whether the joints are prismatic ``(b, 1, 1)``.
     """
 
     bodies: list[int]
@@ -108,7 +108,7 @@ def _levels(scene: Scene) -> list[_Level]:
                 np.array([p.rotation for p in placed]),
                 np.array([p.translation for p in placed])[:, :, None],
                 axes[:, :, None],
-                # Columns of the cross product's matrix are the products with the unit vectors.
+                # The columns of a cross-product matrix are the products with the unit vectors.
                 cross(axes[:, None, :], np.eye(3)).transpose(0, 2, 1),
                 axes[:, :, None] * axes[:, None, :],
                 slides[:, None, None],
@@ -134,7 +134,7 @@ class Envelopes:
         self._levels = _levels(scene)
 
     def ends(self, pairs: Sequence[LinkPair]) -> Ends:
-        """Return the numbers of the links of pairs, for `gaps`."""
+        """Return the numbers of the links of each pair, for `gaps`."""
         numbers = [[self._number[shapes] for shapes in pair.shapes] for pair in pairs]
         return np.array(numbers, dtype=np.intp).reshape(-1, 2).T
 
@@ -145,8 +145,8 @@ class Envelopes:
 
         Args:
             postures: Actuator positions ``(n,)`` [rad | m].
-            pairs: The pairs, as `ends` gives them.
-            within: Distance of each pair beyond which a poor bound is good enough ``(p,)`` [m].
+            pairs: The pairs, as returned by `ends`.
+            within: Distance ``(p,)`` [m] beyond which a coarse bound is good enough.
         """
         if not pairs.size:
             return np.zeros((len(postures), 0))
@@ -181,7 +181,7 @@ class Envelopes:
         rotations = np.empty((len(joints), count, 3, 3))
         positions = np.zeros((len(joints), count, 3, 1))
         rotations[:, 0] = np.eye(3)
-        # All joints that are equally far from the base at once.
+        # Place all joints of one depth at once.
         for level in self._levels:
             columns = [body - 1 for body in level.bodies]
             q, cosine, sine = (a[:, columns, None, None] for a in (joints, cosines, sines))
@@ -210,7 +210,7 @@ class Envelopes:
     def _between_rods(
         self, rotations: FloatArray, positions: FloatArray, pairs: Ends
     ) -> FloatArray:
-        """Return the distances of capsules, and of boxes from capsules if these are greater."""
+        """Return the largest of the distances of two capsules, and of either box from a capsule."""
         ends, radii, centres, axes, halves = self._stacked
         first, second = pairs
         tips = [_applied(rotations, end[:, None, :]) + positions for end in ends]
@@ -241,20 +241,20 @@ class Envelopes:
 
     @cached_property
     def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """All envelopes, with the components of vectors first."""
+        """Arrays of all envelopes, with the vector components first."""
         links = self._links
         return (
             np.array([e.ends for e in links]).transpose(1, 2, 0),
             np.array([e.radius for e in links]),
             np.array([e.centre for e in links]).T,
-            # The directions of the edges in columns, as a rotation has them.
+            # The directions of the edges in columns, as in a rotation matrix.
             np.array([e.axes.T for e in links]).transpose(1, 2, 0),
             np.array([e.halves for e in links]).T,
         )
 
 
 def _enclosed(scene: Scene, shapes: tuple[int, ...]) -> _Envelope:
-    """Return a capsule and a box around shapes of one body."""
+    """Return a capsule, a box and a ball around shapes of one body."""
     parts = [_balls(scene, i) for i in shapes]
     points = np.concatenate([points for points, _ in parts])
     radii = np.concatenate([np.full(len(points), radius) for points, radius in parts])
@@ -264,7 +264,7 @@ def _enclosed(scene: Scene, shapes: tuple[int, ...]) -> _Envelope:
     long = points[int(np.argmax(norms(points - far)))] - far
     frames = [np.eye(3), scene.shapes[shapes[0]].placement.rotation.T]
     if norm(long) > 0.0:
-        # The axes are the longest diagonal and, across it, the body's flattest side.
+        # Align one axis with the longest diagonal, and the others across it.
         x = long / norm(long)
         y = cross(np.eye(3)[int(np.argmin(np.abs(x)))], x)
         y /= norm(y)
@@ -286,7 +286,7 @@ def _enclosed(scene: Scene, shapes: tuple[int, ...]) -> _Envelope:
 def _capsule(
     local: FloatArray, radii: FloatArray, axes: FloatArray, k: int, middle: FloatArray
 ) -> tuple[float, FloatArray, float]:
-    """Return a capsule around balls along an axis of a frame: its volume [m³], ends and radius."""
+    """Return a capsule along axis ``k`` around balls: its volume / π [m³], ends and radius [m]."""
     across = [i for i in range(3) if i != k]
     away = norms(local[:, across] - middle[across])
     radius = float((away + radii).max())
@@ -322,7 +322,7 @@ def _balls(scene: Scene, i: int) -> tuple[FloatArray, float]:
 
 
 def _each(function: Callable[[float], float], values: FloatArray) -> FloatArray:
-    """Return a function of each value, without NumPy's, which depends on the processor."""
+    """Return a function of each value; NumPy's functions would depend on the processor."""
     return np.array([function(v) for v in values.ravel().tolist()]).reshape(values.shape)
 
 
@@ -348,7 +348,7 @@ def _between_segments(
 ) -> FloatArray:
     """Return the distances ``(...)`` [m] of segments with ends ``(3, ...)``.
 
-    Ericson, Real-Time Collision Detection (2005), section 5.1.9.
+    Source: Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
     """
     along, across, apart = one[1] - one[0], other[1] - other[0], one[0] - other[0]
     a, e = _inner(along, along), _inner(across, across)

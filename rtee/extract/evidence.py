@@ -1,4 +1,4 @@
-"""Measurement of a pinch's evidence, at the posture rounded as stored."""
+"""Measurement of the evidence for a pinch, at the posture rounded as stored."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _DIGITS: Final = 9
 
 
 def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
-    """Return the evidence about other links near a posture and the straight path to it.
+    """Return the evidence about other links at a posture and on the straight path to it.
 
-    The second value is the share of their margins that other links keep on both: 1, a quarter or 0.
+    The second value is the share of their margins that these links keep on both: 1, a quarter or 0.
     """
     pose = path = 0.0
     near: list[LinkPair] = []
@@ -57,7 +57,7 @@ def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tup
 
 @dataclass(frozen=True)
 class Inspector:
-    """Measures postures."""
+    """Measures the evidence for postures."""
 
     scene: Scene
     motion: Motion
@@ -69,7 +69,7 @@ class Inspector:
 
         Args:
             hand: The hand.
-            unit: Length that stands for a metre of the hand as given [m].
+            unit: Length in this hand that represents one metre of the original hand [m].
 
         Raises:
             ModelError: A mesh is missing or cannot be read.
@@ -79,9 +79,9 @@ class Inspector:
         return cls(scene, motion, Collisions(scene, motion))
 
     def checker(self, fingers: Sequence[Finger], edges: Sequence[TipEdge]) -> CollisionChecker:
-        """Return a checker of the links that fingers move, except tips that are to touch."""
+        """Return a checker of the links that fingers move, except tips that should touch."""
         hand = self.scene.hand
-        # Including actuators shared with other fingers, which move in the pinch, too.
+        # Include actuators shared with other fingers, which move in the pinch, too.
         moving = {hand.actuator_index(n) for finger in fingers for n in finger.actuators}
         kinematics = self.scene.kinematics
         links = [
@@ -101,7 +101,7 @@ class Inspector:
 
         Args:
             u: The posture as stored ``(n,)``.
-            tips: The two tips, the first element's first.
+            tips: The two tips, in the order of the pinch's elements.
             checker: The links that must not collide.
         """
         scene = self.scene
@@ -138,7 +138,7 @@ class Inspector:
         edges: Sequence[TipEdge],
         checker: CollisionChecker,
     ) -> Candidate:
-        """Return a multi-pinch with its evidence, at a posture as stored ``(n,)``."""
+        """Return a pinch of several tips with its evidence, at a posture as stored ``(n,)``."""
         scene = self.scene
         path = self.motion.path_to(u)
         around, margin = _surroundings(scene, u, checker)

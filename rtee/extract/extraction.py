@@ -22,7 +22,7 @@ from rtee.hand.model import Finger, Hand
 from rtee.hand.resting import NEAR, closed_rest
 
 _LARGE: Final = 5.0
-"""Size that no link of a hand has [m]; larger ones come from meshes in millimetres."""
+"""Size above which a link's mesh must be in millimetres [m]: no link of a hand is so large."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Extraction:
     """The result of an extraction.
 
     Attributes:
-        primitives: The primitives, kind by kind.
+        primitives: The primitives, sorted by kind.
         seconds: Duration of the extraction [s].
-        notes: Sentences about peculiarities of the model.
+        notes: Sentences about unusual properties of the model.
     """
 
     primitives: tuple[Primitive, ...]
@@ -54,8 +54,8 @@ def extract(
     Args:
         hand: The hand.
         jobs: Number of processes; 0 for one per processor.
-        rank: Criterion of the first one of a pinch's clear postures.
-        progress: Called with the number of finished searches and their total.
+        rank: Criterion that orders the clear postures of a pinch.
+        progress: Called with the number of finished searches and the total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.
@@ -68,7 +68,7 @@ def extract(
         inspector, jobs or processors(), rank, progress or (lambda done, total: None)
     )
     primitives += [_primitive(form, pinch) for pinch in pinches]
-    # Workers return pinches in the order of tasks; files and reports list them by kind.
+    # Pinches are in the order of tasks; files and reports list them by kind.
     order, names = list(PrimitiveKind), [*hand.finger_names, *hand.actuator_names]
     primitives.sort(
         key=lambda p: (order.index(p.kind), p.tips, [names.index(e) for e in p.elements])
@@ -77,7 +77,7 @@ def extract(
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
-    """Return all pinches: of two fingers first, and then of several."""
+    """Return all pinches, of two fingers and of more."""
     fingers = inspector.scene.hand.fingers
     tipped = [finger for finger in fingers if finger.tip]
 
@@ -89,7 +89,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     pairs: list[tuple[Finger, ...]] = list(combinations(tipped, 2))
     results = parallel_map(probed, pairs, jobs, progress)
     probes = {pair: probe for pair, probe in zip(pairs, results, strict=True) if probe}
-    # After all pinches of two fingers, from which searches for several tips start.
+    # Searches for several tips start from the pinches of two fingers.
     tight = {
         frozenset(finger.name for finger in pair): probe.explored
         for pair, probe in probes.items()
@@ -142,7 +142,7 @@ def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
     if pairs:
         named = ", ".join(f"{a} and {b}" for a, b in sorted(map(sorted, pairs)))
         notes.append(f"these links touch at rest and are not checked against each other: {named}")
-    # Reads the meshes of the hand as given, for which tips have to be near each other.
+    # `closed_rest` reads the original meshes, so call it only if tips are near each other.
     closed = closed_rest(HandGeometry(form.source)) if _near_at_rest(inspector) else None
     if closed is not None:
         notes.append(closed.text)
@@ -155,5 +155,5 @@ def _near_at_rest(inspector: Inspector) -> bool:
     scene.place(scene.hand.rest)
     tips = [finger.tip for finger in scene.hand.fingers if finger.tip]
     pairs = (scene.pair(*both) for both in combinations(tips, 2))
-    # Twice the distance, since it is exact in another unit of length.
+    # Twice the distance, since the exact test uses another unit of length.
     return any(pair and scene.at_least(pair) <= 2.0 * NEAR * scene.unit for pair in pairs)

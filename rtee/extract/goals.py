@@ -1,4 +1,4 @@
-"""The goals that searches minimise: the distance of two tips, or of more of them."""
+"""The goals that searches minimise: distances of two or more tips."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from rtee.extract.space import Space, rounded
 from rtee.sample import FloatArray
 
 _MARGIN: Final = 2e-4
-"""Desired overlap of the convex parts of linked tips [m], so that the tips themselves, which lie
-inside these, touch."""
+"""Desired overlap of the convex parts of linked tips [m], so that the tips inside them touch, too.
+"""
 
 _PULL: Final = 5.0
-"""Weight of a gap between tips that should be linked, relative to a depth: contact of a further tip
+"""Weight of a gap between tips that should be linked, relative to a depth: one more tip in contact
 matters more than a deeper contact."""
 
 
 class Goal(Protocol):
-    """A quantity to minimise, at the present posture of the scene."""
+    """A quantity to minimise, at the current posture of the scene."""
 
     def value(self) -> float:
         """Return the value [m]; lower is better."""
 
     def slope(self, space: Space) -> tuple[float, Slope]:
-        """Return the value [m] and its derivative by the coordinates of the space ``(k,)``."""
+        """Return the value [m], and a function for its derivative by the coordinates ``(k,)``."""
 
     def reached(self) -> bool:
         """Return whether the convex parts of the tips overlap as required."""
@@ -48,7 +48,7 @@ class GoalFunction:
         self.space = space
 
     def __call__(self, y: FloatArray) -> tuple[float, Slope]:
-        """Return the value [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
+        """Return the value [m] at coordinates ``(k,)``, and a function for its derivative there."""
         self.scene.place(self.space.posture(y))
         return self.goal.slope(self.space)
 
@@ -88,7 +88,7 @@ class PinchGoal:
         return self._scene.distance(self._tips)
 
     def slope(self, space: Space) -> tuple[float, Slope]:
-        """Return the signed distance [m] and its derivative ``(k,)``."""
+        """Return the signed distance [m] and a function that returns its derivative ``(k,)``."""
         scene, tips = self._scene, self._tips
         return scene.distance(tips), lambda: scene.derivative(tips, space)
 
@@ -109,38 +109,38 @@ class GapGoal(PinchGoal):
         return self._scene.exact_distance(self._tips)
 
     def slope(self, space: Space) -> tuple[float, Slope]:
-        """Return the distance [m] and its derivative ``(k,)``."""
+        """Return the distance [m] and a function that returns its derivative ``(k,)``."""
         value, slope = self._scene.exact_slope(self._tips, space)
         return value, lambda: slope
 
 
 class SeparationGoal(PinchGoal):
-    """Goal of two tips to separate: minus the signed distance of their convex parts."""
+    """Goal of separating two tips: minus the signed distance of their convex parts."""
 
     def value(self) -> float:
         """Return minus the signed distance [m]."""
         return -super().value()
 
     def slope(self, space: Space) -> tuple[float, Slope]:
-        """Return minus the signed distance [m] and its derivative ``(k,)``."""
+        """Return minus the signed distance [m] and a function for its derivative ``(k,)``."""
         value, rise = super().slope(space)
         return -value, lambda: -rise()
 
 
 @dataclass(frozen=True, slots=True)
 class TipEdge:
-    """Two tips of several that can touch each other."""
+    """Two tips of a group that can touch each other: their numbers in it, and their links."""
 
     ends: tuple[int, int]
     tips: LinkPair
 
 
 class MultiPinchGoal:
-    """Goal of three tips or more, linked by contacts.
+    """Goal of three or more tips, linked by contacts.
 
     The value is minus the sum of all depths, plus a penalty on the gaps of the shortest spanning
     tree, which links the tips, plus a penalty on contacts with tips of other fingers (bystanders).
-    Most bystanders never touch; only those that did are measured.
+    Most bystanders never touch; the goal measures only those that have touched.
     """
 
     def __init__(
@@ -155,8 +155,8 @@ class MultiPinchGoal:
         Args:
             scene: The hand's links.
             size: Number of tips.
-            edges: The pairs of them that can touch.
-            bystanders: Pairs of tips of which at least one is not part of the pinch.
+            edges: The pairs of these tips that can touch.
+            bystanders: Pairs of tips that are not both part of the pinch.
         """
         self._scene = scene
         self._size = size
@@ -185,19 +185,19 @@ class MultiPinchGoal:
         return value
 
     def _tree(self, gaps: Sequence[float]) -> Sequence[int]:
-        """Return the pairs whose gaps are to be closed: the tips are linked without the others."""
-        if max(gaps) <= -_MARGIN:  # there is none
+        """Return the pairs whose gaps must close to link all tips."""
+        if max(gaps) <= -_MARGIN:  # all pairs overlap enough
             return ()
         return spanning_tree(self._size, self._ends, gaps)
 
     def slope(self, space: Space) -> tuple[float, Slope]:
-        """Return the value [m] and its derivative ``(k,)``."""
+        """Return the value [m] and a function that returns its derivative ``(k,)``."""
         scene = self._scene
         gaps = scene.distances(self._pairs)
         tree = set(self._tree(gaps))
         value, terms = 0.0, []
         for i, (pair, gap) in enumerate(zip(self._pairs, gaps, strict=True)):
-            # The penalty ends at the margin, so that it does not press a pair deeper.
+            # The penalty ends at the margin; it does not press a pair deeper.
             pull = _PULL if i in tree and gap > -_MARGIN else 0.0
             weight = pull + (1.0 if gap < 0.0 else 0.0)
             if weight:
@@ -208,7 +208,7 @@ class MultiPinchGoal:
             if gap < 0.0:
                 value -= _PULL * gap
                 terms.append((pair, -_PULL))
-        # If the tree changes from one pair to another, the value has a kink but no step.
+        # If the tree switches from one pair to another, the value has a kink, but no step.
         return value, lambda: scene.gradient(terms, space)
 
     def reached(self) -> bool:
@@ -254,7 +254,7 @@ def linked(size: int, edges: Sequence[tuple[int, int]]) -> bool:
 
 
 def spanning_trees(size: int, edges: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Return all spanning trees as edges by number; for few nodes only."""
+    """Return all spanning trees, as edges by number; meant for few nodes."""
     return [
         chosen
         for chosen in combinations(range(len(edges)), size - 1)

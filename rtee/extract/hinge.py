@@ -1,4 +1,4 @@
-"""Clipping of tips that a joint connects, to the parts whose contact shows a pinch."""
+"""Clipping of tips connected by a joint to the parts whose contact is a pinch."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from rtee.hand.tessellation import subdivided
 from rtee.sample import FloatArray
 
 OUTER: Final = 0.5
-"""Begin of the part of a jaw that is kept, between the end of its contact at rest (0) and its own
-end (1)."""
+"""Start of the part of a jaw to keep, between the end of the contact at rest (0) and the end of the
+shorter jaw (1)."""
 
 _EDGE: Final = 0.006
-"""Longest edge of the triangles along which a mesh is cut [m]: a fraction of a fingertip's
-width."""
+"""Longest edge of the triangles along which a mesh is cut [m]: less than a fingertip's width."""
 
 _PARTS: Final = 64
-"""Most edges along the longest side of a shape, which limits the number of triangles of large
+"""Maximum number of edges along the longest side of a shape, which limits the triangles of large
 shapes."""
 
 _HALVINGS: Final = 8
@@ -34,14 +33,14 @@ _HALVINGS: Final = 8
 class ClippedShape(Shape):
     """The part of a shape beyond a distance from an axis.
 
-    Its convex part is the hull of that part. Its exact geometry consists of the triangles beyond
-    the distance, or is the convex part of a primitive.
+    The convex part is the hull of this part. The exact geometry is the triangles of a mesh beyond
+    the distance, or the hull if the whole shape is a primitive.
     """
 
     def __init__(self, whole: Shape, corners: FloatArray) -> None:
         """Take the triangles ``corners`` ``(t, 3, 3)`` of a shape, in its own frame [m]."""
         points = corners.reshape(-1, 3)
-        # Rounded to 0.1 µm, which makes shared corners of triangles equal.
+        # Round to 0.1 µm, which makes shared corners of triangles equal.
         hull = hull_of(np.unique(np.round(points, 7), axis=0))
         exact = _mesh(corners) if whole.is_mesh else hull
         super().__init__(whole.link, whole.body, whole.of_link, exact, whole.source)
@@ -68,7 +67,7 @@ class TipShape:
     axis: FloatArray
 
     def arms(self, points: FloatArray) -> FloatArray:
-        """Return the distances of points ``(..., 3)`` in the shape's frame from the axis [m]."""
+        """Return the distances from the axis [m] of points ``(..., 3)`` in the shape's frame."""
         there = rotated(points, self.pose.rotation) + self.pose.translation
         distances: FloatArray = norms(np.cross(there - self.origin, self.axis))
         return distances
@@ -98,7 +97,7 @@ class TipShape:
         low, high = self.shape.box
         edge = max(_EDGE, float((high - low).max()) / _PARTS)
         pieces = subdivided(vertices[faces[~whole]], edge)
-        # Only whole triangles on the outer side, without slivers at the cut.
+        # Keep only whole triangles on the outer side, without slivers at the cut.
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 
@@ -106,12 +105,12 @@ class TipShape:
 def clip_tips(
     first: Sequence[TipShape], second: Sequence[TipShape]
 ) -> tuple[list[ClippedShape], list[ClippedShape]]:
-    """Return the parts of two joined tips whose contact shows a pinch.
+    """Return the parts of two joined tips whose contact is a pinch.
 
-    Tips connected by a joint may touch near it in every configuration, which is no pinch. This
-    contact ends at the least distance from the joint's axis beyond which they do not touch at rest.
-    The parts returned are farther from the axis than the middle between this distance and the end
-    of the shorter tip.
+    Tips connected by a joint may touch near the joint in every configuration, which is not a pinch.
+    This contact ends at the least distance from the joint's axis beyond which the tips do not touch
+    at rest. The returned parts lie beyond the midpoint between this distance and the end of the
+    shorter tip.
 
     Returns:
         The clipped shapes of both tips; empty if nothing is left.
@@ -119,7 +118,7 @@ def clip_tips(
     end = min(max(jaw.reach() for jaw in tip) for tip in (first, second))
     low, high = 0.0, end
     for _ in range(_HALVINGS):
-        # By bisection: the farther from the axis, the less of the tips is left to overlap.
+        # Bisection: the farther from the axis, the less of the tips is left to overlap.
         middle = (low + high) / 2.0
         if _overlap(first, second, middle):
             low = middle
@@ -140,7 +139,7 @@ def _overlap(first: Sequence[TipShape], second: Sequence[TipShape], limit: float
         outlines = [(jaw.pose, jaw.outline(limit)) for jaw in tip]
         hulls.append([(pose, hull_of(points)) for pose, points in outlines if len(points)])
     request = coal.CollisionRequest()
-    # The hulls of the remaining parts, which are convex, so that one cheap query decides.
+    # The hulls of the remaining parts are convex, so one cheap query per couple decides.
     return any(
         coal.collide(a, _transform(at_a), b, _transform(at_b), request, coal.CollisionResult())
         for at_a, a in hulls[0]

@@ -36,11 +36,11 @@ def processors() -> int:
 def parallel_map(
     function: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, progress: Progress
 ) -> list[Result]:
-    """Return the results of a function for all tasks, in their order.
+    """Return the results of a function for all tasks, in the order of the tasks.
 
     Runs the tasks in forked processes, which share all data of the function, such as meshes,
-    without copies. If forking is not safe, on systems other than Linux or beside other threads, or
-    if a process dies, this process runs the tasks, with the same results.
+    without copies. If forking is not safe (on systems other than Linux, or with other threads), or
+    if a worker dies, the calling process runs the tasks, with the same results.
 
     Args:
         function: A function without relevant side effects.
@@ -52,7 +52,7 @@ def parallel_map(
     done: dict[int, Result] = {}
     # A fork copies locks that other threads hold, but not the threads that would release them.
     if jobs > 1 and sys.platform.startswith("linux") and threading.active_count() == 1:
-        # Processes of the caller must not be killed below.
+        # Remember the caller's processes, which must not be killed below.
         others = set(active_children())
         work = (os.getpid(), function, tasks)
         with ProcessPoolExecutor(jobs, get_context("fork"), _begin, work) as pool:
@@ -64,7 +64,7 @@ def parallel_map(
                         progress(len(done), total)
             except BaseException:
                 for process in set(active_children()) - others:
-                    # After an interruption, waiting a minute for searches would look like hanging.
+                    # After an interruption, do not wait up to a minute for the searches.
                     process.kill()
                 raise
     for number in range(total):
@@ -75,10 +75,10 @@ def parallel_map(
 
 
 def _begin(parent: int, function: Callable[[Any], Any], tasks: Sequence[Any]) -> None:
-    """Initialise a process of the pool, which ends with its parent, even if that is killed."""
+    """Initialise a worker, which ends with its parent even if the parent is killed."""
     global _work
     _work = function, tasks
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent kills the worker
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # the parent has ended already
         os._exit(1)

@@ -1,4 +1,4 @@
-"""The primitives that follow from kinematics alone: Trig, TipFlex, FingFlex, single joints."""
+"""Primitives that follow from kinematics alone: Trig, TipFlex, FingFlex and single joints."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rtee.hand.model import Hand
 def kinematic_primitives(hand: Hand) -> list[Primitive]:
     """Return the primitives that need no geometry.
 
-    Continuous actuators, which have no bound to move to, and fingers without a fingertip are left
-    out. FingFlex uses an actuator that bends a finger, not one that swings it sideways.
+    Leave out continuous actuators, which have no bound to move to, and fingers without a fingertip.
+    FingFlex uses an actuator that bends the finger, not one that swings it sideways.
     """
     primitives: list[Primitive] = []
     bounded = {

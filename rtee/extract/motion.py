@@ -1,4 +1,4 @@
-"""Bounds on the motion of links against each other on a straight path of the actuators."""
+"""Bounds on the relative motion of links on a straight path of the actuators."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from rtee.sample import FloatArray
 from rtee.types import JointKind, from_rest
 
 _STATIONS: Final = 33
-"""Number of places of a path at which non-linear couplings are evaluated, between which those of
-hands are nearly linear."""
+"""Number of points of a path at which non-linear couplings are evaluated; between these, those of
+real hands are nearly linear."""
 
 _SAFETY: Final = 1.5
-"""Factor on the steepest slope found there, as it may be steeper in between."""
+"""Safety factor on the steepest slope between these points, as it may be steeper in between."""
 
 _NEAR: Final = 0.005
-"""Distance within which the motion of points counts [m]: farther points cannot touch between two
-checks, which are a millimetre of motion apart."""
+"""Distance within which the motion of points matters [m]: farther points cannot touch between two
+checks, which are at most a millimetre of motion apart."""
 
 _UPPER: Final = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=bool)
-"""Whether the corners of a box are at its upper ends ``(8, 3)``."""
+"""Whether each corner of a box is at the upper end of each axis ``(8, 3)``."""
 
 _sum = np.add.reduce
 
@@ -59,7 +59,7 @@ class StraightPath:
 class _Placed:
     """Shapes on their bodies: rotations ``(c, 3, 3)``, positions ``(c, 3)`` [m] and bounding boxes.
 
-    These have a lowest and a highest corner ``(c, 3)`` [m].
+    ``low`` and ``high`` are the corners of the boxes ``(c, 3)`` [m].
     """
 
     rotations: FloatArray
@@ -71,7 +71,7 @@ class _Placed:
 class Motion:
     """Bounds on the speed of links, from the lengths of the chains that carry them.
 
-    The distance of a point of a body from a revolute joint that moves it is at most the length of
+    The distance from a revolute joint to a point of a body that it moves is at most the length of
     the chain between them plus the body's radius.
     """
 
@@ -95,14 +95,15 @@ class Motion:
             q = hand.transmission.joints(
                 np.array([from_rest(hand.rest, goal, t) for t in stations])
             )
-            # Non-linear followers move unevenly, so that the steepest part gives the bound.
+            # Non-linear followers move unevenly; the steepest part gives the bound.
             travel = _SAFETY * np.abs(np.diff(q, axis=0)).max(axis=0) * (_STATIONS - 1)
         return StraightPath(hand.rest, goal, travel)
 
     def levers(self, pair: LinkPair) -> FloatArray:
         """Return the largest relative motion of two links per unit of each joint ``(m,)``.
 
-        In metres for revolute joints, 1 for prismatic ones, 0 for joints that move both or neither.
+        The values are in metres for revolute joints, 1 for prismatic ones, and 0 for joints that
+        move both links or neither.
         """
         if pair.links not in self._bounds:
             self._bounds[pair.links] = self._bound(pair)
@@ -115,10 +116,10 @@ class Motion:
     def travelled(
         self, pair: LinkPair, path: StraightPath, stations: Sequence[float]
     ) -> FloatArray:
-        """Return the relative motion of two links at the points where they are near.
+        """Return the relative motion of two links at points where they are near each other.
 
-        These are the points of one link's bounding boxes inside the other's boxes, widened by 5 mm,
-        at either end of a part of the path. In a box, the corners move farthest.
+        These are the points of one link's bounding boxes inside the other link's boxes, widened by
+        5 mm, at either end of a part of the path. In a box, the corners move farthest.
 
         Args:
             pair: The links.
@@ -126,7 +127,7 @@ class Motion:
             stations: Intensities, increasing ``(s,)``.
 
         Returns:
-            The sum of the greatest displacements up to each station ``(s,)`` [m].
+            The sum of the largest displacements up to each station ``(s,)`` [m].
         """
         poses = [self._scene.relative_pose(pair, path.at(t)) for t in stations]
         there = _stacked(poses)
@@ -139,10 +140,10 @@ class Motion:
     def _displacements(
         self, couples: Sequence[tuple[int, int]], motion: tuple[FloatArray, FloatArray]
     ) -> FloatArray:
-        """Return the greatest motion ``(s - 1,)`` [m] between stations of points near a shape.
+        """Return the largest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
-        They are points of the moving shape, the second of a couple. Rotations ``(s, 3, 3)`` and
-        positions ``(s, 3)`` [m] of its body in that of the fixed one are its motion.
+        The points belong to the second shape of a couple, which moves. ``motion`` has the rotations
+        ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of its body in that of the fixed shape.
         """
         fixed, moving = (self._placed([couple[k] for couple in couples]) for k in (0, 1))
         inward = fixed.rotations.transpose(0, 2, 1)[:, None]
@@ -181,7 +182,7 @@ class Motion:
         )
 
     def _bound(self, pair: LinkPair) -> FloatArray:
-        """Return the longest lever of every joint on the pair ``(m,)``: metres, 1 if prismatic."""
+        """Return the longest lever of each joint on the pair ``(m,)`` [m]; 1 if it is prismatic."""
         scene = self._scene
         levers = np.zeros(len(scene.hand.joints))
         for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
@@ -192,14 +193,14 @@ class Motion:
                     joint = scene.hand.joints[body - 1]
                     lever = 1.0 if joint.kind is JointKind.PRISMATIC else reach
                     levers[body - 1] = max(levers[body - 1], lever)
-                # Seen from the next joint towards the base, the point is farther away by this link.
+                # From the next joint towards the base, the point is farther away by this link.
                 reach += self._length[body]
                 body = scene.kinematics.model.parents[body]
         return levers
 
     @cached_property
     def _length(self) -> list[float]:
-        """Distance of every joint's frame from its parent's, including travel [m]."""
+        """Distance of each joint's frame from its parent's frame, including travel [m]."""
         scene = self._scene
         lengths = [norm(m.translation) for m in scene.kinematics.model.jointPlacements]
         for i, joint in enumerate(scene.hand.joints):
@@ -214,12 +215,12 @@ class Motion:
         if coupling.actuator is None:
             return abs(coupling.value(0.0))
         spec = hand.actuators[coupling.actuator]
-        # Followers may exceed their own limits, so that those of the actuator decide.
+        # Followers may exceed their own limits; use those of the actuator.
         return max(abs(coupling.value(u)) for u in sample(spec.lower, spec.upper))
 
     @cached_property
     def _radius(self) -> list[float]:
-        """Distance of the farthest point of every shape from its joint's frame [m]."""
+        """Distance of each shape's farthest point from its joint's frame [m]."""
         radii = []
         for shape in self._scene.shapes:
             placement = shape.placement
@@ -229,10 +230,10 @@ class Motion:
 
 
 class LinkDistanceBounds:
-    """Lower bounds on distances of links, from distances at earlier postures and their motion."""
+    """Lower bounds on distances of links, from earlier distances and the motion since then."""
 
     def __init__(self, motion: Motion, pairs: Sequence[LinkPair]) -> None:
-        """Begin without known distances of these pairs of links."""
+        """Start without known distances for these pairs of links."""
         self._levers = np.zeros((len(pairs), motion.joints))
         for levers, pair in zip(self._levers, pairs, strict=True):
             levers[:] = motion.levers(pair)
@@ -240,16 +241,16 @@ class LinkDistanceBounds:
         self._joints = np.zeros(self._levers.shape)
 
     def least(self, joints: FloatArray) -> FloatArray:
-        """Return the least distance of every pair ``(p,)`` [m] at joint positions ``(m,)``."""
+        """Return a lower bound on each pair's distance ``(p,)`` [m] at joint positions ``(m,)``."""
         # A joint's contribution is at most its travel times its longest lever.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)
         return least
 
     def learn(self, pairs: NDArray[np.intp], gaps: Sequence[float], joints: FloatArray) -> None:
-        """Store the distances [m] of pairs, by their indices, at joint positions ``(m,)``."""
+        """Store distances [m] of the pairs with these indices, at joint positions ``(m,)``."""
         self._gaps[pairs] = gaps
-        # Each pair with its own positions, since pairs are measured at different postures.
+        # Each pair has its own joint positions, since pairs are measured at different postures.
         self._joints[pairs] = joints
 
 

@@ -26,7 +26,8 @@ from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
 
 _MOST_TREES: Final = 4
-"""Most spanning trees from which starts are combined; the hands in ``config/`` have no more."""
+"""Maximum number of spanning trees from which starts are combined; the hands in ``config/`` have no
+more."""
 
 _BUDGETS: Final = tuple(
     SearchBudget(
@@ -41,21 +42,21 @@ _BUDGETS: Final = tuple(
     )
     for pool, kept, attempts in ((6, 4, 4), (10, 6, 6))
 )
-"""Budgets for several tips, the second for pinches whose clear pose is not nearly the deepest: with
-other starts, and more of them."""
+"""Budgets for several tips. The second, with more and other starts, is for pinches whose clear pose
+is much shallower than the deepest one."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
-"""The deepest posture ``(n,)`` of each two fingers that pinch tightly."""
+"""The deepest posture ``(n,)`` of each pair of fingers that pinch tightly."""
 
 
 @dataclass(frozen=True)
 class MultiSearch:
-    """Search for the multi-pinch of some fingers.
+    """Search for the multi-pinch of a group of fingers.
 
     Attributes:
-        inspector: Measures postures.
+        inspector: Measures the evidence for postures.
         fingers: The fingers.
-        pinches: The pinches of two fingers that were found.
+        pinches: The known pinches of two fingers.
         rank: Criterion of the ranking.
     """
 
@@ -75,7 +76,7 @@ class MultiSearch:
         goal = MultiPinchGoal(scene, len(self.fingers), edges, self._bystanders(moving))
         result = self._minima(goal, space, edges)
         function = GoalFunction(scene, goal, space)
-        # The deepest first; most of the others are never looked at.
+        # The deepest first; usually, the others are never evaluated.
         touching = next(touching_postures(function, (m.y for m in result.polished)), None)
         if touching is None:
             return None
@@ -94,12 +95,12 @@ class MultiSearch:
                 candidates += [candidate(u) for u in clear[:1]]
                 if any(c.usable and c.evidence.depth >= good for c in candidates):
                     break
-                # Next from the others, if there are any.
+                # Next, start from the others, if there are any.
                 starts = starts[budget.kept :] or starts
         kind = PrimitiveKind.MULTI_PINCH_TIGHT
         kept = ranked(self._hand, candidates, self.rank)
         if self.rank == "depth":
-            # The executed one and the deepest.
+            # Keep the executed posture and the deepest one.
             deepest = max(kept, key=lambda c: c.evidence.depth)
             kept = tuple(c for c in kept if c is kept[0] or c is deepest)
         return FoundPinch(kind, names, kept)
@@ -109,9 +110,9 @@ class MultiSearch:
         return self.inspector.scene.hand
 
     def _minima(self, goal: MultiPinchGoal, space: Space, edges: Sequence[TipEdge]) -> Minima:
-        """Return local minima, searched again if bystanders touch at them."""
+        """Return local minima; search again whenever a new bystander touches at one of them."""
         scene, warm, blocks = self.inspector.scene, self._warm(space, edges), self._blocks(space)
-        # Few tips are ever in the way; the next round penalises only those that touched.
+        # Few tips are ever in the way; each round penalises only those that have touched.
         while True:
             result = minima(GoalFunction(scene, goal, space), warm, SEVERAL, blocks)
             learned = False
@@ -130,7 +131,7 @@ class MultiSearch:
         return edges
 
     def _bystanders(self, moving: frozenset[int]) -> list[LinkPair]:
-        """Return the moving pairs of tips of which at least one is not part of the pinch."""
+        """Return the moving pairs of tips that are not both part of the pinch."""
         mine = {finger.tip for finger in self.fingers}
         return [
             pair
@@ -139,7 +140,7 @@ class MultiSearch:
         ]
 
     def _warm(self, space: Space, edges: Sequence[TipEdge]) -> list[FloatArray]:
-        """Return the pinches of pairs, and starts combined from pinches that link the fingers."""
+        """Return the pinches of two fingers, and combinations of them that link all fingers."""
         ends = [edge.ends for edge in edges]
         pinches = [self.pinches[frozenset(self.fingers[k].name for k in end)] for end in ends]
         starts = []
@@ -157,7 +158,7 @@ class MultiSearch:
         return [space.coordinates(u) for u in (*starts, *pinches)]
 
     def _blocks(self, space: Space) -> list[Block]:
-        """Return the coordinates of each finger, and those of no single finger."""
+        """Return the coordinates of each finger, and the remaining ones."""
         owner = {self._hand.actuator_index(n): f.name for f in self.fingers for n in f.own}
         blocks: dict[str | None, list[int]] = {}
         for coordinate, actuator in enumerate(space.index.tolist()):

@@ -1,8 +1,9 @@
-"""Openings of actions: the distances of opposing fingertips on the path from rest.
+"""Openings of actions: the distances between opposing fingertips on the path from rest.
 
 Distances are those of the original geometry, measured by Coal. Levers follow from the Jacobians of
 the tips' nearest points and the transmission: the opening decreases by ``-dw/du`` per unit of an
-actuator, and a force ``F`` between the sides needs its effort ``-F dw/du`` (virtual work).
+actuator, so a force ``F`` between the sides requires the actuator effort ``-F dw/du`` (virtual
+work).
 """
 
 from __future__ import annotations
@@ -35,50 +36,51 @@ ERROR: Final = 2e-5
 grippers, 0.1 mm."""
 
 ERROR_OF_FINGERS: Final = 1e-4
-"""Such an error with several actuators [m]: their position errors move a fingertip by more."""
+"""Largest interpolation error with several actuators [m]: their position errors move a fingertip by
+more."""
 
 _FIRST: Final = 17
-"""Points of the first, even table: enough to detect that tips approach and separate again."""
+"""Number of points of the initial, even table: enough to detect tips that approach, then part."""
 
 _FINEST: Final = 1.0 / 2048
-"""Least difference of intensities of two points, also where the error is larger."""
+"""Smallest difference between the intensities of two points, even if the error is larger."""
 
 _CLOSES: Final = 2e-3
-"""Least approach of two opposing tips [m]."""
+"""Smallest approach of two opposing tips [m]."""
 
 _SHARE: Final = 0.3
-"""Approach of opposing tips relative to that of the pair that closes most; neighbouring fingers,
-which approach each other a little, have less."""
+"""Smallest approach of opposing tips, as a share of that of the pair that closes most; neighbouring
+fingers, which approach each other a little, have less."""
 
 _PARTS: Final = 0.9
-"""Approach of a shape of a jaw relative to that of its link, below which it is no fingertip: hinges
-and levers stay near the other jaw all the time."""
+"""Approach of a jaw's shape, as a share of that of its link, below which the shape is not part of
+the fingertip: hinges and levers stay near the other jaw all the time."""
 
 _LINKS: Final = 0.75
-"""Such an approach for the links of a jaw's tip that several links form: where a marker stands back
-on a pad, the markers come from farther apart, but the pads are what touches."""
+"""Smallest approach of a link, as a share of the largest, if several links form a jaw's tip. If a
+marker sits back on a pad, the markers approach from farther apart, but the pads touch."""
 
 _BUMP: Final = 1e-4
-"""Largest growth of an opening that still counts as falling [m]."""
+"""Largest increase of an opening that still counts as falling [m]."""
 
 _STEP: Final = 1e-6
-"""Least decrease of the opening from one point of the table to the next, its rounding [m]."""
+"""Smallest decrease of the opening between two points of the table [m]: its rounding."""
 
 _TOUCH: Final = 1e-6
-"""Distance below which surfaces touch, and their nearest points define no line [m]."""
+"""Distance below which surfaces touch, and their nearest points do not define a line [m]."""
 
 _ROUNDS: Final = 30
-"""Most steps to find the middle of tips that close from all around; three suffice for a symmetric
-gripper."""
+"""Maximum number of steps to find the centre of tips that close from all sides; three suffice for a
+symmetric gripper."""
 
 _WORTH: Final = 0.005
-"""Share of the path from which an omitted part is reported."""
+"""Share of the path above which a note reports an omitted part."""
 
 _FLAT: Final = 1e-12
-"""Squared sine of the angle below which three points are on a line."""
+"""Squared sine of the angle below which three points are collinear."""
 
 _DIGITS: Final = 4
-"""Decimals of the intensity of a first contact: some micrometres of a fingertip's way."""
+"""Decimals of the intensity of a first contact: a few micrometres of a fingertip's path."""
 
 _STILL: Final = 1e-9
 """Speed below which a tip does not move [m per unit of intensity]."""
@@ -86,7 +88,7 @@ _STILL: Final = 1e-9
 
 @dataclass(frozen=True)
 class _Gap:
-    """The gap of two surfaces: distance [m], nearest points and unit normal, first to second."""
+    """Gap between two surfaces: distance [m], nearest points, unit normal from first to second."""
 
     distance: float
     first: FloatArray
@@ -96,7 +98,7 @@ class _Gap:
 
 @dataclass(frozen=True)
 class _Sample:
-    """The opening at one intensity: width [m], levers and the worst angle of a tip [rad]."""
+    """Opening at one intensity: width [m], levers, and the largest angle of a tip [rad]."""
 
     width: float
     lever: FloatArray
@@ -106,10 +108,10 @@ class _Sample:
 def make_openings(
     hand: Hand, actions: Iterable[Action], progress: Progress | None = None
 ) -> Openings:
-    """Return the openings of the actions that have one, and where the empty hand meets itself.
+    """Return the openings of the actions that have one, and where the empty hand touches itself.
 
-    Both are in the order of the actions. ``progress`` is called with the number of actions done
-    and their total.
+    Both are in the order of the actions. ``progress`` is called with the number of finished actions
+    and the total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.
@@ -141,9 +143,9 @@ def _goal(hand: Hand, action: Action) -> FloatArray:
 def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
     """Return the opening of an action; ``None`` if no tips oppose each other on its path.
 
-    If two sides of tips oppose each other, the opening is the least distance between a tip of one
-    side and a tip of the other. If tips close from more than two sides, it is the diameter of the
-    smallest ball that touches all of them.
+    If tips close from two sides, the opening is the least distance between a tip of one side and a
+    tip of the other. If tips close from more sides, it is the diameter of the smallest ball that
+    touches all of them.
     """
     if isinstance(action, Timed):
         return None
@@ -158,7 +160,10 @@ def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
 
 
 def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
-    """Return the fingers whose tips may oppose; a single moving one may close on a fixed one."""
+    """Return the fingers whose tips may oppose each other.
+
+    A single moving finger may close on fixed ones.
+    """
     tipped = [finger for finger in hand.fingers if finger.tip]
     moved = set(action.waypoints[-1].involved)
     named = [f.name for f in tipped if f.name in action.fingers]
@@ -226,13 +231,13 @@ class _TipPaths:
         if distance > _TOUCH:
             between = points[1] - points[0]
             self._normals[first, second] = between / norm(between)
-        # Touching tips keep their last normal, since equal points define none.
+        # Touching tips keep their last normal, since coincident points do not define one.
         normal = self._normals.get((first, second), np.zeros(3))
         return _Gap(distance, *points, normal)
 
     def from_point(self, finger: str, centre: FloatArray) -> tuple[float, FloatArray]:
         """Return the distance of a tip from a point [m], and the tip's nearest point."""
-        # Coal does not measure points, so each is a sphere of a tiny radius.
+        # Coal cannot measure points; use a sphere of tiny radius.
         point, at = coal.Sphere(_TOUCH), coal.Transform3s(np.eye(3), centre)
         best, nearest = math.inf, centre
         for shape in self._parts[finger]:
@@ -245,7 +250,7 @@ class _TipPaths:
         return max(best + _TOUCH, 0.0), nearest
 
     def jacobian(self, finger: str, point: FloatArray) -> FloatArray:
-        """Return the Jacobian of a point of a tip by the actuators ``(3, a)``."""
+        """Return the Jacobian ``(3, a)`` of a point of a tip by the actuators."""
         robot = self._kinematics
         body = robot.body(self.tips[finger])
         if body == 0:  # the base, which nothing moves
@@ -258,7 +263,7 @@ class _TipPaths:
         return matmul(linear, self._slopes)
 
     def sides(self) -> tuple[tuple[str, ...], ...]:
-        """Return the opposing sides of the tips; none if they do not oppose each other."""
+        """Return the opposing sides of the tips; empty if no tips oppose each other."""
         closes: dict[tuple[str, str], float] = {}
         for pair, distances in self._distances().items():
             counted = self._counted(pair, _approach(distances))
@@ -279,7 +284,7 @@ class _TipPaths:
         return _two_sides(there, opposed) or tuple((finger,) for finger in there)
 
     def _distances(self) -> dict[tuple[str, str], FloatArray]:
-        """Return the distances of each two shapes of two tips along the path ``(s, k)`` [m]."""
+        """Return the distances ``(s, k)`` [m] of the shapes of each pair of tips along the path."""
         found: dict[tuple[str, str], list[list[float]]] = {pair: [] for pair in self._couples}
         for s in np.linspace(0.0, 1.0, _FIRST).tolist():
             self.go(s)
@@ -290,8 +295,8 @@ class _TipPaths:
     def _counted(self, pair: tuple[str, str], approach: FloatArray) -> list[int]:
         """Return which couples of a pair's shapes are fingertips on both sides.
 
-        The distal link of an articulated finger is a fingertip as a whole. A jaw is one link from
-        its hinge or its slide to its tip, and only the parts that approach most are its tip.
+        The whole distal link of an articulated finger is its fingertip. A jaw is one link from its
+        hinge or slide to its tip, so only the parts that approach most are its tip.
         """
         couples = self._couples[pair]
         tips: list[Collection[Shape]] = []
@@ -317,7 +322,7 @@ def _approach(distances: FloatArray) -> FloatArray:
 
 
 def _foremost(parts: Mapping[Shape, float]) -> set[Shape]:
-    """Return the shapes of a jaw that approach most; ``parts``: by how much [m]."""
+    """Return the shapes of a jaw that approach most; ``parts`` has the approach of each [m]."""
     links: dict[str, float] = {}
     for part, by in parts.items():
         links[part.link] = max(by, links.get(part.link, 0.0))
@@ -332,7 +337,10 @@ def _foremost(parts: Mapping[Shape, float]) -> set[Shape]:
 def _two_sides(
     fingers: Sequence[str], opposed: Sequence[tuple[str, str]]
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the fingers on two sides such that all pairs oppose; empty if that is impossible."""
+    """Return the fingers on two sides such that each opposed pair spans both.
+
+    Return an empty tuple if that is impossible.
+    """
     partners: dict[str, list[str]] = {finger: [] for finger in fingers}
     for a, b in opposed:
         partners[a].append(b)
@@ -354,7 +362,7 @@ def _two_sides(
 
 
 class _Table:
-    """Samples the opening of one action, finer where it bends."""
+    """Samples the opening of one action, more finely where it is not linear."""
 
     def __init__(self, way: _TipPaths, sides: tuple[tuple[str, ...], ...]) -> None:
         self._way, self._sides = way, sides
@@ -369,7 +377,7 @@ class _Table:
         return self._known[intensity]
 
     def opening(self) -> Opening | None:
-        """Return the table of the part of the path on which the opening falls."""
+        """Return the table for the part of the path on which the opening falls, or ``None``."""
         for s in np.linspace(0.0, 1.0, _FIRST).tolist():
             self.at(s)
         self._refine()
@@ -377,7 +385,7 @@ class _Table:
         falling = _falling([self._known[s].width for s in grid])
         part = [grid[i] for i in falling]
         rows = [self._known[s] for s in part]
-        # If the rest of the path hardly closes, the action does not grip.
+        # If this part hardly closes, the action does not grip.
         if len(rows) < 2 or rows[0].width - rows[-1].width < _CLOSES:
             return None
         action = self._way.action
@@ -395,7 +403,7 @@ class _Table:
         )
 
     def _refine(self) -> None:
-        """Halve the steps in which the opening is not linear enough."""
+        """Halve the steps over which the opening is not linear enough."""
         error = ERROR if len(self._way.actuators) == 1 else ERROR_OF_FINGERS
         waiting = list(pairwise(sorted(self._known)))
         while waiting:
@@ -408,7 +416,7 @@ class _Table:
                 waiting += [(low, middle), (middle, high)]
 
     def _between(self) -> _Sample:
-        """Return the sample of two sides."""
+        """Return the sample for tips on two sides."""
         way, (one, other) = self._way, self._sides
         gaps = {(a, b): way.gap(a, b) for a in one for b in other}
         lever = np.zeros(len(way.actuators))
@@ -429,7 +437,7 @@ class _Table:
         return _Sample(min(gap.distance for gap in gaps.values()), lever, angle)
 
     def _around(self) -> _Sample:
-        """Return the sample of tips around a middle."""
+        """Return the sample for tips around a centre."""
         way, fingers = self._way, [side[0] for side in self._sides]
         gap = way.gap(fingers[0], fingers[1])
         centre = (gap.first + gap.second) / 2.0
@@ -446,7 +454,7 @@ class _Table:
                 continue
             towards = (centre - point) / distance
             moved = way.jacobian(finger, point)
-            # Twice, since the opening is a diameter and each tip closes a radius.
+            # The factor 2: the opening is a diameter, and each tip closes along a radius.
             lever += 2.0 * vecmat(towards, moved) / len(fingers)
             angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(2.0 * max(distance for distance, _ in reach), lever, angle)
@@ -454,7 +462,7 @@ class _Table:
 
 def _falling(width: Sequence[float]) -> list[int]:
     """Return the indices of the strictly falling part with the largest decrease."""
-    # Points within a bump of the last one are skipped: the table must fall strictly.
+    # Skip points that do not fall, within the tolerance of a bump: the table must fall strictly.
     best: list[int] = [0]
     run: list[int] = [0]
     for i in range(1, len(width)):
@@ -501,7 +509,7 @@ def _middle(points: FloatArray) -> FloatArray:
 def _circumcentre(points: FloatArray) -> FloatArray:
     """Return the centre of the smallest sphere through two or three points ``(k, 3)``.
 
-    For three points on a line, which have none, return their mean.
+    Return the mean of three collinear points, for which there is no such sphere.
     """
     edges = points[1:] - points[0]
     a, c = dot(edges[0], edges[0]), 0.5 * norms(edges) ** 2

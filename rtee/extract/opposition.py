@@ -19,43 +19,43 @@ FRICTION: Final = 0.5
 """Coefficient of friction: rubber on most surfaces has more, bare plastic less."""
 
 BALL: Final = 0.005
-"""Radius of the small ball [m], which two fingertips can hold and most hands can close on."""
+"""Radius of a small ball [m] that two fingertips can hold and most hands can close on."""
 
 _STILL: Final = 1e-3
-"""Motion of a tip relative to the other one's below which it counts as still."""
+"""Speed of a tip, as a share of the other tip's speed, below which it counts as still."""
 
 _TOUCH: Final = 1e-6
 """Largest gap that counts as contact [m]: far below the ball's radius, above rounding errors."""
 
 _NO_SPEED: Final = 1e-9
-"""Speed per unit of the path below which it is a rounding error [m]."""
+"""Speed per unit of the path [m] below which it is only a rounding error."""
 
 _FAR: Final = 1.0
-"""Longest motion of a tip back or forth to meet the ball [m]: larger than any hand."""
+"""Longest motion of a tip backward or forward to meet the ball [m]: larger than any hand."""
 
 
 def opposition(
     scene: Scene, tips: LinkPair, witness: Witness, direction: FloatArray
 ) -> Opposition | None:
-    """Return the opposition of two tips at the present posture of the scene.
+    """Return the opposition of two tips at the current posture of the scene.
 
-    The line of closing of a tip is the velocity of its contact point on the straight path from
-    rest; for a tip that does not move, the reversed velocity of the other one. The angle of a tip
-    is that between its line of closing and its outward contact normal.
+    The closing direction of a tip is the velocity of its contact point on the straight path from
+    rest; for a tip that does not move, the reversed velocity of the other tip. The angle of a tip
+    is the one between its closing direction and its outward contact normal.
 
-    The small ball is placed at the contact. Each tip is moved back along its line of closing until
-    it just touches the ball, where it would meet the ball when closing. The grasp is in force
-    closure if the line between the two contact points lies within both cones of friction (Nguyen,
-    1988).
+    A small ball is placed at the contact. Each tip moves back along its closing direction until it
+    just touches the ball, where it would meet the ball when closing. The grasp is in force closure
+    if the line between the two contact points lies within both friction cones (Nguyen, 1988).
 
     Args:
         scene: The scene at the posture.
         tips: The tips.
         witness: Their contact, or their closest points.
-        direction: The path from rest ``(n,)`` [rad | m].
+        direction: Displacement of the actuators from rest ``(n,)`` [rad | m].
 
     Returns:
-        The opposition, or ``None`` if the tips do not move against each other there.
+        The opposition, or ``None`` if it is unknown, or the tips do not move relative to each
+        other.
     """
     closing = [
         matvec(scene.point_jacobian(link, point), direction)
@@ -64,7 +64,7 @@ def opposition(
     speeds = [norm(v) for v in closing]
     if max(speeds) < _NO_SPEED or norm(closing[0] - closing[1]) < _NO_SPEED:
         return None
-    # Where Coal found no points or no normal, the opposition is unknown.
+    # If Coal found no points or no normal, the opposition is unknown.
     if not np.isfinite(speeds).all() or norm(witness.normal) < 0.5:
         return None
     for i in (0, 1):
@@ -85,7 +85,7 @@ def opposition(
 
 
 def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: float) -> bool:
-    """Return whether the line between two contacts lies within both cones of friction.
+    """Return whether the line between two contacts lies within both friction cones.
 
     Args:
         contacts: Two points on the ball's surface ``(3,)`` [m].
@@ -95,7 +95,7 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
     line = contacts[1] - contacts[0]
     if norm(line) < 1e-12:  # both tips meet the ball at one point, and cannot hold it
         return False
-    # The half angle of the cone of friction.
+    # Half the angle of the friction cone.
     half = math.atan(friction)
     inward = [centre - contact for contact in contacts]
     return _angle(line, inward[0]) <= half and _angle(-line, inward[1]) <= half
@@ -104,13 +104,13 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
 def _meet(
     scene: Scene, shapes: Sequence[int], line: FloatArray, centre: FloatArray
 ) -> FloatArray | None:
-    """Return the first contact point, on the ball, of a tip that closes along a line [m]."""
+    """Return the point where a tip closing along a line first touches the ball [m], or ``None``."""
     radius = BALL * scene.unit
     ball = coal.Sphere(radius)
     # The ball moves instead of the tip, so that the scene stays unchanged.
     gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
-        # By conservative advancement, since a motion by the gap never passes the first contact.
+        # Conservative advancement: a motion by the gap never passes the first contact.
         drawn_back = 0.0
         while gap > _TOUCH:
             drawn_back -= gap
@@ -137,9 +137,9 @@ def _meet(
 def _gap(
     scene: Scene, shapes: Sequence[int], ball: coal.Sphere, centre: FloatArray
 ) -> tuple[float, FloatArray]:
-    """Return the signed distance of a link from a ball and the direction from it to the link.
+    """Return a link's signed distance from a ball, and the direction from the ball to the link.
 
-    Drawing the tip back from the ball and moving the ball on from the tip are the same.
+    Moving the ball forward is the same as moving the tip back.
     """
     request, least, towards = coal.DistanceRequest(), math.inf, np.zeros(3)
     at = coal.Transform3s(np.eye(3), centre)

@@ -13,12 +13,13 @@ class LinkPair:
 
     Attributes:
         links: Names of the links.
-        bodies: Joints that carry the links; 0 for the base.
+        bodies: Numbers of the joints that carry the links; 0 for the base.
         shapes: Indices of the shapes of the first and of the second link in the scene.
         number: Number of the pair in the scene, the same in both orders.
-        moved_by: 1 for joints that move the second link, -1 the first; 0 for none or both ``(m,)``.
-        actuators: The actuators that move the links against each other.
-        turned: Whether the links are in the reverse order of the scene.
+        moved_by: By joint ``(m,)``: 1 if it moves only the second link, -1 if only the first,
+            otherwise 0.
+        actuators: Indices of the actuators that move the links relative to each other.
+        turned: Whether the links are in reverse order compared to the scene.
     """
 
     links: tuple[str, str]
@@ -44,10 +45,10 @@ class LinkPair:
 
 @dataclass(frozen=True, slots=True)
 class Witness:
-    """Closest points of two links, or those of deepest penetration, in the hand's base frame.
+    """Points of closest approach or deepest penetration of two links, in the hand's base frame.
 
     Attributes:
-        distance: Signed distance of their convex parts; negative for a penetration [m].
+        distance: Signed distance between the links; negative for a penetration [m].
         first: Point on the first link [m].
         second: Point on the second link [m].
         normal: Unit vector from the first link to the second one.

@@ -23,17 +23,17 @@ from rtee.hand.model import Finger
 from rtee.sample import FloatArray
 
 _TRIED: Final = 4
-"""Number of minima from which contact of the original geometry is searched, the deepest first."""
+"""Number of minima from which to search for contact of the original geometry, the deepest first."""
 
 _EVALUATIONS: Final = 40
-"""Most evaluations of such a descent, each of which measures meshes."""
+"""Maximum number of evaluations of such a descent, each of which measures meshes."""
 
 _HOLLOW: Final = 24
-"""Most places at which the distance of hollow tips is measured, to choose starts from them."""
+"""Maximum number of places at which to measure the distance of hollow tips, to choose starts."""
 
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
-"""Number of postures measured and, if distinct, kept, by rank: the deepest is found soon, but any
-of them may be opposed best."""
+"""Number of postures to measure and, if distinct, to keep, by rank: the deepest is found early, but
+any of them may be the best opposed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,8 @@ class PinchProbe:
         kind: Tight or loose.
         minima: Coordinates of the deepest poses of the convex parts before polishing, the deepest
             first.
-        postures: Postures as stored in which the tips touch, the deepest first; for a loose pinch
-            that in which they are closest.
+        postures: Postures as stored in which the tips touch, the deepest first; for a loose pinch,
+            the one in which they are closest.
         explored: The posture ``(n,)`` of the deepest pose before polishing, for further searches.
     """
 
@@ -61,7 +61,7 @@ class PinchSearch:
     def __init__(
         self, inspector: Inspector, fingers: tuple[Finger, Finger], tips: LinkPair, rank: Rank
     ) -> None:
-        """Prepare a search; ``rank`` is what makes one posture better than another."""
+        """Prepare a search; ``rank`` is the criterion that orders postures."""
         self._inspector = inspector
         self._scene, self._hand = inspector.scene, inspector.scene.hand
         self._fingers = fingers
@@ -85,7 +85,7 @@ class PinchSearch:
             return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
         if self._could_meet():
             closest = self._closest([m.y for m in found.polished])
-            # Tips that meet only at their limits may touch only in the posture rounded as stored.
+            # Tips that meet only at their limits may touch only once the posture is rounded.
             if pinch.touching(closest):
                 starts = (space.coordinates(closest),)
                 return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, (closest,), closest)
@@ -108,16 +108,16 @@ class PinchSearch:
                 )
                 # Keep one place for the deepest posture, clear or not.
                 candidates += candidates_of(clear[: most - 1])
-                # With full margins; reduced ones are only for pinches without such a posture.
+                # Reduced margins are only for pinches without a posture of full margins.
                 if any(candidate.margin for candidate in candidates):
                     break
-        # Further deep postures take the places that clear ones have left.
+        # Further deep postures fill the remaining places.
         candidates += candidates_of(probe.postures[1 : most + 1 - len(candidates)])
         names = tuple(finger.name for finger in self._fingers)
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
 
     def _can_separate(self) -> bool:
-        """Return whether the tips can separate; tips that always touch do not pinch."""
+        """Return whether the tips can separate; tips that always touch are not a pinch."""
         space = self._pinch.space
         apart = GoalFunction(self._scene, SeparationGoal(self._scene, self._tips), space)
         ends = minima(apart).polished[:_TRIED]
@@ -133,24 +133,24 @@ class PinchSearch:
         return bool(self._contacts(function, deep))
 
     def _closest(self, starts: Sequence[FloatArray]) -> FloatArray:
-        """Return the posture as stored with the least distance of the tips' geometry."""
+        """Return the posture, as stored, with the least distance of the tips' original geometry."""
         pinch = self._pinch
         gap = self._gap(pinch.space)
         best = min((_descended(gap, y) for y in starts[:_TRIED]), key=lambda m: m.value)
         if pinch.space.size <= 1:  # whose minima are all known
             return gap.stored(best.y)
-        # Hollow tips may be near each other where their convex parts are not nearest; elsewhere
-        # these are farther apart than the best, and need no slow measurement.
+        # Hollow tips may be closest where their convex parts are not. Only places where these are
+        # nearer than the best distance need the slow measurement.
         places = [(pinch.value(y), y) for y in halton(pinch.space.size, PAIR.screened)]
         hollow = sorted((p for p in places if p[0] < best.value), key=lambda place: place[0])
         further = nearest(gap, [y for _, y in hollow[:_HOLLOW]], _TRIED)
         best = min((best, *(_descended(gap, y) for y in further)), key=lambda m: m.value)
-        # Distances have kinks, too, where another pair of faces becomes the closest one.
+        # Distances also have kinks, where another pair of faces becomes the closest.
         end = polish(gap, best.y, evaluations=_EVALUATIONS)
         return gap.stored(min((best, end), key=lambda m: m.value).y)
 
     def _contacts(self, pinch: GoalFunction, deep: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return coordinates at which the tips touch exactly, the deepest first.
+        """Return coordinates at which the tips' original geometry touches, the deepest first.
 
         If only the convex parts overlap at the minima, minimises the exact distance from there.
         """

@@ -1,4 +1,4 @@
-"""Minimisation on a kink, by a proximal bundle method, after a descent."""
+"""Minimisation on a kink, after a descent, by a proximal bundle method."""
 
 from __future__ import annotations
 
@@ -15,28 +15,29 @@ _FIRST_STEP: Final = 0.3
 """Length of the first step in the steepest coordinate, as a share of an actuator's range."""
 
 _SERIOUS: Final = 0.1
-"""Share of the predicted gain from which a step is taken; other steps only refine the model."""
+"""Share of the predicted gain that a step must reach to be taken; others only refine the model."""
 
 _KEPT: Final = 14
-"""Most linear pieces: more than meet at a kink of a dozen actuators."""
+"""Maximum number of linear pieces: more than meet at a kink for a dozen actuators."""
 
 _ENOUGH: Final = 1e-6
 """Predicted gain, as a share of the value, below which the minimum is found."""
 
 _ROUNDING: Final = 1e-10
-"""Rounding errors of the model, relative to its largest number."""
+"""Rounding error of the model, relative to its largest number."""
 
 _SWEEPS: Final = 3
-"""Most changes of each coordinate between held and free before a step is taken as it is."""
+"""Maximum number of changes per coordinate between held and free before the step is used as it is.
+"""
 
 _TINY: Final = 1e-300
-"""Substitute for a divisor 0."""
+"""Substitute for a zero divisor."""
 
 _sum = np.add.reduce
 
 
 class _Pieces:
-    """Linear pieces of a function: points, and the values and slopes there."""
+    """Linear pieces of a function: points, with the values and slopes there."""
 
     def __init__(self, y: FloatArray, value: float, slope: FloatArray) -> None:
         self.points = y[None, :]
@@ -44,7 +45,7 @@ class _Pieces:
         self.slopes = slope[None, :]
 
     def errors(self, y: FloatArray, value: float) -> FloatArray:
-        """Return the distances of the pieces below the function at a point, at least 0."""
+        """Return how far each piece lies below the function's value at a point, at least 0."""
         there = self.values + _sum(self.slopes * (y - self.points), axis=1)
         errors: FloatArray = np.maximum(0.0, value - there)
         return errors
@@ -73,16 +74,16 @@ def polish(
     """Return a local minimum of the maximum of smooth functions.
 
     A depth is a minimum over the directions in which two parts can be separated. Minus the depth
-    therefore has kinks, with its minima on them. The bundle method (Kiwiel, 1985) models the
-    function by the linear pieces at earlier points and steps to the minimum of the model plus a
+    therefore has kinks, and its minima lie on them. The bundle method (Kiwiel, 1985) models the
+    function by linear pieces at earlier points, and steps to the minimum of the model plus a
     proximal term.
 
     Args:
         function: The function to minimise.
         start: Coordinates in the box ``(k,)``.
-        evaluations: Most evaluations.
+        evaluations: Maximum number of evaluations.
         bounds: Corners of the box.
-        resolution: What coordinates, values and slopes are rounded to.
+        resolution: Units to which coordinates, values and slopes are rounded.
     """
     box = tuple(np.broadcast_to(bound, start.shape) for bound in bounds)
     low, high = resolution.snap_box((box[0], box[1]))
@@ -97,14 +98,14 @@ def polish(
     weights, held = np.ones(1), np.zeros(len(y))
     tried: bytes | None = None
     for count in range(2, evaluations + 1):
-        # The function is not convex; a piece above it here counts as touching it.
+        # The function is not convex; a piece above it at this point counts as touching it.
         errors, slopes = pieces.errors(y, value), pieces.slopes
         step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
         predicted = -float((matvec(slopes, step) - errors).max())
         there = within(resolution.snap(y + step), (low, high))
         if predicted < _ENOUGH * abs(value) + resolution.value or (there == y).all():
             return Minimum(y, value, count)
-        # The model has this piece already, so that all further steps would lead there, too.
+        # The model already has this piece; all further steps would lead there again.
         if there.tobytes() == tried:
             break
         new, rise = function(there)
@@ -117,11 +118,11 @@ def polish(
         pieces.add(there, new, new_slope)
         weights = np.append(weights, 0.0)
         if new <= value - _SERIOUS * predicted:
-            # The gain is as good as predicted, so that the next step may be longer.
+            # If the gain is nearly as good as predicted, the next step may be longer.
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
             # A serious step moves the centre of the model; any other only refines the model.
             y, value, tried = there, new, None
-        # The new piece does not improve the model at y, since the step was too long.
+        # The step was too long: the new piece does not improve the model at y.
         elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
             reach, tried = 0.5 * reach, None
         else:
@@ -139,8 +140,8 @@ def _model_step(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the step to the model's minimum in the box, the pieces' weights, and the held faces.
 
-    Coordinates are held at the lower face (-1), the upper one (1) or not (0). The search begins
-    with the given weights and held coordinates.
+    Each coordinate is held at its lower bound (-1) or upper bound (1), or is free (0). The search
+    starts from the weights and held coordinates in ``guess``.
     """
     low, high = box
     weights, side = guess
@@ -167,15 +168,15 @@ def _model_step(
                 break
             held &= ~freed
         side = np.where(held, np.where(leaving, np.where(there < low, -1.0, 1.0), side), 0.0)
-        # Move coordinates that would leave the box to its face, and solve for the rest again.
+        # Move the held coordinates to the faces of the box, and solve for the rest again.
         fixed = np.where(held, np.where(side < 0.0, low, high) - y, 0.0)
     return within(y + step, box) - y, weights, side
 
 
 def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the minimum of ``x·Mx / 2 + c·x`` over the simplex, by an active set.
+    """Return the minimum of ``x·Mx / 2 + c·x`` over the simplex, by an active-set method.
 
-    M is positive semidefinite; the start is a point of the simplex, up to its sum.
+    M is positive semidefinite. ``start`` has non-negative weights, which are scaled to sum 1.
     """
     count = len(linear)
     rows, offsets, weights = matrix.tolist(), linear.tolist(), start.tolist()
@@ -184,7 +185,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
         weights = [0.0] * count
         weights[offsets.index(min(offsets))] = total = 1.0
     face = {i: weight / total for i, weight in enumerate(weights) if weight}
-    # Pieces may be linearly dependent, so that a ridge on the diagonal keeps the system definite.
+    # Pieces may be linearly dependent; a ridge on the diagonal keeps the system definite.
     ridge = _ROUNDING * (1.0 + max(rows[i][i] for i in range(count)))
     for _ in range(4 * count):
         face = _on_face(rows, offsets, ridge, face)
@@ -197,7 +198,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
         entering = gradient.index(least)
         if entering in face or least > level - _ROUNDING * (1.0 + abs(level)):
             break
-        # The steepest one enters, a simple rule that is fast enough for few pieces.
+        # The steepest weight enters: a simple rule, fast enough for few pieces.
         face[entering] = 0.0
     x = np.zeros(count)
     x[list(face)] = list(face.values())
@@ -209,8 +210,8 @@ def _on_face(
 ) -> dict[int, float]:
     """Return the minimum over a face of the simplex, or over a subface that limits the step.
 
-    The face is given by one of its points: the coordinates that are free there. The ridge, added to
-    the diagonal of M (``rows``), makes it definite; ``offsets`` is c.
+    ``face`` gives the face by one of its points, the weights of its free coordinates. The ridge,
+    added to the diagonal of M (``rows``), makes it definite; ``offsets`` is c.
     """
     while len(face) > 1:
         support = list(face)
@@ -239,7 +240,10 @@ def _on_face(
 
 
 def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Return the solutions of a small definite system with two right sides, its last columns."""
+    """Return the solutions of a small definite system for two right-hand sides.
+
+    The last two columns of ``block`` are the right-hand sides.
+    """
     # Gaussian elimination in place: for the few pieces at a kink, it is faster than LAPACK, and
     # gives the same digits on every processor.
     size = len(block)

@@ -17,13 +17,13 @@ from rtee.sample import FloatArray
 Rank = Literal["depth", "opposition"]
 
 _SAME: Final = 0.02
-"""Difference in every actuator, as a share of its range, below which postures may be equal."""
+"""Largest difference in each actuator, as a share of its range, of postures that may be equal."""
 
 _AS_GOOD: Final = 0.01
 """Largest difference of the depths or distances of equal postures, as a share."""
 
 _DIGITS: Final = 5
-"""Decimals for comparing depths: 10 µm, less than hands differ from their models."""
+"""Decimals for comparing depths [m]: 10 µm, finer than models match real hands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class Candidate:
     Attributes:
         u: Actuator positions as stored ``(n,)`` [rad | m].
         evidence: The evidence.
-        margin: Share of their margins that other links keep in the posture and on the path to it:
-            1, a quarter, or 0 if it is not clear.
+        margin: Share of the margins that other links keep in the posture and on the path to it: 1,
+            a quarter, or 0 if the posture or the path is not clear.
     """
 
     u: FloatArray
@@ -43,7 +43,7 @@ class Candidate:
 
     @property
     def gap(self) -> float:
-        """The distance of the tips, or minus their depth [m]."""
+        """Distance between the tips, or minus their depth [m]."""
         return self.evidence.distance - self.evidence.depth
 
     @property
@@ -54,12 +54,12 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class FoundPinch:
-    """A pinch that was found.
+    """A pinch found by a search.
 
     Attributes:
-        kind: Tight, loose or of several.
+        kind: Tight, loose, or of several tips.
         fingers: The fingers.
-        candidates: Its postures, the best first.
+        candidates: The postures of the pinch, the best first.
     """
 
     kind: PrimitiveKind
@@ -71,13 +71,13 @@ def ranked(hand: Hand, candidates: Sequence[Candidate], rank: Rank) -> tuple[Can
     """Return distinct candidates, the best first.
 
     Candidates with a clear pose and path come first, those with full margins before those with
-    reduced ones; then those with a clear pose. Among equals, the deepest comes first, or by rank
-    ``opposition`` those in force closure and then the one with the least worse angle. Depths that
-    differ by less than 10 µm are equal, in which case the better opposed comes first.
+    reduced ones; then candidates with only a clear pose. Among equals, rank ``depth`` puts the
+    deepest first; rank ``opposition`` puts those in force closure first, ordered by the larger of
+    their two angles. Depths that agree to 10 µm are equal; the better opposed then comes first.
     """
     lower, upper = real_limits(hand)
     kept: list[Candidate] = []
-    # In this order, so that of equal postures the best one is kept.
+    # The best first, so that of equal postures the best one is kept.
     for candidate in sorted(candidates, key=lambda c: _key(c, rank)):
         if not any(_alike(candidate, other, upper - lower) for other in kept):
             kept.append(candidate)

@@ -70,8 +70,8 @@ class Shot:
     Attributes:
         image: A WebP file.
         close_up: A WebP file of the contact, if there is one.
-        caption: The text below it.
-        corner: Corner of the picture in which the close-up hides least.
+        caption: The text below the picture.
+        corner: Corner of the picture in which the close-up hides the least.
     """
 
     image: bytes
@@ -82,15 +82,15 @@ class Shot:
 
 @dataclass(frozen=True)
 class ReportCard:
-    """One action.
+    """Card of one action.
 
     Attributes:
         title: Elements or name of the action.
         fingers: Fingers that the action moves.
         shots: Pictures of the action.
         posture: Set-points of the action.
-        evidence: Evidence of its posture, in short texts.
-        description: One sentence for people.
+        evidence: Evidence for the posture.
+        description: One sentence about the action.
     """
 
     title: str
@@ -103,10 +103,10 @@ class ReportCard:
 
 @dataclass(frozen=True)
 class ReportSection:
-    """Actions of one kind.
+    """Section with the actions of one kind.
 
     Attributes:
-        title: Their kind, as in ``MultiPinchTight_3``.
+        title: The kind of the actions, such as ``MultiPinchTight_3``.
         cards: The actions.
     """
 
@@ -133,7 +133,7 @@ class TrialSummary:
 
 @dataclass(frozen=True)
 class _View:
-    """A picture to be taken."""
+    """A picture to render."""
 
     u: FloatArray
     fingers: tuple[str, ...]
@@ -143,7 +143,7 @@ class _View:
 
 
 _Plan = tuple[ReportCard, tuple[_View, ...]]
-"""A card without pictures, and the pictures to be taken for it."""
+"""A card without pictures, and the pictures to render for it."""
 
 
 def make_report(
@@ -156,16 +156,16 @@ def make_report(
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
-    """Return the report of a hand, a page of HTML.
+    """Return the report of a hand as an HTML page.
 
     Args:
         hand: The hand.
         extraction: Result of the extraction.
-        actions: Its actions, such as a library, for the composed, timed and generic ones.
-        trials: Results of trials of its actions in simulation.
+        actions: Further actions of the hand, such as its library; primitives are ignored.
+        trials: Results of trials of the hand's actions in simulation.
         size: Width and height of the pictures of the whole hand [pixels].
-        jobs: Number of processes that take pictures; 0 for one per processor.
-        progress: Called with the number of pictures taken and the total.
+        jobs: Number of processes that render pictures; 0 for one per processor.
+        progress: Called with the number of rendered pictures and the total.
 
     Raises:
         ConfigError: The extra ``plot`` is not installed.
@@ -183,7 +183,7 @@ def make_report(
             return Shot(renderer.picture(hand.rest, file_format="WEBP"))
         return _shot(renderer, view)
 
-    # All pictures at once, since they take most of the time and use all processors.
+    # Render all pictures at once, since they take most of the time and use all processors.
     shots = parallel_map(
         shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
     )
@@ -302,7 +302,7 @@ def _load_template() -> Template:
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
-        # A misspelt name in the template is an error instead of an empty place in the report.
+        # A misspelt name in the template is an error, instead of a gap in the report.
         undefined=StrictUndefined,
     )
     environment.filters |= {
@@ -326,7 +326,7 @@ def _page(
     seconds: float,
     trials: Iterable[TrialSummary] = (),
 ) -> str:
-    """Return the page; trials say what became of the actions when they were tried."""
+    """Return the page, with the results of trials by action and object."""
     tried = list(trials)
     rows: dict[str, dict[str, TrialSummary]] = {}
     for trial in tried:
@@ -358,7 +358,7 @@ def _source(image: bytes) -> str:
 
 
 def _quantity(value: float, kind: JointKind, unit: str = "") -> str:
-    """Return a position, or a rate with ``unit`` ``/s``, in the units people read."""
+    """Return a position in mm or degrees, or a rate if ``unit`` is ``/s``."""
     if not math.isfinite(value):
         return "unlimited"
     if kind is JointKind.PRISMATIC:
@@ -374,7 +374,7 @@ def _effort(actuator: ActuatorSpec) -> str:
 
 
 def _bar(value: float, actuator: ActuatorSpec) -> dict[str, str] | None:
-    """Return the bar from rest to a value over the actuator's range [%]; none without limits."""
+    """Return the bar from rest to a value over an actuator's range [%]; ``None`` without limits."""
     if not math.isfinite(actuator.lower) or not math.isfinite(actuator.upper):
         return None
     span = actuator.upper - actuator.lower
@@ -384,7 +384,7 @@ def _bar(value: float, actuator: ActuatorSpec) -> dict[str, str] | None:
 
 
 def _law(mimic: UrdfMimic) -> str:
-    """Return a joint's position as a function of that of the joint x that it follows."""
+    """Return the law of a joint's position as text; x is the position of the joint it follows."""
     if mimic.expression is not None:
         return mimic.expression
     offset = f"{mimic.offset:+g}" if mimic.offset else ""
@@ -401,7 +401,7 @@ def _size(name: str) -> tuple[str, str]:
 
 
 def _tags(evidence: Evidence) -> list[str]:
-    """Return the evidence of a posture as short texts."""
+    """Return the evidence for a posture as short texts."""
     tags = []
     if evidence.depth > 0:
         tags.append(f"depth {evidence.depth * 1e3:.1f} mm")
@@ -413,7 +413,7 @@ def _tags(evidence: Evidence) -> list[str]:
     opposition = evidence.opposition
     if opposition is not None:
         angles = " and ".join(f"{math.degrees(angle):.0f}°" for angle in opposition.angles)
-        tags.append(f"normals {angles} off the closing")
+        tags.append(f"normals {angles} off the closing directions")
         closure = "holds" if opposition.force_closure else "does not hold"
         tags.append(f"{closure} a ball at friction {opposition.friction:g}")
     if evidence.clearance is not None:

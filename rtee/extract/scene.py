@@ -27,15 +27,15 @@ from rtee.sample import FloatArray
 from rtee.types import JointKind
 
 _BATCH: Final = 3
-"""Number of derivatives from which summing them before the last products is faster."""
+"""Number of derivatives from which it is faster to sum them before the last products."""
 
 _MOST_STACKS: Final = 1024
-"""Most sets of pairs whose stacked `LinkPair.moved_by` are cached; a search has some dozens."""
+"""Maximum number of cached stacks of `LinkPair.moved_by`; a search uses a few dozen."""
 
 _COLLIDE: Final = 1
 _DISTANCE: Final = 6
-"""Costs of queries of two meshes, for contact and for distance: about 2 and 12 ms for some thousand
-triangles."""
+"""Costs of queries of two meshes, for contact and for distance: about 2 ms and 12 ms for a few
+thousand triangles."""
 
 _sum = np.add.reduce
 
@@ -43,36 +43,37 @@ _sum = np.add.reduce
 class Scene:
     """A hand's links at a posture.
 
-    `place` moves all links to a posture, at which all other methods measure.
+    `place` moves all links to a posture; all other methods measure there.
 
-    Distances and derivatives are those of coarse shapes, which lie some 0.1 mm inside the convex
+    Distances and derivatives are those of coarse shapes, which lie about 0.1 mm inside the convex
     parts of cylinders and finely meshed links; `fine` measures the full parts. Contact, witnesses
-    and all stored values are always those of the full parts.
+    and all stored values always come from the full geometry.
 
     The signed distance of two links is the least over the pairs of their convex parts: the
-    distance of the parts, or minus the depth, the shortest translation that separates them. Its
-    derivative by the actuators is ``n · (J_p2 - J_p1) · dq/du`` with the witness points ``p1, p2``
-    and the normal ``n``; it is exact where these are unique.
+    distance between the parts, or minus the depth, the shortest translation that separates them.
+    Its derivative by the actuators is ``n · (J_p2 - J_p1) · dq/du`` with the witness points
+    ``p1, p2`` and the normal ``n``; it is exact where these are unique.
 
     Attributes:
         hand: The hand.
-        geometry: Its collision geometry.
-        couplings: Its transmission.
-        shapes: All collision shapes, and the clipped ones of joined tips.
-        pairs: All pairs of links that have geometry and move against each other, by names in the
-            order of the URDF's tree.
+        geometry: Collision geometry of the hand.
+        couplings: Transmission of the hand.
+        shapes: All collision shapes, and the clipped shapes of joined tips.
+        pairs: All pairs of links that have geometry and different bodies, by names in the order of
+            the URDF's tree.
         joints: Joint positions at the posture ``(m,)`` [rad | m].
-        query_cost: Cost of queries of original meshes so far, in units of a contact query.
-        tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
-        unit: Length that stands for a metre of the hand as given [m].
+        query_cost: Cost of queries on original meshes so far, in units of a contact query.
+        tips: The pairs of fingertips that actuators move relative to each other, in the order of
+            the fingers.
+        unit: Length in this hand that represents one metre of the original hand [m].
     """
 
     def __init__(self, hand: Hand, unit: float = 1.0) -> None:
         """Read the geometry of a hand.
 
         Args:
-            hand: The hand, whose lengths may be multiples of those of the hand as given.
-            unit: Length that stands for a metre there [m].
+            hand: The hand, which may be a scaled copy of the original hand.
+            unit: Length in this hand that represents one metre of the original hand [m].
 
         Raises:
             ModelError: A mesh is missing or cannot be read.
@@ -94,7 +95,7 @@ class Scene:
         self._model = self.kinematics.model
         self._data = self.kinematics.data
         self._slope = self.couplings.slope(hand.rest)
-        # By number of the pair, made when it is first measured.
+        # Queries by number of the pair, made when the pair is first measured.
         self._rough: dict[int, DistanceQueries] = {}
         self._convex: dict[int, DistanceQueries] = {}
         self._exact: dict[int, DistanceQueries] = {}
@@ -106,7 +107,7 @@ class Scene:
         self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
         self._joints = np.zeros((6, self._model.nv))
         self._stamp = self._jacobian_stamp = 0
-        # At rest, where `_tip_pairs` tests which joined tips touch.
+        # Place the hand at rest, where `_tip_pairs` tests which joined tips touch.
         self.place(hand.rest)
         self.tips = self._tip_pairs()
 
@@ -120,12 +121,12 @@ class Scene:
         moved_by = support(bodies[1]) - support(bodies[0])
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
-        # Pairs are identified by number, since a clipped pair has the names of the whole one.
+        # Numbers identify pairs, since a clipped pair has the same names as the whole one.
         self._couples += 1
         return LinkPair(links, bodies, shapes, self._couples, moved_by, actuators)
 
     def _tip_pairs(self) -> Pairs[str, LinkPair]:
-        """Return the pairs of fingertips, with joined ones clipped to parts that can pinch."""
+        """Return the pairs of fingertips; clip joined tips to the parts that can pinch."""
         tips = {f.tip: f.tip_links for f in self.hand.fingers if f.tip}
         pairs: Pairs[str, LinkPair] = Pairs(turned=LinkPair.reversed)
         for first, second in combinations(tips, 2):
@@ -152,7 +153,7 @@ class Scene:
 
     def _clipped(self, pair: LinkPair) -> LinkPair | None:
         moving = max(pair.bodies)
-        # The jaws of a slide have no axis.
+        # The jaws of a prismatic joint have no axis.
         if self.hand.joints[moving - 1].kind is JointKind.PRISMATIC:
             return None
         placement = self._data.oMi[moving]
@@ -175,7 +176,7 @@ class Scene:
         return self._couple(pair.links, shapes)
 
     def pair(self, first: str, second: str) -> LinkPair | None:
-        """Return a pair of links in this order; ``None`` if they do not move against each other."""
+        """Return a pair of links in this order; ``None`` if they form one rigid body."""
         pair: LinkPair | None = self.pairs.get((first, second))
         return pair
 
@@ -237,7 +238,7 @@ class Scene:
         known = self._stacks.get(key)
         if known is None:
             if len(self._stacks) >= _MOST_STACKS:
-                # All at once, since the sets of earlier searches hardly come back.
+                # All at once, since the sets of earlier searches are hardly used again.
                 self._stacks.clear()
             known = self._stacks[key] = np.array([pair.moved_by for pair, _ in terms])
         return known
@@ -258,8 +259,8 @@ class Scene:
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
     ) -> FloatArray:
-        # n · (velocity of a point p) = n · v + (p x n) · w, which is one row times the joints'
-        # Jacobian; either witness point gives the same, since both are on a line along n.
+        # n · (velocity of a point p) = n · v + (p x n) · w, which is one row times the joint
+        # Jacobian; both witness points give the same, since they are on a line along n.
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
@@ -272,7 +273,7 @@ class Scene:
             pin.computeJointJacobians(self._model, self._data)
             if not self.couplings.linear:
                 self._slope = self.couplings.slope(self._at)
-            # Computed once per posture, and only for a derivative.
+            # Computed once per posture, and only if a derivative is needed.
             self._jacobian_stamp = self._stamp
             self._joints = self._data.J.reshape(6, -1)
         return self._joints
@@ -294,7 +295,7 @@ class Scene:
         return known
 
     def witness(self, pair: LinkPair) -> Witness:
-        """Return the points of two links' convex parts that are closest or deepest."""
+        """Return the closest or deepest points of two links' convex parts."""
         queries = self._queries(pair, self._convex)
         # New queries have no memory, so that evidence does not depend on earlier measurements.
         if queries.remembers:
@@ -302,7 +303,7 @@ class Scene:
         return _witness(pair, queries, self._stamp)
 
     def forget(self) -> None:
-        """Drop Coal's memory of earlier queries, which changes later results by some 10 nm."""
+        """Drop Coal's memory of earlier queries, which changes later results by about 10 nm."""
         for known in (self._rough, self._convex):
             for queries in known.values():
                 if queries.remembers and queries.used:
@@ -311,9 +312,8 @@ class Scene:
     def touching(self, pair: LinkPair, *, surfaces: bool = True) -> bool:
         """Return whether the original geometry of two links touches.
 
-        Meshes touch if their surfaces meet or one is inside the other; primitives are solid.
-
-        Their surfaces are not compared unless ``surfaces``.
+        Meshes touch if their surfaces intersect or one is inside the other; primitives are solid.
+        If ``surfaces`` is false, the surfaces are known not to intersect, and are not compared.
         """
         return self.nearer(pair, TOUCH, surfaces=surfaces)
 
@@ -323,7 +323,7 @@ class Scene:
         Args:
             pair: The links.
             margin: The margin [m].
-            surfaces: Whether their surfaces may be that near.
+            surfaces: Whether to compare the surfaces; false if they are known to be farther apart.
         """
         if self.at_least(pair) > margin:
             return False
@@ -346,21 +346,21 @@ class Scene:
         *,
         surfaces: bool = True,
     ) -> bool:
-        """Return whether two shapes are nearer than a margin [m], as their convex parts are.
+        """Return whether two shapes, couple ``k`` of the pair, are nearer than a margin [m].
 
-        They are couple ``k`` of the pair. Unless ``surfaces``, their surfaces are known to be
-        farther.
+        Their convex parts must be nearer than the margin. If ``surfaces`` is false, their surfaces
+        are known to be farther apart.
         """
         i, j = couple
         a, b = self.shapes[i], self.shapes[j]
         # A convex primitive is its own convex part.
-        if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
+        if not (a.is_mesh or b.is_mesh):  # both already exact; Coal's Boolean query misses some
             return True
         self.query_cost += _COLLIDE
         if surfaces and self._queries(pair, self._exact).collide(k, self._stamp, margin):
             return True
-        # One mesh may be inside the other without meeting its surface. It then overlaps by its
-        # whole width, so that few pairs need the expensive test.
+        # One mesh may be inside the other without intersecting its surface. The convex parts then
+        # overlap by its whole width, so few pairs need the expensive test.
         overlap = -self._queries(pair, self._convex).results[k].min_distance
         if overlap < min(self._width(i), self._width(j)):
             return False
@@ -384,7 +384,10 @@ class Scene:
         return witness if length == 0.0 else replace(witness, normal=gap / length)
 
     def point_jacobian(self, link: str, point: FloatArray) -> FloatArray:
-        """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, base frame [m]."""
+        """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, in the base frame.
+
+        ``point`` is given in the base frame [m].
+        """
         jacobian = self._jacobian() * self.kinematics.support(self.kinematics.body(link))
         jacobian = jacobian[:3] - matmul(pin.skew(point), jacobian[3:])
         result: FloatArray = matmul(jacobian, self._slope)
@@ -406,7 +409,7 @@ class Scene:
         return self._data.oMi[placed.body] * placed.placement
 
     def relative_pose(self, pair: LinkPair, u: FloatArray) -> pin.SE3:
-        """Return the pose of the second link's body in the first one's at a posture ``(n,)``."""
+        """Return the pose of the second link's body in that of the first, at a posture ``(n,)``."""
         self.place(u)
         first, second = pair.bodies
         return self._data.oMi[first].actInv(self._data.oMi[second])
@@ -429,7 +432,7 @@ class Scene:
         return self._coarse_shapes[exact]
 
     def _outer(self, link: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the shapes of a link that are not inside another one."""
+        """Return the shapes of a link that are not inside another of its shapes."""
         if link not in self._outers:
             self._outers[link] = outer(self.shapes, {i: self._coarse_shape(i) for i in link}, link)
         return self._outers[link]
@@ -441,7 +444,7 @@ class Scene:
         return self._widths[shape]
 
     def _queries(self, pair: LinkPair, known: dict[int, DistanceQueries]) -> DistanceQueries:
-        """Return the queries of two links from one of the three sets, made if it has none."""
+        """Return the queries of two links from one of the three sets; make them if necessary."""
         queries = known.get(pair.number)
         if queries is None:
             if known is self._rough:

@@ -24,8 +24,8 @@ class Combining:
     """Descents from combinations of the deepest minima.
 
     Attributes:
-        parents: Number of minima that are combined.
-        children: Number of the best combinations from which descents start.
+        parents: Number of minima to combine.
+        children: Number of best combinations from which descents start.
     """
 
     parents: int
@@ -34,11 +34,11 @@ class Combining:
 
 @dataclass(frozen=True, slots=True)
 class Moving:
-    """Descents from the deepest minimum with one finger elsewhere.
+    """Descents from the deepest minimum with one finger moved elsewhere.
 
     Attributes:
-        places: Number of places at which each finger is tried.
-        moved: Number of the best of these poses from which descents start.
+        places: Number of places to try for each finger.
+        moved: Number of best poses from which descents start.
     """
 
     places: int
@@ -51,14 +51,14 @@ class SearchEffort:
 
     Attributes:
         screened: Number of points of the low-discrepancy sequence evaluated first.
-        starts: Number of the best of them from which descents start.
-        quick: Most evaluations of each of these descents.
-        rounds: What follows these descents, stage after stage; of the rounds after the second one
-            only as many as the last one has found a deeper minimum.
-        kept: Number of distinct ends that are polished.
-        polish: Most evaluations of polishing one of them.
-        again: Most further polishings of one of the deepest ends, if the first did not suffice.
-        finalists: Number of these ends.
+        starts: Number of the best of these points from which descents start.
+        quick: Maximum number of evaluations of each of these descents.
+        rounds: Rounds of stages after these descents; from the second round on, a round that finds
+            no deeper minimum is the last.
+        kept: Number of distinct minima to polish.
+        polish: Maximum number of evaluations for polishing a minimum.
+        again: Maximum number of further polishings of each finalist.
+        finalists: Number of the deepest polished minima that may be polished again.
         elsewhere: Number of descents that start from further points of the sequence.
     """
 
@@ -92,29 +92,31 @@ SEVERAL: Final = SearchEffort(
 """Limits for several tips, whose minima are many and shallow."""
 
 _SAME: Final = 0.02
-"""Difference in every coordinate, as a share of its range, below which minima are equal."""
+"""Largest difference in each coordinate, as a share of its range, of equal minima."""
 
 _LITTLE: Final = 0.002
-"""Share of the value that a polish must gain for another one to follow."""
+"""Share of the value that a polish must gain before another one follows."""
 
 _FURTHER: Final = 64
-"""Number of the further points of the low-discrepancy sequence."""
+"""Number of further points of the low-discrepancy sequence."""
 
 _NEARLY: Final = 0.06
-"""Share of the value by which a minimum may be above the deepest one to be polished, which gains up
-to as much."""
+"""Largest excess over the deepest minimum, as a share of its value, of another minimum that is
+worth polishing, which gains up to as much."""
 
 _LAST: Final = 8
-"""Evaluations of the last polish, on the full convex parts and with the finest resolution."""
+"""Maximum number of evaluations of the last polish, on the full convex parts at the finest
+resolution."""
 
 _ALIKE: Final = 2
 """Decimals for comparing combined starts: 1 % of a range."""
 
 _LINE: Final = 257
-"""Points of the grid over a single actuator; minima of the hands in the tests are wider."""
+"""Number of grid points over a single actuator; minima of the hands in the tests are wider than a
+step of the grid."""
 
 _LINE_PRECISION: Final = 1e-8
-"""Precision of golden sections, as a share of the range; postures are stored to 1e-6."""
+"""Precision of golden-section searches, as a share of the range; postures are stored to 1e-6."""
 
 
 Block = NDArray[np.intp]
@@ -126,8 +128,8 @@ class Minima:
     """Distinct local minima.
 
     Attributes:
-        polished: Minima with the best ones polished, the deepest first.
-        explored: Minima before polishing, the deepest first, from which other searches start:
+        polished: All minima, with the best ones polished, the deepest first.
+        explored: Minima before polishing, the deepest first. Other searches start from these, since
             polished coordinates depend on digits that descents ignore.
     """
 
@@ -178,11 +180,11 @@ def minima(
     if effort.elsewhere:
         others = _elsewhere(function, distinct(first), effort)
         polished = _deepened(function, others[:1], effort)
-        # Other searches start from these, too, if they have found a deeper one.
+        # Other searches start from these, too, if one of them is deeper.
         if any(_gains(m.value, min(m.value for m in done)) for m in polished):
             first, done = [*first, *others], [*done, *polished]
     deepest = min(done, key=lambda m: m.value)
-    # The last steps on the full parts, since coarse shapes are up to 0.1 mm thinner.
+    # Take the last steps on the full parts, since coarse shapes are up to 0.1 mm thinner.
     with function.fine():
         done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))
@@ -191,9 +193,9 @@ def minima(
 def _elsewhere(
     function: GoalFunction, known: Sequence[Minimum], effort: SearchEffort
 ) -> list[Minimum]:
-    """Return other minima than the known ones that may become deeper, the deepest first.
+    """Return further minima that may become deeper than the known ones, the deepest first.
 
-    Combinations of known minima hardly leave their valleys.
+    Combinations of known minima hardly leave the valleys of these.
     """
     points = halton(function.space.size, effort.screened + _FURTHER)[effort.screened :]
     best = nearest(function, [*points], effort.elsewhere)
@@ -207,11 +209,11 @@ def _elsewhere(
 def _deepened(
     function: GoalFunction, ends: Sequence[Minimum], effort: SearchEffort
 ) -> list[Minimum]:
-    """Return polished minima, the deepest of which are polished until they gain little."""
+    """Return polished minima; polish the deepest of them until they gain little."""
     done, deepest = [_polished(function, m, effort.polish) for m in ends], np.inf
     for end in sorted(done, key=lambda m: m.value)[: effort.finalists]:
         chain = [end]
-        # A polish that ended by itself is at a minimum, which another one would not change.
+        # A polish that did not use up its evaluations has converged; another one is useless.
         while len(chain) <= effort.again and chain[-1].evaluations >= effort.polish:
             chain.append(_polished(function, chain[-1], effort.polish))
             if not _gains(chain[-1].value, chain[-2].value):
@@ -223,7 +225,7 @@ def _deepened(
 
 
 def _gains(value: float, before: float) -> bool:
-    """Return whether a value is less than another one by more than a little."""
+    """Return whether a value is less than the value before by a relevant amount."""
     return before - value >= _LITTLE * abs(value)
 
 
@@ -232,20 +234,20 @@ def _polished(function: GoalFunction, minimum: Minimum, evaluations: int) -> Min
 
 
 def _screened(function: GoalFunction, effort: SearchEffort) -> list[FloatArray]:
-    """Return the best of the points of the low-discrepancy sequence and the landmarks."""
+    """Return the best points of the low-discrepancy sequence and the landmarks."""
     points = halton(function.space.size, max(effort.screened, effort.starts))
     return nearest(function, [*points, *_landmarks(function.space)], effort.starts)
 
 
 def nearest(function: GoalFunction, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
     """Return the points with the least values of a function, the best first."""
-    # Rounded and sorted stably, so that the order does not depend on last digits.
+    # Round and sort stably, so that the order does not depend on last digits.
     values = [COARSE.rounded_value(function.value(y)) for y in points]
     return [points[i] for i in np.argsort(values, kind="stable")[:count]]
 
 
 def _landmarks(space: Space) -> FloatArray:
-    """Return rest, the middle and the two far corners."""
+    """Return the rest posture, the middle of the box and two opposite corners."""
     size = space.size
     return np.array([space.rest, np.full(size, 0.5), np.zeros(size), np.ones(size)])
 
@@ -262,15 +264,15 @@ def distinct(found: Sequence[Minimum]) -> list[Minimum]:
 def recombined(
     found: Sequence[Minimum], blocks: Sequence[Block], seen: set[bytes]
 ) -> list[FloatArray]:
-    """Return poses ``(k,)`` in which one block of coordinates is another minimum's.
+    """Return minima ``(k,)`` with one block of coordinates taken from another minimum.
 
-    The goal is a sum whose terms depend on few coordinates: those of two fingers and those that
-    move all of them. Minima of the sum therefore often combine parts of different minima.
+    The goal is a sum whose terms depend on few coordinates: those of two fingers, and those that
+    move all fingers. Minima of the sum therefore often combine parts of different minima.
 
     Args:
         found: Minima.
         blocks: Related coordinates: each finger's, and the others.
-        seen: Rounded poses returned before, which are skipped; the new ones are added.
+        seen: Rounded poses returned before, which are skipped; new ones are added to it.
     """
     new = []
     for one, other in permutations(found, 2):
@@ -279,7 +281,7 @@ def recombined(
                 continue
             y = one.y.copy()
             y[block] = other.y[block]
-            # Many of the minima are the same as in the previous round.
+            # Many minima are the same as in the previous round.
             key = y.round(_ALIKE).tobytes()
             if key not in seen:
                 seen.add(key)
@@ -290,8 +292,8 @@ def recombined(
 def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list[FloatArray]:
     """Return poses ``(k,)`` that differ from a minimum in one block of coordinates.
 
-    A descent moves all fingers at once and stops at the first kink that no finger can leave alone.
-    A finger has so few coordinates that a few points cover them.
+    A descent moves all fingers at once, and stops at a kink even if one finger could get deeper
+    elsewhere. A finger has so few coordinates that a few points cover them.
 
     Args:
         minimum: The minimum.
@@ -308,7 +310,7 @@ def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list
 
 
 def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
-    """Return all local minima over one coordinate, by a fine grid and golden sections."""
+    """Return all local minima over one coordinate, by a fine grid and golden-section searches."""
     grid = np.linspace(low, high, _LINE)
     values = [function.value(np.array([t])) for t in grid]
     results = []
@@ -325,7 +327,7 @@ def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) 
 def _golden(
     function: GoalFunction, bracket: tuple[float, float], at: float, least: float
 ) -> Minimum:
-    """Return the minimum in a bracket; Kiefer (1953)."""
+    """Return the minimum in a bracket, by golden-section search (Kiefer, 1953)."""
     low, high = bracket
     ratio = (np.sqrt(5.0) - 1.0) / 2.0
     inner = [high - ratio * (high - low), low + ratio * (high - low)]

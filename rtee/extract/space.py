@@ -1,4 +1,4 @@
-"""The box of postures of a search."""
+"""The box of postures in which a search varies the actuators."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ DECIMALS: Final = 6
 """Decimals of stored postures: a millionth of a radian or metre."""
 
 _AT_LIMIT: Final = 1.5e-6
-"""Distance of an actuator from a limit below which it is stored at the limit [rad | m]: a unit of
-what is stored, and half of one for rounding."""
+"""Distance of an actuator from a limit below which it is stored at the limit [rad | m]: one unit of
+a stored position, and half a unit for rounding."""
 
 
 @dataclass(frozen=True)
 class Space:
-    """Postures in which some actuators vary within bounds and the others rest.
+    """Postures in which some actuators vary within bounds and the others stay at rest.
 
-    Coordinates run from 0 to 1 between the bounds, so that angles and lengths are commensurate.
+    Coordinates run from 0 to 1 between the bounds, so that angles and lengths are comparable.
 
     Attributes:
-        base: Posture of the actuators that do not vary ``(n,)`` [rad | m].
-        index: The actuators that vary.
-        lower: Their lower bounds [rad | m].
-        extent: Their upper bounds minus the lower ones [rad | m].
-        levers: Cache of the scene for derivatives of joints by coordinates.
+        base: Rest posture, which gives the positions of fixed actuators ``(n,)`` [rad | m].
+        index: Indices of the varying actuators ``(k,)``.
+        lower: Lower bounds of these ``(k,)`` [rad | m].
+        extent: Upper minus lower bounds of these ``(k,)`` [rad | m].
+        levers: The scene's cache for derivatives of joints by coordinates.
     """
 
     base: FloatArray
@@ -78,10 +78,10 @@ def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
 
 
 def widened_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Return bounds for checking whether tips could meet at all.
+    """Return widened bounds, for checking whether tips could meet at all.
 
-    Revolute actuators get ±π, prismatic ones their range once more at either end, wherever their
-    zero is; never less than the real limits.
+    Revolute actuators get at least ±π; prismatic ones get their range once more at either end. The
+    bounds are never narrower than the real limits.
     """
     lower, upper = real_limits(hand)
     for i, actuator in enumerate(hand.actuators):
@@ -108,7 +108,7 @@ def rounded(hand: Hand, u: FloatArray, unit: float = 1.0) -> FloatArray:
     Args:
         hand: The hand.
         u: The posture ``(n,)`` [rad | m].
-        unit: Length that stands for a metre in what is stored [m].
+        unit: Length in this hand that represents one metre of the stored posture [m].
     """
     # Adding 0 turns -0.0 into 0.0.
     result = np.round(u, DECIMALS) + 0.0
@@ -120,7 +120,7 @@ def rounded(hand: Hand, u: FloatArray, unit: float = 1.0) -> FloatArray:
         if u[i] == spec.rest:
             result[i] = spec.rest
         for bound in (spec.lower, spec.upper):
-            # Tips that just touch at a limit would not do so a rounding error before it.
+            # Tips that just touch at a limit would not touch if the posture were rounded below it.
             if abs(result[i] - bound) <= _AT_LIMIT * scale:
                 result[i] = bound
         result[i] = min(max(result[i], spec.lower), spec.upper)

@@ -1,4 +1,4 @@
-"""Test whether one shape is inside another one's surface."""
+"""Test whether one shape lies inside another shape's surface."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ _sum = np.add.reduce
 
 
 def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
-    """Return whether a mesh encloses a shape whose surface it does not meet.
+    """Return whether a mesh encloses a shape that does not intersect its surface.
 
-    One point of the inner shape decides, since all of it is on one side of the surface.
+    Testing one point of the inner shape suffices, since all of it is on one side of the surface.
 
     Args:
-        outer: The enclosing shape; a solid primitive encloses nothing that it does not meet.
+        outer: The enclosing shape; a primitive is solid, so it always collides with what it
+            contains, and the result is ``False``.
         inner: The enclosed shape.
         inner_in_outer: Pose of the inner shape in the outer one's frame.
     """

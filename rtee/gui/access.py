@@ -3,10 +3,11 @@
 A browser sends its user's cookies with the requests of any page, and lets any page open a
 WebSocket to this computer. Every request must therefore pass three checks:
 
-- ``Host`` is a name of this GUI, which refuses a foreign name that was made to point here (DNS
+- ``Host`` is a name of this GUI; the GUI refuses a foreign name that was made to point here (DNS
   rebinding);
 - ``Origin``, for a WebSocket, is that of this GUI's pages;
-- the token that `rtee gui` printed is in the address, or a cookie that was given for one.
+- the address contains the token that `rtee gui` printed, or the request carries a cookie that was
+  issued for one.
 
 A token opens one browser: it is exchanged for a cookie at once and never valid again, so that an
 address in a history, a log or a chat opens nothing. `rtee gui` prints the next one then.
@@ -36,8 +37,8 @@ _TOKEN_BYTES: Final = 24
 """Random bytes of a token or a cookie [bytes]: 192 bits cannot be guessed."""
 
 _BROWSERS: Final = 256
-"""Browsers whose cookies are valid: more than watch a hand at the same time. The oldest is dropped
-first."""
+"""Maximum number of browsers with a valid cookie: more than ever watch a hand at the same time. The
+oldest is dropped first."""
 
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 
@@ -103,7 +104,7 @@ def addresses_of(host: str) -> list[str]:
     try:
         addresses = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
-        raise ConfigError(f"--host {host}: there is no address of this name") from None
+        raise ConfigError(f"--host {host}: cannot find an address for this name") from None
     family, _, _, _, place = addresses[0]
     try:
         with socket.socket(family, socket.SOCK_STREAM) as trial:
@@ -156,10 +157,10 @@ def public_origin(text: str) -> str:
 
 
 class Access:
-    """Tokens, IP address and encryption of the GUI; `tls` is set if it encrypts by itself.
+    """Tokens, IP address and encryption of the GUI; `tls` is set if the GUI itself encrypts.
 
     Attributes:
-        announce: Called with a role and the next address for it once its last one was used.
+        announce: Called with a role and its next address once its previous address was used.
     """
 
     def __init__(
@@ -192,7 +193,7 @@ class Access:
         self.announce: Callable[[PageRole, str], object] = lambda _role, _link: None
         roles = tuple(PageRole) if observers else (PageRole.OPERATOR,)
         self._tokens = {role: secrets.token_urlsafe(_TOKEN_BYTES) for role in roles}
-        # By their hashes, so that the time of a lookup says nothing about a cookie.
+        # Keyed by hash, so that the time of a lookup reveals nothing about a cookie.
         self._browsers: dict[bytes, PageRole] = {}
 
     @property
@@ -219,7 +220,7 @@ class Access:
     # --- checks of a request
 
     def judge(self, request: Request, port: int) -> PageRole | Response:
-        """Return the role of the sender of a request to a port, or the response that refuses it."""
+        """Return the role of a request's sender, or the response to send instead."""
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_reached_by(hosts[0]):
             return _refusal(
@@ -274,8 +275,8 @@ class Access:
     def _welcome(self, request: Request, role: PageRole, path: str, port: int) -> Response:
         """Return a response that sets a cookie and reopens the page without the token.
 
-        A cookie that is set after a link on another site is sent only by pages of this GUI, so
-        that an HTML page takes the place of a redirection.
+        After a link on another site, the browser would not send the strict cookie with a
+        redirection; the response is then an HTML page that reloads.
         """
         self._tokens[role] = secrets.token_urlsafe(_TOKEN_BYTES)
         value = secrets.token_urlsafe(_TOKEN_BYTES)
@@ -299,7 +300,7 @@ def _cookies(headers: Iterable[str], wanted: str) -> Iterator[str]:
 
 
 def _digest(secret: str) -> bytes:
-    # A cookie may hold bytes beyond ASCII, as lone surrogates.
+    # A cookie may hold non-ASCII bytes, as lone surrogates.
     return hashlib.sha256(secret.encode(errors="surrogateescape")).digest()
 
 

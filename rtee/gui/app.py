@@ -1,4 +1,4 @@
-"""The GUI: one page for each window, which shows a running hand and finds it again."""
+"""The GUI: one page per window, which shows a running hand and reconnects after its loss."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from rtee.remote.fleet import Fleet, HandAddress, Look, following
 from rtee.remote.truth import Tone, Truth, Words, clock
 
 _DRAW_PERIOD: Final = 1 / 30
-"""Time between two updates of a window [s]: 30 pictures per second look fluent."""
+"""Time between two updates of a window [s]: 30 frames per second look smooth."""
 
 
 class Page:
-    """One window with a hand; after the loss of the hand, its last picture until it returns.
+    """One window with a hand; if the hand is lost, it shows the last state until the hand returns.
 
     Attributes:
-        session: The panels of the hand, or of the one that has gone.
+        session: The panels of the hand, or of the last one if it is lost.
         watch: The known state of the hand.
         narrow: Whether the window has no room for plots beside the hand.
         key: The secret of the window's bar: observers cannot act for it.
@@ -66,7 +66,7 @@ class Page:
             self._hands = gui.add_dropdown(
                 "Hand",
                 (self.watch.truth.hand or "–",),
-                hint="The hand shown, of those that run here",
+                hint="Which of the hands that run on this computer is shown",
                 visible=False,
             )
         self._hands.on_update(self.bridge.clicked(self._chosen))
@@ -81,9 +81,9 @@ class Page:
             self._scope.cancel()
 
     def offer(self, names: tuple[str, ...]) -> None:
-        """Offer the running hands and the shown one."""
+        """Offer the running hands and the displayed one."""
         shown = self.watch.truth.hand
-        # It stays in the list while it is away, since it is shown again when it returns.
+        # A lost hand stays in the list, since the page shows it again when it returns.
         names = tuple(sorted({*names, *([shown] if shown else [])}))
         self._hands.visible = len(names) > 1
         if names and tuple(self._hands.options) != names:
@@ -91,7 +91,7 @@ class Page:
             self._hands.value = shown or names[0]
 
     async def run(self) -> None:
-        """Show hands until the window has gone."""
+        """Show hands until the window is closed."""
         async with anyio.create_task_group() as group:
             group.start_soon(self._draw)
             while self._open:
@@ -141,7 +141,7 @@ class Page:
             self.session.fold()
 
     async def close(self) -> None:
-        """Release the hand, and end once the jobs of this window have."""
+        """Release the hand, and end once the jobs of this window have ended."""
         self._open = False
         if self.session is not None:
             await self.session.leave()
@@ -153,7 +153,7 @@ class App:
     """The pages of all windows, with their hands and the hands' states.
 
     Attributes:
-        endpoint: Where the hand runs, if on another computer.
+        endpoint: Address of the hand, if it runs on another computer.
         approval: Answers the questions of agents.
         pages: The pages by the number of their window.
     """
@@ -200,7 +200,7 @@ class App:
                 await anyio.sleep(AGAIN)
 
     def _attended(self) -> bool:
-        """Whether a window is open whose user may answer."""
+        """Return whether a window is open whose user may answer."""
         if self._visitors is None:
             return bool(self.server.get_clients())
         return self._visitors.attended
@@ -208,7 +208,7 @@ class App:
     # --- windows
 
     def open(self, stage: Stage) -> Page:
-        """Open a page in a window, or in all at once; must be called in the event loop."""
+        """Open a page in one window, or in all windows; must be called in the event loop."""
         assert self._group is not None  # noqa: S101 - `run` comes first
         number = stage.client_id if isinstance(stage, viser.ClientHandle) else 0
         page = self.pages[number] = Page(self, stage)
@@ -232,7 +232,7 @@ class App:
     # --- hands
 
     def watch(self, name: str | None = None) -> Watch:
-        """Return the watch of a hand: by default the requested one, or else the running one."""
+        """Return the watch of a hand: by default the requested hand, otherwise the running one."""
         name = name or self._wanted or ""
         if name not in self._watches:
             assert self._group is not None  # noqa: S101
@@ -318,7 +318,7 @@ _LINKS: Final = {PageRole.OPERATOR: "GUI at", PageRole.OBSERVER: "to watch and s
 
 
 def _announce(role: PageRole, link: str, prefix: str = "rtee: for another browser:") -> None:
-    """Print an address, by default that for the next browser."""
+    """Print an address, by default the one for the next browser."""
     print(f"{prefix} {_LINKS[role]} {link}", flush=True)  # noqa: T201
 
 
@@ -330,18 +330,18 @@ async def serve(
     endpoint: str | None = None,
     follow: Follow | None = None,
 ) -> None:
-    """Serve the GUI of a hand, or of any that runs, until cancelled.
+    """Serve the GUI of a hand, or of any running hand, until cancelled.
 
     Frames of headsets go to ``follow``.
 
     If the port is in use, takes the next free one, or raises `ConfigError` where a proxy forwards
     to it. Raises `LoopError` if the access checks cannot be added to the installed viser.
     """
-    # Python collects fully once a quarter of all objects are new. Without the objects of the
-    # imports, it does so every few minutes instead of hours, and has fewer to examine.
+    # Python runs a full garbage collection once a quarter of all objects are new. Without the
+    # imported objects, it does so every few minutes instead of hours, and examines fewer.
     gc.collect()
     gc.freeze()
-    # Work begun in a window continues after it has closed; its messages are discarded.
+    # Jobs started in a window continue after it closes; their messages are discarded.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     give_memory_back()
     visitors = Visitors(access, follow)
@@ -352,7 +352,10 @@ async def serve(
 
 @contextlib.contextmanager
 def _opened(visitors: Visitors, access: Access, port: int) -> Iterator[viser.ViserServer]:
-    """Run a server and print its addresses; raises `ConfigError` if a proxy needs a used port."""
+    """Run a server and print its addresses.
+
+    Raises `ConfigError` if a proxy forwards to this port and it is in use or 0.
+    """
     server = visitors.open_server(port)
     try:
         # viser takes the next free port, but the proxy would forward to the program on this one.
@@ -372,28 +375,28 @@ def _opened(visitors: Visitors, access: Access, port: int) -> Iterator[viser.Vis
 
 
 _DRAWN_EVERY: Final = 1.0
-"""Time between two looks at all hands [s]: often enough to see which one moves."""
+"""Time between two updates of all cards [s]: often enough to see which hand moves."""
 
 _COLOURS: Final = {"ready": GOOD, "moving": GOOD, "leased": WARN, "inactive": WARN}
-"""Colours of conditions; all others are bad."""
+"""Colours of conditions; all others have the colour `BAD`."""
 
 
 class Cards:
-    """Cards of the hands that were found, in a page; the STOP above it stops them all.
+    """Cards of the discovered hands, in a page; the STOP above it stops them all.
 
     Attributes:
-        cards: What each card says, as HTML.
+        cards: The HTML content of each card.
         chosen: The hand whose card was clicked.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
-        """Add nothing yet; must be called in the event loop."""
+        """Prepare an empty page; must be called in the event loop."""
         self._gui, self._bridge = server.gui, Bridge(server)
         self._gui.set_panel_label("rtee")
         self.cards: dict[HandAddress, viser.GuiHtmlHandle] = {}
         self._folders: dict[HandAddress, viser.GuiFolderHandle] = {}
         self._clicked = anyio.Event()
-        self._run = os.urandom(4).hex()  # the page that follows has another one, and is reloaded
+        self._run = os.urandom(4).hex()  # the next page has another one, so the browser reloads
         self._stopped = Words("")
         self.chosen: HandAddress | None = None
 
@@ -431,7 +434,7 @@ class Cards:
         self._stopped = Words(f"{clock()} {'; '.join(said)}", Tone.BAD if bad else Tone.WARN)
 
     def draw(self, looks: list[Look]) -> None:
-        """Show the answers of hands, and remove the cards of hands that are gone."""
+        """Show the hands' answers, and remove the cards of hands that are gone."""
         places = [look.place for look in looks]
         for place in [known for known in self._folders if known not in places]:
             self._folders.pop(place).remove()

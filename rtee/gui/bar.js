@@ -1,14 +1,14 @@
 "use strict";
 (() => {
-  // viser takes the dark colours from the address, and only once.
+  // viser reads the dark theme from the address, and only once.
   const address = new URL(location);
   if (matchMedia("(prefers-color-scheme: dark)").matches && !address.searchParams.has("darkMode")) {
     address.searchParams.set("darkMode", "");
     history.replaceState(history.state, "", address);
   }
   const SILENT = 1500; // time without a message after which this page has lost its GUI [ms]
-  const NARROW = 1000; // width below which the plots leave the hand no room [CSS px]
-  const AGAIN = 1000; // time between two attempts to reach it [ms]
+  const NARROW = 1000; // page width below which the plots leave no room for the hand [CSS px]
+  const AGAIN = 1000; // time between two attempts to reconnect [ms]
   let line, heard = performance.now(), lost = false, window_ = "", run = "", silent = 0;
   const bar = document.createElement("div");
   bar.id = "rtee-bar";
@@ -30,7 +30,7 @@
     else say("doing", "STOP did not leave this page: use the emergency stop", "bad");
   };
   at("stop").onclick = stop;
-  // What a plot says: the time to which somebody has pointed.
+  // A message of a plot: the time that a person has clicked.
   addEventListener("rtee-say", (event) => line?.readyState === WebSocket.OPEN && line.send(event.detail));
   at("live").onclick = () => line.send("live");
 
@@ -40,7 +40,7 @@
     document.documentElement.classList.toggle("rtee-old", words.old);
     document.documentElement.classList.toggle("rtee-recorded", words.recorded);
     at("live").hidden = !words.recorded;
-    // Another run of the GUI has other controls: only a new page shows them.
+    // A restarted GUI has other controls, which only a new page shows.
     if (run && run !== words.run) location.reload();
     run = words.run;
   };
@@ -67,7 +67,7 @@
       window_ = own;
       if (line.readyState === WebSocket.OPEN) tell();
     }
-    // Counted too, since a page that was asleep, or drew for long, has not looked meanwhile.
+    // Count checks, too: a page that slept, or drew for long, has not read its messages meanwhile.
     if (performance.now() - heard < SILENT || ++silent < 4) return;
     if (!lost) since.setTime(Date.now() - (performance.now() - heard));
     lost = true;
@@ -83,7 +83,7 @@
         why = "the GUI has ended";
       }
     if (!lost) return;
-    say("link", `this page is of ${since.toTimeString().slice(0, 8)}; ${why}`, "bad");
+    say("link", `this page shows the state at ${since.toTimeString().slice(0, 8)}; ${why}`, "bad");
     say("mode", "STOP cannot reach the hand, use the emergency stop", "bad");
     say("doing", "");
   };
@@ -93,7 +93,7 @@
     place instanceof HTMLTextAreaElement || place?.isContentEditable ||
     (place instanceof HTMLInputElement && TYPED.has(place.getAttribute("type") ?? "") &&
       !place.readOnly && place.getAttribute("aria-haspopup") !== "listbox");
-  let sent = null; // the field whose text has just been sent: keys are commands again
+  let sent = null; // the field whose text has just been sent; its keys are commands again
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
     const text = typing(event.target) && event.target !== sent;
@@ -104,11 +104,11 @@
     if (text || !(event.key === "Escape" || event.key.toLowerCase() === "s")) return;
     stop();
     if (event.key === "Escape") return;
-    event.preventDefault(); // nor is it typed
-    event.stopImmediatePropagation(); // viser moves the camera by it
+    event.preventDefault(); // do not type the letter
+    event.stopImmediatePropagation(); // viser would move the camera
   }, true);
 
-  // What viser's page leaves out for who hears it, or uses no mouse.
+  // Add what viser's page lacks for screen readers and for use without a mouse.
   const name = (each, text) => text && !each.ariaLabel && (each.ariaLabel = text);
   const makeAccessible = () => {
     document.getElementById("root")?.setAttribute("role", "main");
@@ -127,7 +127,7 @@
     for (const icon of document.querySelectorAll("[class*=tabler-icon-chevron-]")) {
       const label = icon.closest("div.mantine-Paper-root > div.mantine-Paper-root");
       if (!label) continue;
-      // A heading with its button, which is the sign that the whole label is one for the mouse.
+      // A heading whose icon is the button; with the mouse, the whole label is a button.
       label.role = "heading";
       label.ariaLevel = "2";
       icon.tabIndex = 0;

@@ -1,8 +1,8 @@
 """The bar above the page, with the hand's present state and STOP.
 
-It is inserted into viser's page when that is served, and has a WebSocket of its own, so that no
-folded panel, dialog or loss of viser's connection removes it. If messages stop, the page itself
-reports that it has lost the GUI.
+The server inserts it into viser's page. It has its own WebSocket, so that no folded panel, dialog
+or loss of viser's connection removes it. If messages stop, the page itself reports that it has lost
+the GUI.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ PATH: Final = "/bar"
 """Path of the WebSocket."""
 
 _PERIOD: Final = 0.2
-"""Time between two checks of the actual state [s]: the page misses messages after some of them."""
+"""Time between two checks of the state [s]; a page without messages for several of them reports the
+loss."""
 
 _BEAT: Final = 3
-"""Every third message is sent even if nothing has changed, so that the page knows it is alive."""
+"""Number of checks after which a message is sent even if nothing has changed, as a heartbeat."""
 
 _BUTTONS: Final = re.compile(r"stop|live|narrow|time [0-9]{1,9}\.[0-9]{3}")
-"""A command of a page; the time is that of a recording at the pointer [s]."""
+"""A command of a page; ``time`` is the time of a recording at the pointer [s]."""
 
 _PARTS: Final = "".join(
     f"<{tag}>{Path(__file__).with_name(name).read_text(encoding='utf-8')}</{tag}>"
@@ -42,11 +43,11 @@ class Desk(Protocol):
     """Text and buttons of the bar; called in the server's thread."""
 
     def words(self, key: str) -> dict[str, object]:
-        """Return the text of the bar of the window with this key; it may have none yet."""
+        """Return the text of the bar of the window with this key, which may be empty at first."""
         ...
 
     def press(self, button: str, key: str) -> None:
-        """Execute a command: ``stop``; show the hand ``live`` or at a ``time``; ``narrow``."""
+        """Execute a command: ``stop``, ``narrow``, or show the hand ``live`` or at a ``time``."""
         ...
 
 
@@ -72,7 +73,7 @@ async def handle(connection: ServerConnection, desk: Desk) -> None:
 
     async def listen() -> None:
         nonlocal key
-        with contextlib.suppress(ConnectionClosed):  # the page has gone without a word
+        with contextlib.suppress(ConnectionClosed):  # the page has gone without closing
             async for message in connection:
                 message = str(message)
                 if _BUTTONS.fullmatch(message):

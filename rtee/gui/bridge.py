@@ -1,4 +1,4 @@
-"""Bridge from the threads of the browser's server to the event loop of the hand's client."""
+"""Bridge from the threads of the web server to the event loop of the hand's client."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ log = logging.getLogger(__name__)
 Work = Callable[[], Awaitable[object]]
 
 Stage: TypeAlias = viser.ViserServer | viser.ClientHandle
-"""Where panels are built: one window, or all that are open."""
+"""Container of panels: one window, or all open windows."""
 
 _SECONDS: Final = 6.0
 """Time for which a notification is shown [s]: enough to read two lines."""
 
 
 class Bridge:
-    """Runs the work of a window's clicks in the event loop, and shows errors as notifications.
+    """Runs the callbacks of a window's controls in the event loop; shows errors as notifications.
 
     Attributes:
         stage: The window.
@@ -46,7 +46,7 @@ class Bridge:
     def call(self, work: Work, *, always: bool = False) -> None:
         """Run a function in the event loop; may be called from any thread.
 
-        While this window is refused, only functions marked ``always`` are run.
+        While commands of this window are refused, only functions marked ``always`` run.
         """
         self._loop.call_soon_threadsafe(self._start, work, always)
 
@@ -63,9 +63,9 @@ class Bridge:
         return follow
 
     def entered(self, use: Callable[[Any], None]) -> Callable[[Any], Coroutine[None, None, None]]:
-        """Return a callback for a control that takes the values that a person enters.
+        """Return a callback for a control that passes on the values that a person enters.
 
-        A value that the program itself sets is not an event. The value is taken at once, in
+        Values that the program itself sets are ignored. The callback reads the value at once, in
         viser's own thread, before the next displayed value replaces it.
         """
 
@@ -113,13 +113,13 @@ class Bridge:
             window.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
 
     async def done(self) -> None:
-        """Wait until the work of all clicks is done."""
+        """Wait until the tasks of all clicks are done."""
         while self._working:
             await asyncio.wait(self._working)
 
     async def close(self) -> None:
-        """Cancel the work of clicks; requests of earlier clicks still reach the hand."""
-        # Let new tasks take their first step; cancelled before it, they would send nothing.
+        """Cancel the tasks of clicks; requests of earlier clicks still reach the hand."""
+        # Let new tasks run their first step, in which they send their request.
         await asyncio.sleep(0)
         working = list(self._working)
         for task in working:

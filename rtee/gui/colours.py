@@ -13,21 +13,21 @@ Colour = tuple[int, int, int]
 
 
 def rgb(colour: str) -> Colour:
-    """Return the red, green and blue of ``#rrggbb``."""
+    """Return the red, green and blue components of ``#rrggbb``."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 PALM: Final = rgb(colours.PALM)
-"""Links that belong to no single finger."""
+"""Colour of links that belong to no single finger."""
 
 REFERENCE: Final[Colour] = (120, 120, 130)
 PREVIEW: Final = rgb("#56b4e9")
 CONTACT: Final = rgb("#d55e00")
 OBJECT: Final[Colour] = (189, 153, 112)
-"""The grasped object: the same as in the pictures of trials."""
+"""Colour of the grasped object: the same as in the pictures of trials."""
 
 FORCE: Final = rgb("#a3195b")
-"""Contact forces: unlike any other colour of the scene."""
+"""Colour of contact forces: unlike any other colour of the scene."""
 
 STOP: Final[Colour] = (201, 42, 42)
 BAR: Final = rgb("#0072b2")
@@ -37,7 +37,7 @@ GOOD: Final = "var(--rtee-good)"
 WARN: Final = "var(--rtee-warn)"
 BAD: Final = "var(--rtee-bad)"
 OLD: Final = "var(--rtee-faint)"
-"""Colours of text, light or dark as the page; the words alone carry the meaning, too."""
+"""Colours of text, which follow the light or dark theme; the words alone carry the meaning, too."""
 
 # Five samples of the colour map viridis, which is uniform to the eye and safe for colour blindness.
 _RAMP: Final[tuple[Colour, ...]] = (
@@ -50,19 +50,19 @@ _RAMP: Final[tuple[Colour, ...]] = (
 
 
 def line_colour(index: int) -> str:
-    """Return the colour ``#rrggbb`` of a plot's line by index; colours repeat after the seventh."""
+    """Return the colour ``#rrggbb`` of a plot's line; colours repeat after the seventh line."""
     return colours.PALETTE[index % len(colours.PALETTE)]
 
 
 def line_dash(index: int) -> tuple[int, ...]:
-    """Return the dashes that distinguish lines of the same colour; none for the first seven."""
+    """Return the dashes that distinguish lines of the same colour; the first seven have none."""
     return ((), (8, 3), (2, 3), (8, 3, 2, 3))[index // len(colours.PALETTE) % 4]
 
 
 def line_numbers(hand: Hand, owners: Iterable[str]) -> list[int]:
-    """Return the index of each line, so that it has the colour of its finger in the scene.
+    """Return the index of each line, which gives it the colour of its finger in the scene.
 
-    The fingers that own the lines are given by name; a finger's second line is dashed.
+    ``owners`` has the name of each line's finger; a finger's second line is dashed.
     """
     count: Counter[int] = Counter()
     numbers = []
@@ -93,7 +93,7 @@ def link_colours(hand: Hand) -> dict[str, Colour]:
 
 
 def blend(first: Colour, second: Colour, share: float) -> Colour:
-    """Return a mixture: 0 gives ``first``, 1 gives ``second``."""
+    """Return a mixture of two colours: a share of 0 gives ``first``, 1 gives ``second``."""
     s = min(max(share, 0.0), 1.0)
     return (
         round(first[0] + s * (second[0] - first[0])),
@@ -103,7 +103,7 @@ def blend(first: Colour, second: Colour, share: float) -> Colour:
 
 
 def ramp(share: float) -> Colour:
-    """Return the colour of a quantity between 0 and 1, dark to bright."""
+    """Return the colour of a value between 0 (dark) and 1 (bright)."""
     s = min(max(share, 0.0), 1.0) * (len(_RAMP) - 1)
     index = min(int(s), len(_RAMP) - 2)
     return blend(_RAMP[index], _RAMP[index + 1], s - index)

@@ -1,4 +1,4 @@
-"""The page for headsets: a hand in WebXR moves the robot's, through a WebSocket of this GUI."""
+"""The page for headsets: a person's hand in WebXR moves the robot hand over a WebSocket."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PATH: Final = "/headset"
 """The page's path, and that of its WebSocket."""
 
 PAGE: Final = Path(__file__).with_name("headset.html").read_text(encoding="utf-8")
-"""The page: it sends the 25 joints of an XRHand in each frame of a session."""
+"""The HTML page, which sends the 25 joints of an XRHand in each frame of a session."""
 
 Follow = Callable[[AsyncIterable[str], str], Awaitable[None]]
-"""Moves the hand by lines of JSON, frames of a person's left or right hand, until they end."""
+"""Moves the hand from JSON lines, the frames of a person's left or right hand, until they end."""
 
 
 async def handle(connection: ServerConnection, follow: Follow) -> None:
-    """Let the frames of a page move the hand; report to the page why that ended."""
+    """Let the frames of a page move the hand; send the page the error if this fails."""
     path = "" if connection.request is None else connection.request.path
     side = parse_qs(path.partition("?")[2]).get("side", ["right"])[0]
     try:
@@ -34,7 +34,7 @@ async def handle(connection: ServerConnection, follow: Follow) -> None:
 
 
 async def _lines(connection: ServerConnection) -> AsyncIterator[str]:
-    """Yield the texts of a page until it has gone."""
+    """Yield the text messages of a page until the page has gone."""
     try:
         while True:
             message = await connection.recv()

@@ -17,28 +17,28 @@ from rtee.touch import TouchSensor, TouchState
 from rtee.types import Result
 
 QUANTITIES: Final = tuple(MEASURED)
-"""Quantities measured per actuator; ``reference`` positions come in addition."""
+"""Quantities measured per actuator; the history also stores the ``reference`` positions."""
 
 JOINT_QUANTITIES: Final = ("joint_position", "joint_velocity")
 """Quantities of all joints, computed from those of the actuators."""
 
 LONGEST: Final = 60.0
-"""Longest time that the plots can show [s]."""
+"""Longest time window of the plots [s]."""
 
 POINTS: Final = 200
-"""Most points of a line: as many as a plot is wide in every second pixel."""
+"""Maximum number of points per line: about one for every second pixel of a plot's width."""
 
 
 _SPANS: Final = 100
-"""Stored actions: more in a minute could not be distinguished."""
+"""Maximum number of stored actions: more within a minute would be indistinguishable."""
 
 
 class PlotSource(Protocol):
-    """Source of the lines of the plots, on a time axis of its own [s]."""
+    """Data source of the plots, with its own time axis [s]."""
 
     @property
     def pose(self) -> float | None:
-        """The time of the pose in the 3D view; ``None``: the newest."""
+        """Time of the pose in the 3D view [s]; ``None`` for the newest."""
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times and the columns of a quantity, thinned for display."""
@@ -47,7 +47,7 @@ class PlotSource(Protocol):
         """Return which columns of a quantity have a value at some time."""
 
     def spans(self, length: float) -> Sequence[Span]:
-        """Return the actions in the window of a length [s]."""
+        """Return the actions in a window of ``length`` [s]."""
 
 
 def stride(count: int) -> int:
@@ -61,7 +61,7 @@ class StateHistory:
     pose: float | None = None
 
     def __init__(self, actuators: int, joints: int, rate: float = 100.0) -> None:
-        """Allocate memory for the longest time that plots can show, at a rate of states [Hz]."""
+        """Allocate buffers for `LONGEST` seconds of states that arrive at ``rate`` [Hz]."""
         self._capacity = int(LONGEST * rate)
         self._time = np.full(self._capacity, np.nan)
         sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators)
@@ -94,21 +94,21 @@ class StateHistory:
         return self._measured[name]
 
     def on_goal(self, goal_id: str, action: str) -> None:
-        """Set the running goal; an empty one means none."""
+        """Set the running goal; an empty ``goal_id`` means that none runs."""
         if not goal_id or any(span.goal_id == goal_id for span in self._spans):
             self._running = None
         elif self._running is None or self._running.goal_id != goal_id:
             self._running = Span(action, self._now, self._now, "running", goal_id)
 
     def on_result(self, result: Result) -> None:
-        """Take the end of a goal."""
+        """Record the end of a goal."""
         name = " ".join((result.action, *result.elements))
         begin = self._now - result.duration
         self._spans.append(Span(name, begin, self._now, result.outcome, result.goal_id))
-        self.on_goal(result.goal_id, "")  # which ends what runs
+        self.on_goal(result.goal_id, "")  # no goal runs any longer
 
     def spans(self, length: float) -> list[Span]:
-        """Return the actions of the last seconds, and the running one."""
+        """Return the actions of the last ``length`` seconds, including the running one."""
         running = [] if self._running is None else [replace(self._running, end=self._now)]
         return [
             replace(span, start=max(span.start - self._now, -length), end=span.end - self._now)
@@ -136,7 +136,7 @@ Windows = Mapping[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]
 """By device: its sensors, times relative to now ``(k,)`` [s], and the sums ``(k, sensors)``."""
 
 _KEPT: Final = int(100 * LONGEST)
-"""Number of readings of touch kept per device: as long as the other plots, at 100 Hz."""
+"""Number of touch readings kept per device: as long as the other plots, at 100 Hz."""
 
 
 class TouchHistory:
@@ -158,7 +158,7 @@ class TouchHistory:
         return [kept[-1] for kept in self._kept.values()]
 
     def windows(self, length: float) -> Windows:
-        """Return the readings of the last seconds, thinned for display."""
+        """Return the readings of the last ``length`` seconds, thinned for display."""
         now = max((state.stamp for state in self.newest()), default=0.0)
         windows = {}
         for device, kept in self._kept.items():
@@ -174,7 +174,7 @@ class TouchHistory:
 def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]:
     """Return a range for an axis that contains all lines and rarely changes as they move.
 
-    The lines may have gaps of ``NaN``; the range has at least a given length.
+    The lines may have gaps of ``NaN``; the range is at least ``least`` long.
     """
     known = [line[np.isfinite(line)] for line in lines]
     values = np.concatenate(known) if known else np.zeros(0)

@@ -1,4 +1,4 @@
-"""A person's hand beside a robot's in the browser: tracked points, and the robot's posture."""
+"""A person's hand and the robot hand in the browser: tracked points and the robot's posture."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _BONES: Final = np.array(
     [(i, i + 1) for i in range(1, 20) if i % 4]
     + [(0, 1), (0, 5), (5, 9), (9, 13), (13, 17), (17, 0)]
 )
-"""The points that lines join: the bones of the fingers, and the palm's outline."""
+"""Pairs of points joined by lines: the bones of the fingers and the outline of the palm."""
 
 _THICK: Final = 0.004
 """Thickness of these lines [m]."""
 
 Answer = tuple[FloatArray, FloatArray]
-"""A person's points ``(21, 3)`` in the hand's base frame [m], and the hand's positions ``(n,)``."""
+"""A person's points ``(21, 3)`` in the hand's base frame [m], and actuator positions ``(n,)``."""
 
 
 async def show_person(
     hand: Hand, answers: AsyncIterable[Answer], *, access: Access, port: int = 8080
 ) -> None:
-    """Serve a page with a person's hand and the robot's, until the answers end or cancelled.
+    """Serve a page with a person's hand and the robot hand until cancelled or the answers end.
 
     Raises:
         LoopError: if the access checks cannot be added to the installed viser.

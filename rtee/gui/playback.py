@@ -1,4 +1,4 @@
-"""Playback of a recording: the state at any time, and the lines of the plots up to that time."""
+"""Playback of a recording: the state at any time, and the lines of the plots around that time."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ _OUTCOMES: dict[str, str] = {
     Outcome.TOUCHED: "#009e73",
     Outcome.ABORTED: "#d55e00",
 }
-"""Colours of the bars of a timeline by outcome of the action."""
+"""Colours of the bars of a timeline by the action's outcome."""
 
 _OTHER = "#e69f00"
 """Colour of any other outcome."""
 
 _LOOKED_AT = 10_000
-"""Number of states of a long recording searched for a measured value: takes milliseconds."""
+"""Number of states of a long recording searched for measured values, which takes milliseconds."""
 
 
 class Playback:
-    """A recording and the time shown, since its start [s]."""
+    """A recording, and the displayed time since its start [s]."""
 
     def __init__(self, recording: Recording, hand: Hand) -> None:
         """Prepare a recording of a hand for playback.
 
-        Raises `LogError` if it is of another hand, or contains no measurements.
+        Raises `LogError` if the recording is of another hand, or contains no measurements.
         """
         self.recording = recording
         self._hand = hand
@@ -64,7 +64,7 @@ class Playback:
 
     @property
     def pose(self) -> float:
-        """The time shown, at which the plots' time axis ends [s]."""
+        """The displayed time, which the plots mark [s]."""
         return self.time
 
     def measured(self, name: str) -> BoolArray:
@@ -81,7 +81,7 @@ class Playback:
         return self.recording.spans
 
     def _page(self, length: float) -> tuple[float, float]:
-        """Return start and end of the plotted window, which advances by whole pages [s]."""
+        """Return the start and end of the plotted window [s], which advances by whole pages."""
         begin = length * (min(self.time, math.nextafter(self.duration, 0.0)) // length)
         return begin, begin + length
 
@@ -93,7 +93,7 @@ class Playback:
     @property
     def duration(self) -> float:
         """Length of the recording [s]."""
-        # The timeline divides by it, and a recording may hold a single state.
+        # The timeline divides by the duration, and a recording may hold a single state.
         return max(self.recording.duration, 0.001)
 
     @property
@@ -106,7 +106,7 @@ class Playback:
         return max(0, int(np.searchsorted(t, time, side="right")) - 1)
 
     def state(self) -> State:
-        """Return the state at the time shown."""
+        """Return the state at the displayed time."""
         states, sent, joints = (
             self.recording.actuator_states,
             self.recording.reference,
@@ -142,7 +142,7 @@ class Playback:
         )
 
     def touch(self) -> list[TouchState]:
-        """Return the last readings of the touch sensors at the time shown."""
+        """Return the last readings of the touch sensors at the displayed time."""
         series = self.recording.touch.values()
         known = [each for each in series if len(each) and each.t[0] <= self.time]
         return [each.state(self._row(each.t, self.time)) for each in known]
@@ -152,7 +152,7 @@ class Playback:
     ) -> dict[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]:
         """Return the sums of touch sensors by device, thinned; see `TouchPanel`.
 
-        The window has this length [s] and contains the time shown.
+        The window is ``length`` [s] long and contains the displayed time.
         """
         windows = {}
         for device, each in self.recording.touch.items():
@@ -164,7 +164,7 @@ class Playback:
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times in the recording [s] and the columns of a quantity, thinned.
 
-        The window has this length [s] and contains the time shown.
+        The window is ``length`` [s] long and contains the displayed time.
         """
         time = self.recording.actuator_states.t
         start, end = np.searchsorted(time, self._page(length)).tolist()
@@ -195,7 +195,7 @@ class Playback:
 
 
 def span_colour(span: Span) -> str:
-    """Return the colour ``#rrggbb`` of an action by how it ended."""
+    """Return the colour ``#rrggbb`` of an action by its outcome."""
     return _OUTCOMES.get(span.outcome, _OTHER)
 
 
@@ -209,7 +209,7 @@ def _bar(span: Span, duration: float, top: int, height: int) -> str:
 
 
 def timeline(playback: Playback) -> str:
-    """Return an SVG of the recording with actions, inner actions, marks and the time shown."""
+    """Return an SVG of the recording with actions, inner actions, marks and the displayed time."""
     duration = playback.duration
     shapes = []
     for span in playback.recording.spans:

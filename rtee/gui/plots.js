@@ -1,7 +1,7 @@
 "use strict";
-// Draws actions and the time of the pose into viser's plots, and tells to which time one points.
+// Draws actions and the time of the pose into viser's plots, and reports the time of a click.
 (() => {
-  const SHADE = "2e", CLICK = 4; // opacity of an action; longest way of a click, not a zoom [CSS px]
+  const SHADE = "2e", CLICK = 4; // opacity of an action (hex); longest motion of a click, beyond which it is a zoom [CSS px]
   const said = () => document.querySelector("[data-rtee-times]")?.dataset.rteeTimes ?? "{}";
   const drawTimes = (plot) => {
     plot.rteeSaid = said();
@@ -16,7 +16,7 @@
       ctx.restore();
     };
     const at = (time) => plot.valToPos(time, "x", true);
-    ctx.textAlign = "left"; // the plot leaves that of its axes
+    ctx.textAlign = "left"; // the plot leaves the alignment of its axes
     ctx.textBaseline = "alphabetic";
     ctx.font = `${10 * devicePixelRatio}px system-ui, sans-serif`;
     for (const [begin, end, name, colour] of spans) {

@@ -1,4 +1,4 @@
-"""The 3D view: the measured hand, ghosts of reference and preview, contacts, effort, pressure."""
+"""The 3D view: the measured hand, ghosts of reference and preview, object, contacts and touch."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from rtee.sample import FloatArray
 from rtee.touch import NEWTON, TouchSensor, TouchState
 
 _UNSEEN_POSE: Final = 1e-4
-"""Largest motion of the object that is not drawn [m, and per component of the quaternion]."""
+"""Largest motion of the object that is not redrawn [m, and per component of the quaternion]."""
 
 _LONGEST: Final = 0.35
 """Length that arrows approach at large forces, as a share of the hand's size."""
 
 _HALF: Final = 10.0
-"""Force of an arrow of half that length [N]: light touches show, and crushing ones fit."""
+"""Force whose arrow has half that length [N]: shows light touches, and fits crushing forces."""
 
 _CLEAR: Final = 0.6
-"""Opacity of the object, which lets the arrows of the forces inside it show."""
+"""Opacity of the object: the arrows of forces inside it stay visible."""
 
 _SHARP: Final = 0.25
-"""Least change of forces [N] or points [mm] that is drawn: smaller ones would only flicker."""
+"""Smallest change of forces [N] or points [mm] that is redrawn: smaller ones would only flicker."""
 
 
 class ObjectView:
@@ -57,7 +57,7 @@ class ObjectView:
 
     @property
     def described(self) -> ObjectDescription | None:
-        """The object that is drawn."""
+        """The displayed object."""
         return self._described
 
     def describe(self, description: ObjectDescription | None) -> None:
@@ -140,7 +140,7 @@ def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
     """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
 
     The contacts are rows of `rtee.objects.description.CONTACTS`, the links in the order of the
-    URDF; at most so many are named.
+    URDF. The text names at most ``most`` links.
     """
     totals: dict[str, FloatArray] = {}
     for row in rows:
@@ -175,30 +175,33 @@ def _add_part(scene: viser.SceneApi, name: str, part: ObjectPart) -> None:
 
 
 _SHADES: Final = 32
-"""Colours between nothing and the largest value: finer steps cannot be distinguished."""
+"""Number of colours between zero and the largest value: finer steps cannot be distinguished."""
 
 _COLOURS: Final = np.array([ramp(k / (_SHADES - 1)) for k in range(_SHADES)], dtype=np.uint8)
 
 _STALE: Final = np.array((150, 150, 150), dtype=np.uint8)
-"""Taxels without fresh values: grey is not the colour of any measured value."""
+"""Colour of taxels without fresh values: no measured value is grey."""
 
 _LIFT: Final = 0.0006
-"""Height of the points above the surface [m], in which they would flicker."""
+"""Height of the points above the surface [m]: in the surface, they would flicker."""
 
 _LEAST: Final[Mapping[str, float]] = {NEWTON: 0.5}
-"""Least value of the brightest colour by unit, so that noise stays dark."""
+"""Smallest value of the brightest colour by unit, so that noise stays dark."""
 
 _POINT: Final = 0.6
-"""Size of a point as a share of the distance to the next one, so that points stay apart."""
+"""Size of a point as a share of the distance to the next point, so that points do not overlap."""
 
 _ALONE: Final = 0.02
-"""Size of the only taxel of a link, as a share of the hand's size: about that of a fingertip."""
+"""Size of a sensor's single taxel, as a share of the hand's size: about that of a fingertip."""
 
 Bytes = NDArray[np.uint8]
 
 
 class TaxelView:
-    """The taxels of a hand's touch sensors, as coloured points on its links, for its size [m]."""
+    """The taxels of a hand's touch sensors, as coloured points on its links.
+
+    ``size`` is that of the hand [m].
+    """
 
     def __init__(
         self, scene: viser.SceneApi, hand: Hand, frames: Mapping[str, str], size: float
@@ -212,7 +215,7 @@ class TaxelView:
 
     @property
     def fingers(self) -> set[str]:
-        """The fingers whose taxels are drawn."""
+        """The fingers whose taxels are displayed."""
         placed = (
             s for sensors in self._sensors.values() for s in sensors if s.name in self._clouds
         )
@@ -285,7 +288,7 @@ class TaxelView:
 
 
 def shades(values: FloatArray, most: float) -> NDArray[np.intp]:
-    """Return the index of the colour of each value ``(n,)``, the brightest from ``most`` on.
+    """Return the colour index of each value ``(n,)``; values from ``most`` on are the brightest.
 
     ``NaN`` counts as 0.
     """
@@ -304,17 +307,17 @@ def _size(points: FloatArray, alone: float) -> float:
 
 
 LinkTriangles = Callable[[str], Triangles]
-"""Returns a link's vertices ``(v, 3)`` [m] in the link's frame and faces ``(f, 3)``."""
+"""Returns a link's vertices ``(v, 3)`` [m] in the link's frame, and its faces ``(f, 3)``."""
 
 _COAL_ONLY: Final = (".3ds", ".fbx")
 """Mesh formats that trimesh does not read."""
 
 
 def link_triangles(hand: Hand) -> LinkTriangles:
-    """Return a function that gives the triangles of a link's collision shapes.
+    """Return a function that returns the triangles of a link's collision shapes.
 
-    Here or when it is called, raises `ModelError` if a mesh is missing or cannot be read, and
-    `MissingExtra` if a mesh has a format that only Coal reads, which is not installed.
+    Both functions raise `ModelError` if a mesh is missing or cannot be read. This one raises
+    `MissingExtra` if a mesh has a format that only Coal reads, and Coal is not installed.
     """
     shapes = (shape for link in hand.urdf.links.values() for shape in link.collisions)
     formats = {Path(shape.mesh).suffix.lower() for shape in shapes if shape.kind == "mesh"}
@@ -346,7 +349,7 @@ def _of_shape(hand: Hand, shape: UrdfGeometry) -> Triangles:
         return cylinder(shape.radius, shape.length)
     path = check_mesh(shape, hand.urdf, hand.package_dirs)
     try:
-        # Unprocessed, since merging vertices takes seconds and does not show.
+        # Unprocessed, since merging vertices takes seconds and makes no visible difference.
         mesh = trimesh.load_mesh(str(path), process=False)
         points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # each reader of trimesh raises its own exceptions
@@ -363,11 +366,11 @@ def _refusal(hand: Hand, shape: UrdfGeometry, why: str) -> ModelError:
 
 
 _UNSEEN = 1e-4
-"""Largest motion of a joint that is not sent [rad | m]: it would not show on the screen."""
+"""Largest motion of a joint that is not sent [rad | m]: it would be invisible on the screen."""
 
 
 class HandBody:
-    """One appearance of a hand in the scene, the measured one or a ghost, by names of frames."""
+    """A hand in the scene, measured or a ghost; ``frames`` has the name of each link's frame."""
 
     def __init__(
         self,
@@ -461,7 +464,7 @@ class HandBody:
 
     def moved(self, position: FloatArray) -> list[int]:
         """Return the indices of joints that would visibly move to positions ``(m,)`` [rad | m]."""
-        # "Not less", so that NaN, before the first drawing, counts as a motion.
+        # "Not less", so that NaN, the value before the first drawing, counts as a motion.
         seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
         indices: list[int] = np.flatnonzero(seen).tolist()
         return indices
@@ -470,7 +473,7 @@ class HandBody:
         """Move to joint positions ``(m,)`` [rad | m]; send only joints that visibly move."""
         for index in self.moved(position):
             frame, axis, slides = self._moving[index]
-            # The last position sent, not measured: a slow motion adds up until it shows.
+            # The position last sent, not last measured: a slow motion adds up until it is visible.
             value = self._last[index] = float(position[index])
             if slides:
                 frame.position = value * axis
@@ -483,16 +486,16 @@ class HandBody:
 
 
 Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""A point [m] and a unit normal in the base frame."""
+"""A contact point [m] and its unit normal in the base frame."""
 
 _WHOLE = 1.3
-"""Width of a picture by its height below which the width decides how much of the hand is seen."""
+"""Aspect ratio, width by height, below which the camera backs off to see the whole hand."""
 
 _FARTHEST = 2.0
-"""Largest such factor on the camera's distance: on narrower pages, panels fold."""
+"""Largest factor by which the camera backs off: on narrower pages, panels fold."""
 
 _GHOST = 0.35
-"""Opacity of a ghost, through which the hand stays visible."""
+"""Opacity of a ghost: the hand stays visible through it."""
 
 
 class HandScene:
@@ -540,11 +543,11 @@ class HandScene:
         stage = self._stage
         window = isinstance(stage, viser.ClientHandle)
         camera = stage.camera if window else stage.initial_camera
-        # A window that is higher than wide shows less to the sides.
+        # A window that is taller than wide shows less to the sides.
         far = size * min(max(1.0, _WHOLE / stage.camera.aspect if window else 1.0), _FARTHEST)
         camera.position = tuple(middle + far * self._side(middle))
         camera.look_at = tuple(middle)
-        # In proportion to the hand, so that a close look at a small one is not clipped.
+        # In proportion to the hand, so that a close view of a small hand is not clipped.
         camera.near = 0.01 * size
         self._stage.scene.add_grid(
             "/floor",
@@ -552,7 +555,7 @@ class HandScene:
             height=4.0 * size,
             cell_size=0.02 if size < 1.0 else 0.2,
             section_size=0.1 if size < 1.0 else 1.0,
-            cell_color=(190, 194, 200),  # to be seen on light and on dark pages
+            cell_color=(190, 194, 200),  # visible on light and on dark pages
             section_color=(150, 156, 164),
             position=(float(middle[0]), float(middle[1]), float(low[2])),
             plane="xy",
@@ -574,12 +577,12 @@ class HandScene:
             for where in (hand.rest, closed)
         )
         centre = at_rest.mean(axis=0)
-        # The finger farthest from all others closes against them: the thumb, where there is one.
+        # The finger farthest from all others closes against them: the thumb, if there is one.
         apart = at_rest[np.argmax(np.linalg.norm(at_rest - centre, axis=1))] - centre
         apart /= max(float(np.linalg.norm(apart)), 1e-6)
         side = np.cross(centre - middle, apart)
         side /= max(float(np.linalg.norm(side)), 1e-6)
-        # Fingers bend to the palm; from there, rather than from the back or from below.
+        # Fingers bend towards the palm; look from there, not from the back or from below.
         bends = float(side @ (closing - at_rest).mean(axis=0))
         side *= np.sign(bends if abs(bends) > 1e-3 else side @ (0.1, 0.2, 1.0))
         view = side + 0.5 * apart + (0.0, 0.0, 0.35)
@@ -609,13 +612,13 @@ class HandScene:
         body.visible = True
 
     def show_fingers(self, said: Mapping[str, str]) -> None:
-        """Write something at the tips of fingers, by their names; at the others, nothing."""
+        """Write a text at each fingertip, given by finger name; clear those of other fingers."""
         for number, finger in enumerate(self.hand.fingers):
             text, label = said.get(finger.name, ""), self._labels.get(finger.name)
             if label is None and text:
-                # Below the link's frame, with which it moves.
+                # Below the link's frame, so that it moves with the link.
                 place = f"{self._body.frames[finger.tip or finger.body[-1]]}/label"
-                # To the left and the right in turn, so that neighbours cover less of each other.
+                # Alternately to the left and the right, so that neighbours overlap less.
                 label = self._stage.scene.add_label(
                     place,
                     text,
@@ -652,7 +655,7 @@ class HandScene:
             )
 
     def show_pressure(self, share: Mapping[str, float]) -> None:
-        """Show pressures by spheres at the tips, given by finger name as a share of the largest."""
+        """Show pressures as spheres at the tips, given by finger name as a share of the largest."""
         for finger in self.hand.fingers:
             handle = self._pressures.get(finger.name)
             if finger.tip is None or (handle is None and finger.name not in share):

@@ -39,10 +39,10 @@ from rtee.touch import TouchState
 from rtee.types import Event, from_rest
 
 _PLOT_PERIOD = 1 / 8
-"""Time between two updates of the plots [s]: each costs the browser some milliseconds."""
+"""Time between two updates of the plots [s]: each takes the browser a few milliseconds."""
 
 _QUIET_PERIOD = 1.0
-"""Interval while nothing moves the hand [s]: plots are most of the traffic."""
+"""Time between two updates of the plots while nothing moves the hand [s]: saves most traffic."""
 
 _TABLE_PERIOD = 1 / 4
 """Time between two updates of the tables [s]: numbers that change faster cannot be read."""
@@ -54,30 +54,30 @@ _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
 """Colours of notifications by severity of the event."""
 
 _VIEWS = {
-    "Reference": (False, "Show the set-points sent as a grey ghost"),
+    "Reference": (False, "Show the commanded set-points as a grey ghost"),
     "Degrees": (False, "Show angles in degrees instead of radians: in plots and tables"),
     "Names": (True, "Name the fingers at their tips, with the forces measured there"),
-    "Effort": (True, "Show by bars at the tips how near fingers are to their effort limits"),
+    "Effort": (True, "Show bars at the tips: each finger's effort as a share of its limit"),
     "Contacts": (True, "Mark where the tips of the current action touch"),
     "Pressure": (True, "Show the pressure at the tips, where the hand measures it"),
     "Touch": (True, "Colour the taxels on the hand by what they measure"),
     "Object": (True, "Show the object that a simulated hand grasps"),
-    "Contact forces": (True, "Show by arrows how hard links press on things"),
+    "Contact forces": (True, "Show the contact forces on the links as arrows"),
 }
-"""Check boxes of the 3D view: by label, whether ticked at first, and the hint."""
+"""Check boxes of the 3D view by label: whether ticked at first, and the hint."""
 
 
 _FELT: Final = 0.05
-"""Least force written at a fingertip [N]: below the lightest touch."""
+"""Smallest force written at a fingertip [N]: below the lightest touch."""
 
 _STRAINED: Final = 0.1
-"""Least effort shown at a fingertip, as a share of its limit: friction alone takes less."""
+"""Smallest effort shown at a fingertip, as a share of its limit: above that of friction alone."""
 
 _PAST: Final = "this window shows a recording; go back to live first"
 
 
 class HandSession:
-    """A running hand in a window, until the hand or the window goes, or another hand is chosen."""
+    """A running hand in a window, until the hand or window goes, or the user chooses another."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class HandSession:
         *,
         narrow: bool = False,
     ) -> None:
-        """Build the panels; the folder ``top`` is above them. The hand must have been connected.
+        """Build the panels below the folder ``top``; the watch must have connected before.
 
         In a narrow window, the plots are folded away.
         """
@@ -138,7 +138,7 @@ class HandSession:
 
     @property
     def recorded(self) -> str:
-        """The recording and the time that this window shows; empty if it shows the hand."""
+        """The recording and time that this window shows; empty if it shows the live hand."""
         return "" if self._playback is None else self._recordings.place
 
     @property
@@ -193,7 +193,7 @@ class HandSession:
         """Update all panels; ends with `NoHand` when the hand has ended."""
         # Subscribed first, so that no change of the actions is missed.
         events = self._remote.events()
-        await self._request_trials()  # by which the cards are ordered
+        await self._request_trials()  # first, since they order the cards
         await self._refresh()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._follow_events, events)
@@ -212,14 +212,14 @@ class HandSession:
         if event.kind == "actions_changed":
             await self._refresh()
             await self._request_trials()
-        # These two occur with many goals, and the state shows them.
+        # These two occur with many goals, and the displayed state already shows them.
         elif event.kind not in ("limited", "at_rest"):
             title = event.kind.replace("_", " ")
             self._bridge.notify(title, event.text, _COLOURS.get(event.severity, "blue"))
 
     def draw(self, now: float) -> None:
         """Draw changes; called about 30 times per second."""
-        # In one message, which costs less and leaves no window with half a state.
+        # Send all changes in one message, so that no window shows half a state.
         with self._bridge.stage.atomic():
             self._draw(now)
 
@@ -351,7 +351,7 @@ class HandSession:
 
 
 def _remark(hand: Hand, action: Action) -> str:
-    """Return the remark to show before an action is started, or ``""``."""
+    """Return the remark to show before an action starts, or ``""``."""
     if isinstance(action, Primitive) and (deeper := deeper_text(action)):
         return deeper
     return abduction_sentence(hand, action)

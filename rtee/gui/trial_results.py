@@ -22,7 +22,7 @@ _CELL = "padding:0 0.5em 0 0;text-align:left;vertical-align:top"
 class Tried:
     """Results of trials by action: the stored ones, and those started in this page, newest last.
 
-    ``outdated`` has the keys of trials since which the hand, the action or how trials are made has
+    ``outdated`` has the keys of trials made before the hand, the action or the way trials are made
     changed.
     """
 
@@ -31,7 +31,7 @@ class Tried:
     own: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
 
     def with_own(self, result: TrialResult) -> Tried:
-        """Return a copy with a result of this page, replacing an earlier one of the object."""
+        """Return a copy with a result of this page, which replaces an earlier one on the object."""
         trial = result.trial
         key = (trial.action, trial.elements)
         others = [other for other in self.own.get(key, ()) if other.trial.object != trial.object]
@@ -46,7 +46,7 @@ def key_of(action: Action) -> Key:
 def tried_in(text: str) -> Tried:
     """Return the results in the text of a file of trials, by action.
 
-    Raises `ConfigError` if the text is not such a file.
+    Raises `ConfigError` if the text is not that of a file of trials.
     """
     by_action: dict[Key, list[TrialResult]] = {}
     for result in parse_results(text, Path(FILE_NAME)).values():
@@ -56,14 +56,14 @@ def tried_in(text: str) -> Tried:
 
 
 def object_name(text: str) -> str:
-    """Return the name of an object; that of a mesh without its folder."""
+    """Return the name of an object; a mesh is named without its folder."""
     return text.rpartition("/")[2]
 
 
 def rate(result: TrialResult) -> str:
     """Return the rate of variations held, such as ``18 of 20 variations (95 %: 70 to 97 %)``.
 
-    Empty if there were no variations.
+    Return an empty string if there were no variations, or the trial itself failed.
     """
     tries = result.tries
     if not (tries and result.held):
@@ -91,7 +91,7 @@ def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
 
 
 def table(results: Sequence[TrialResult]) -> str:
-    """Return an HTML table of the objects, whether each was held, and why not."""
+    """Return an HTML table with the verdict of each object."""
     rows = "".join(
         f'<tr><td style="{_CELL};white-space:nowrap">{"●" if result.held else "○"} '
         f'{escape(object_name(result.trial.object))}</td><td style="{_CELL}">'

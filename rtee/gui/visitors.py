@@ -1,11 +1,11 @@
 """Access control for the viser server: who may connect, and which messages a page may send.
 
-viser 1.1 has no option for origins, hosts, tokens or TLS, but the function that it calls,
+viser 1.1 has no options for origins, hosts, tokens or TLS, but the function that it calls,
 `websockets.asyncio.server.serve`, has them. While viser starts its server, a wrapper that adds them
 replaces that function; `open_server` fails if viser did not call the wrapper.
 
-viser also sets the event of its sender from any thread, which fails while the sender stops waiting
-for it. Its buffers therefore have an event that only viser's own thread sets.
+viser also sets its sender's event from any thread, which fails if the sender stops waiting at that
+moment. Its buffers therefore get an event that only viser's own thread can set.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from rtee.gui.access import HEADERS, Access, PageRole, only_operators, page_of
 from rtee.gui.headset import PAGE, PATH, Follow
 
 PING_PERIOD: Final = 2.0
-"""Interval at which a page is asked whether it is still there [s]: a computer that sleeps closes no
-connection."""
+"""Interval of the pings to a page [s]: a computer that goes to sleep does not close its connection.
+"""
 
 PONG_WITHIN: Final = 8.0
-"""Time for the answer [s]: behind the megabytes of a scene, on a slow network, it takes seconds."""
+"""Longest wait for a pong [s]: on a slow network, it takes seconds behind the data of a scene."""
 
 _CLOSE_WITHIN: Final = 1.0
-"""Time for a page to confirm the end of its connection [s]: one that sleeps does not."""
+"""Longest wait for a page to confirm the end of its connection [s]: a sleeping page does not."""
 
 _LARGEST: Final = 2**20
-"""Longest message that a page may send [bytes]; a text that a person typed has some hundred."""
+"""Longest message that a page may send [bytes]; a typed text has a few hundred."""
 
-# Types of viser's messages.
+# Names of viser's message types.
 
 _CAMERA: Final = "ViewerCameraMessage"
 _UPDATE: Final = "GuiUpdateMessage"
@@ -93,19 +93,18 @@ Gone = Callable[[int], object]
 
 
 _LARGEST_WHOLE: Final = 2**53
-"""Largest whole number of a control: JavaScript's numbers, as pages send them, have no larger one
-that is exact."""
+"""Largest integer that a control may have: JavaScript represents integers exactly only up to it."""
 
 _Four = tuple[float, float, float, float]
 _Three = tuple[float, float, float]
 
-# The messages that this GUI's page needs, with exactly their fields. viser's server accepts more:
+# The only messages that this GUI's page needs, with exactly their fields. viser accepts more:
 # uploads, and requests for a public tunnel to this computer (``ShareUrlRequest``), which would open
-# the hand to anybody. A message that it cannot decode ends the connection of its page.
+# the hand to anybody. If viser cannot decode a message, it closes the page's connection.
 
 
 class _Message(msgspec.Struct, forbid_unknown_fields=True):
-    """A message of a page."""
+    """A message from a page."""
 
 
 class _Camera(_Message, tag=_CAMERA):
@@ -206,8 +205,8 @@ class _Serve(websockets.asyncio.server.serve):
 class Visitors:
     """The people who have the page open, and their permissions.
 
-    ``guarded`` is set once viser has called the wrapper that checks access; the ``desk`` is what
-    the bar above the page shows, if it has one.
+    ``guarded`` is set once viser has called the wrapper that checks access. ``desk`` provides the
+    text and buttons of the bar above the page, if it has one.
     """
 
     def __init__(self, access: Access, follow: Follow | None = None) -> None:
@@ -222,9 +221,9 @@ class Visitors:
         self._gone: Gone = lambda number: None
 
     def open_server(self, port: int) -> viser.ViserServer:
-        """Start the browser's server at a port, or at the next free one if it is in use.
+        """Start the web server at a port, or at the next free one if the port is in use.
 
-        Raises `LoopError` if this version of viser opens its server differently, unguarded.
+        Raises `LoopError` if this version of viser starts its server without the access checks.
         """
         serve = websockets.asyncio.server.serve
 
@@ -269,7 +268,10 @@ class Visitors:
         return bool(self._operators)
 
     def tell(self, come: Come, gone: Gone) -> None:
-        """Report the windows that are open, that open, and that close; in viser's thread."""
+        """Call ``come`` for each open or new window and ``gone`` for each closed one.
+
+        The calls for new and closed windows come from viser's thread.
+        """
         self._come, self._gone = come, gone
         for client in tuple(self._server.get_clients().values()) if self._server else ():
             come(client)
@@ -292,9 +294,12 @@ class Visitors:
     def admits(
         self, role: PageRole | None, message: str | bytes, window: viser.ClientHandle | None = None
     ) -> bool:
-        """Return whether the server may receive a message of a page, which may have controls."""
+        """Return whether a person of this role may send a message from a page.
+
+        ``window`` is the page's window, which may have controls of its own.
+        """
         try:
-            # viser's page sends only binary messages, so that a text is not from it.
+            # viser's page sends only binary messages; text is not from it.
             read = _READER.decode(message if isinstance(message, bytes) else b"")
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError):
             return False
@@ -304,7 +309,7 @@ class Visitors:
             return False
         if isinstance(read, _PageCommand):
             return True
-        # viser has no public way to a control by its id in the messages of a page.
+        # viser has no public way to find a control by the id in a page's messages.
         pages = [page for page in (window, self._server) if page is not None]
         found = (page.gui._gui_input_handle_from_uuid.get(read.uuid) for page in pages)  # noqa: SLF001
         control = next((each for each in found if each is not None), None)
@@ -357,7 +362,7 @@ class Visitors:
 class Visitor(ServerConnection):
     """The connection of a page, which drops messages that the person may not send.
 
-    It has no role until that is known.
+    ``role`` is ``None`` until the request is checked.
     """
 
     visitors: Visitors

@@ -1,4 +1,4 @@
-"""A running hand, watched once for all windows: states, status, events, touch, and their past."""
+"""One watch of a running hand for all windows: states, status, events, touch, and history."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from rtee.remote.model import model_of
 from rtee.remote.truth import Truth
 
 _STATE_RATE: Final = 100.0
-"""States received per second [Hz]: enough for smooth lines in the plots."""
+"""Rate of received states [Hz]: enough for smooth lines in the plots."""
 
 _PERIOD: Final = 1 / 30
-"""Time between two looks for states while a window is open [s]: pictures that look fluent."""
+"""Time between two polls for states while a window is open [s]: looks smooth."""
 
 _UNWATCHED_PERIOD: Final = 0.25
-"""Time between two looks without an open window [s]: states only fill the plots' history."""
+"""Time between two polls without an open window [s]: states only fill the plots' history."""
 
 _UNWATCHED_STEP: Final = 5
 """While no window is open, every fifth state goes into the history."""
@@ -39,7 +39,7 @@ AGAIN: Final = 0.5
 
 
 def first_message(errors: BaseExceptionGroup[BaseException]) -> str:
-    """Return the message of the first of several errors; raise them if others are among them."""
+    """Return the message of the first `RteeError`; raise ``errors`` if it has other exceptions."""
     known, others = errors.split(RteeError)
     if known is None or others is not None:
         raise errors
@@ -50,16 +50,16 @@ def first_message(errors: BaseExceptionGroup[BaseException]) -> str:
 
 
 class Watch:
-    """Watch one hand until cancelled; search for it again after it has gone.
+    """Watches one hand until cancelled, and searches for it again after its loss.
 
     Attributes:
-        name: The hand's name; ``None``: the only one at the endpoint.
-        truth: Its known state.
-        hand: Its model, once it was connected.
-        history: Its newest states.
-        touched: Its touch sensors' newest states.
-        described: The simulated object in it.
-        watched: How many windows show it.
+        name: The hand's name; ``None`` for the only one at the endpoint.
+        truth: The known state of the hand.
+        hand: The hand's model, once connected.
+        history: The newest states.
+        touched: The newest readings of the touch sensors.
+        described: The simulated object in the hand.
+        watched: Number of windows that show the hand.
     """
 
     def __init__(self, name: str | None, endpoint: str | None) -> None:
@@ -137,7 +137,7 @@ class Watch:
             self.touched.add(state)
 
     async def _states(self, remote: RemoteHand) -> None:
-        # As many states as the plots show are kept, even if drawing is delayed for that long.
+        # Keep as many states as the plots show, even if drawing is delayed for that long.
         most = round(_STATE_RATE * LONGEST)
         async with remote.collected_states(_STATE_RATE, most) as states:
             while True:
@@ -146,10 +146,10 @@ class Watch:
                     self._receive(state)
 
     def _receive(self, state: State) -> None:
-        assert self.hand is not None  # noqa: S101 - set before states are asked for
+        assert self.hand is not None  # noqa: S101 - set before states are requested
         assert self.history is not None  # noqa: S101
         names = self.hand.joint_names
-        if state.joint_names != names:  # the hand sends them in another order than the model here
+        if state.joint_names != names:  # the hand may order them differently from the model here
             by_name = state.joints
             position = np.array([by_name.get(name, math.nan) for name in names])
             state = replace(state, joint_names=names, joint_position=position)

@@ -1,4 +1,4 @@
-"""Texts of the GUI: results, uses of actions, small print, legends, short names, units, choices."""
+"""Texts of the GUI: outcomes, references to actions, legends, short names, units and choices."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from rtee.sample import MEASURED
 from rtee.types import Outcome, Result
 
 JOINED: Final = " + "
-"""Separator of the fingers of a choice."""
+"""Separator of the fingers in a choice."""
 
 NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
 
 
 def outcome(result: Result) -> tuple[str, str]:
-    """Return the outcome of a goal: a sentence, and its colour."""
+    """Return the outcome of a goal as a sentence and its colour."""
     bad = result.outcome is Outcome.ABORTED
     return ending(result), GOOD if result.succeeded else BAD if bad else WARN
 
 
 def described(use: ActionReference) -> str:
-    """Return a use of an action as text: ``Trig thumb × 0.3``."""
+    """Return a reference to an action as text, such as ``Trig thumb × 0.3``."""
     name = " ".join((use.action, *use.elements))
     return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
 
 def effort_bar(share: float) -> str:
-    """Return an effort as a bar of five parts, given as a share of its limit."""
+    """Return an effort, given as a share of its limit, as a bar of five parts."""
     return f"{'▰' * min(max(round(5.0 * share), 1), 5):▱<5}"
 
 
 WRAPS: Final = "overflow-wrap:anywhere"
-"""CSS of a line that may hold names of files and clients: a long word must not widen the panel."""
+"""CSS of a line that may hold names of files or clients, whose length must not widen the panel."""
 
 
 def small(html: str) -> str:
@@ -52,12 +52,12 @@ def small(html: str) -> str:
 
 
 def coloured(text: str, colour: str) -> str:
-    """Return a text, escaped, in small print of a colour ``#rrggbb``."""
+    """Return a text, escaped, in small print of a CSS colour."""
     return small(f'<span style="color:{colour}">{escape(text)}</span>')
 
 
 def swatch(number: int) -> str:
-    """Return the HTML of a piece of a line, whose number selects colour and dashes."""
+    """Return the HTML of a short piece of a line, whose number selects colour and dashes."""
     style = f"3px {'dashed' if line_dash(number) else 'solid'} {line_colour(number)}"
     return (
         '<span style="display:inline-block;width:1.3em;vertical-align:middle;'
@@ -66,9 +66,9 @@ def swatch(number: int) -> str:
 
 
 def legend(names: Iterable[tuple[int, str]], hint: str = "") -> str:
-    """Return the HTML legend of the lines of a plot, whose index selects colour and dashes.
+    """Return the HTML legend of a plot's lines, each given by its number and name.
 
-    A hint in HTML may follow.
+    ``hint`` is HTML to append.
     """
     items = "".join(
         f'<span style="white-space:nowrap;margin-right:0.8em">{swatch(i)} {escape(name)}</span>'
@@ -81,7 +81,7 @@ def legend(names: Iterable[tuple[int, str]], hint: str = "") -> str:
 
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names without the prefix that all share: ``left_hand_Pinky`` becomes ``Pinky``."""
+    """Return names without their common prefix: ``left_hand_Pinky`` becomes ``Pinky``."""
     prefix = common_prefix(names)
     return tuple(name.removeprefix(prefix) for name in names)
 
@@ -92,11 +92,11 @@ def units(quantity: str, kinds: Collection[str]) -> str:
 
 
 _DIGITS: Final = {"rad": 3, "rad/s": 2, "°": 1, "°/s": 1, "m": 4, "m/s": 3, "N·m": 2, "N": 1}
-"""Digits after the point, by unit: about as fine as devices measure."""
+"""Number of decimals by unit: about as fine as devices measure."""
 
 
 def number(value: float, unit: str) -> str:
-    """Return a number with the digits of its unit; – if it is not known."""
+    """Return a number with the decimals of its unit; ``–`` for NaN."""
     digits = _DIGITS.get(unit, 0)
     if math.isnan(value):
         return "–"
@@ -105,7 +105,7 @@ def number(value: float, unit: str) -> str:
 
 
 class Angles:
-    """The unit of angles in a window: radians, or degrees where a person has chosen them."""
+    """The unit of angles in a window: radians, or degrees if the user has chosen them."""
 
     degrees = False
 
@@ -120,18 +120,18 @@ class Angles:
         return unit.replace("rad", "°") if self.degrees else unit
 
     def text(self, value: float, quantity: str, kind: str) -> str:
-        """Return a value in the unit shown, with its digits."""
+        """Return a value as text in the displayed unit, with its decimals."""
         return number(value * self.factor(quantity, kind), self.unit(quantity, (kind,)))
 
 
 def put(place: viser.GuiHtmlHandle, html: str) -> None:
-    """Show HTML; viser sends each assignment, so that only changes are made."""
+    """Show HTML if it has changed; viser sends each assignment to the browser."""
     if place.content != html:
         place.content = html
 
 
 def mark(slider: viser.GuiSliderHandle[Any], *marks: tuple[float, str]) -> None:
-    """Mark values of a slider with words; without any, its ends are."""
+    """Label values of a slider; without marks, its ends are labelled."""
     shown = tuple(itertools.starmap(GuiSliderMark, marks)) or None
     # viser has no public way to change the marks of a slider; it sends each assignment.
     if slider._marks != shown:  # noqa: SLF001
@@ -139,7 +139,7 @@ def mark(slider: viser.GuiSliderHandle[Any], *marks: tuple[float, str]) -> None:
 
 
 def offer(dropdown: viser.GuiDropdownHandle[str], names: Iterable[str]) -> None:
-    """Set the choices of a dropdown; the chosen one stays chosen if it is among them."""
+    """Set the choices of a dropdown, and keep the current choice if it is among them."""
     options = tuple(names) or (NOTHING,)
     if tuple(dropdown.options) != options:
         chosen = dropdown.value

@@ -1,1 +1,1 @@
-"""Objects that hands grasp: how users write their shapes, and what simulated ones look like."""
+"""Objects that hands grasp: how users write their shapes, and the shapes of simulated objects."""

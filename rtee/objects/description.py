@@ -1,6 +1,6 @@
 """The shape of an object that a simulated hand grasps, for pictures, recordings and clients.
 
-Its pose and the contacts change all the time; they are channels of the simulated device:
+The object's pose and the contacts change all the time; they are channels of the simulated device:
 `OBJECT_POSE`, `BASE_POSE` and `CONTACTS`.
 """
 
@@ -19,26 +19,27 @@ OBJECT_POSE: Final = "object_pose"
 """Channel: position [m] and unit quaternion (w, x, y, z) of the object in the world ``(7,)``."""
 
 BASE_POSE: Final = "base_pose"
-"""Channel: pose of the hand's base frame if an arm carries the hand; otherwise it is the world."""
+"""Channel: pose of the hand's base frame in the world, if an arm carries the hand; otherwise, the
+base frame is the world."""
 
 CONTACTS: Final = "contacts"
-"""Channel: a row of `CONTACT_COLUMNS` numbers for each contact of the hand, the strongest first."""
+"""Channel: one row of `CONTACT_COLUMNS` numbers per contact of the hand, the strongest first."""
 
 CONTACT_COLUMNS: Final = 7
 """Numbers of a contact: a point [m] and the force [N] that the link exerts there, both in the
 hand's base frame, and the link's index among the links of the URDF."""
 
 MOST_CONTACTS: Final = 32
-"""Most contacts in the channel: more than a picture can show, and 1.8 kB."""
+"""Maximum number of contacts in the channel: more than a picture can show, and 1.8 kB."""
 
 CONTACT_RATE: Final = 30.0
-"""Rate at which contacts are renewed [Hz]: the frame rate of the browser."""
+"""Rate at which contacts are updated [Hz]: the frame rate of the browser."""
 
 KINDS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "mesh": 0}
-"""Kinds of parts with the number of their sizes."""
+"""Number of sizes of each kind of part."""
 
 MOST_TRIANGLES: Final = 20_000
-"""Most triangles of a part: a message of 0.5 MB. A mesh with more is described by its hull."""
+"""Maximum number of triangles of a part: a message of 0.5 MB. The hull replaces a larger mesh."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +85,8 @@ class ObjectDescription(Value):
     Attributes:
         name: The object as written on the command line, such as ``sphere:0.03``; for a mesh, the
             name of its file.
-        mass: Its mass [kg].
-        parts: Its rigid parts.
+        mass: Mass of the object [kg].
+        parts: Rigid parts of the object.
     """
 
     name: str
@@ -94,7 +95,7 @@ class ObjectDescription(Value):
 
 
 NO_OBJECT: Final = ObjectDescription("", 0.0, ())
-"""Stands for "no object" in a message."""
+"""Represents "no object" in a message."""
 
 
 def contact_rows(values: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """Objects as users write them: a box, cylinder, sphere or capsule, a drill, or a mesh file.
 
-The planner and the simulation read them here, so that both know the same ones.
+The planner and the simulation both read objects here, so that both accept the same ones.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from rtee.sample import FloatArray
 SHAPES: Final = (
     "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres) or drill"
 )
-"""Forms of an object other than a mesh, for messages."""
+"""Syntax of objects other than meshes, for messages."""
 
 NUMBERS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
-"""Kinds of shapes with the number of their sizes."""
+"""Number of sizes of each kind of shape."""
 
 DRILL: Final = "drill"
-"""A pistol-like body with a trigger, as it is written."""
+"""Text for a pistol-like body with a trigger."""
 
 LARGEST: Final = 2.0
-"""Largest extent of an object [m]; a larger one has another unit, or is not for a hand."""
+"""Largest extent of an object [m]; a larger one uses another unit, or is not for a hand."""
 
 SMALLEST: Final = 1e-4
 """Smallest extent of an object [m]: thinner things have no sides to grasp."""
@@ -45,13 +45,13 @@ PLATE: Final = (0.022, 0.008, 0.034)
 """Width, thickness and height of a drill's trigger [m]."""
 
 TRIGGER_TRAVEL: Final = 0.010
-"""How far a drill's trigger can be pressed [m]."""
+"""Travel of a drill's trigger [m]."""
 
 _BELOW: Final = 0.002
 """Gap between a drill's housing and its trigger, so that they never touch [m]."""
 
 _AROUND: Final = 24
-"""Corners of a round side in the points of a drill: its polygon is 0.2 mm inside the handle."""
+"""Number of points around a round side of a drill: the polygon is up to 0.2 mm inside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class ObjectShape:
         size: Edge lengths; radius and height, or radius and length with the caps; or radius [m];
             empty for a drill and a mesh.
         path: The mesh file.
-        scale: Factor of all lengths of a drill or a mesh.
+        scale: Factor on all lengths of a drill or a mesh.
     """
 
     kind: str
@@ -87,9 +87,9 @@ class ObjectShape:
         return f"{self.kind}:{'x'.join(f'{value:g}' for value in self.size)}"
 
     def lowest(self, pose: FloatArray) -> float:
-        """Return the height of its lowest point [m] at a pose ``(4, 4)`` in the world.
+        """Return the height of the object's lowest point [m] at a pose ``(4, 4)`` in the world.
 
-        The origin of a mesh is taken for its lowest point.
+        For a mesh, the origin counts as the lowest point.
         """
         down = pose[:3, :3].T @ np.array([0.0, 0.0, -1.0])
         match self.kind:
@@ -111,21 +111,21 @@ class ObjectShape:
 
 
 def is_shape(text: str) -> bool:
-    """Return whether a text means a shape with its sizes or a drill, and not a file."""
+    """Return whether a text means a shape with its sizes, or a drill, and not a file."""
     kind, colon, _ = text.partition(":")
     # A mesh file may be called "box": only with sizes is it a shape.
     return text == DRILL or (bool(colon) and kind in NUMBERS)
 
 
 def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
-    """Read an object as it is written on the command line.
+    """Parse an object as written on the command line.
 
     Args:
         text: The text.
         formats: Suffixes of the mesh files that can be used, such as ``.stl``.
 
     Raises:
-        ConfigError: if it has none of the known forms.
+        ConfigError: if the text has none of the known forms, or the mesh does not exist.
     """
     if text == DRILL:
         return ObjectShape(DRILL)
@@ -141,15 +141,14 @@ def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
 
 
 MOST_PARTS: Final = 64
-"""Parts of a mesh; more are likely loose triangles."""
+"""Maximum number of parts of a mesh; more are probably loose triangles."""
 
 
 def mesh_parts(faces: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Return the faces ``(f, 3)`` of each part of a mesh that hangs together by shared corners.
+    """Return the faces ``(f, 3)`` of each part of a mesh that is connected by shared corners.
 
-    Planner and simulation take the convex hull of each part for a solid.
-
-    Labels of corners spread along the faces, to the least of each face, until none changes.
+    The planner and the simulation use the convex hull of each part as a solid. Each corner takes
+    the least label of its faces, repeatedly, until no label changes.
     """
     label = np.arange(count)
     while True:
@@ -171,11 +170,11 @@ def signed_volume(triangles: FloatArray) -> float:
 
 
 _LOOKED_AT: Final = 1000
-"""Faces and corners of a mesh of which some show that it has hollows."""
+"""Approximate number of faces, and of corners, of a mesh to check for hollows."""
 
 _HOLLOW: Final = 0.05
-"""A face that has corners of the mesh on both sides, both farther than this share of its size,
-belongs to a hollow: a scan's roughness is less."""
+"""Share of the mesh's size: a face with corners on both sides, both farther away than this, belongs
+to a hollow. The roughness of a scan is less."""
 
 
 def hollow_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> str:
@@ -185,7 +184,7 @@ def hollow_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> st
         corners: Its corners ``(v, 3)`` [m].
         faces: Its triangles, as indices of corners ``(f, 3)``.
     """
-    # A sample of faces and corners shows it; a scan may have a hundred thousand.
+    # A sample of faces and corners suffices; a scan may have a hundred thousand.
     some = faces[:: max(len(faces) // _LOOKED_AT, 1)]
     points = np.asarray(corners[:: max(len(corners) // _LOOKED_AT, 1)], dtype=np.float64)
     first, second, third = (np.asarray(corners[some[:, k]], dtype=np.float64) for k in range(3))
@@ -201,15 +200,15 @@ def hollow_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> st
         return ""
     return (
         "the mesh counts as its convex hull: hollows, handles and holes are filled, and fingers do "
-        "not reach into them (with rtee[planning] it is divided)"
+        "not reach into them (rtee[planning] divides it into convex parts)"
     )
 
 
 def open_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> str:
-    """Return a sentence about a mesh that does not enclose its inside; empty if it does.
+    """Return a sentence about a mesh that is not closed; empty if it is closed.
 
     Args:
-        corners: Its corners ``(v, 3)``; those at the same place are one.
+        corners: Its corners ``(v, 3)``; coincident corners count as one.
         faces: Its triangles, as indices of corners ``(f, 3)``.
     """
     order = np.lexsort(corners.T)
@@ -217,17 +216,17 @@ def open_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> str:
     place = np.zeros(len(corners), dtype=np.int64)
     place[order[1:]] = np.cumsum(new)
     found = place[np.asarray(faces, dtype=np.int64)]
-    # A triangle with a corner twice is a line, which closes nothing.
+    # A triangle with two equal corners is a line, which does not close a mesh.
     found = found[(found != np.roll(found, 1, axis=1)).all(axis=1)]
     ends = np.sort(np.concatenate([found[:, [0, 1]], found[:, [1, 2]], found[:, [2, 0]]]), axis=1)
-    # An edge as one number is sorted many times faster than as a pair.
+    # Sorting edges as single numbers is many times faster than as pairs.
     _, shared = np.unique(ends[:, 0] * len(corners) + ends[:, 1], return_counts=True)
     single = int((shared == 1).sum())
     if not single:
         return ""
     return (
         f"the mesh is open, {single} of its edges have only one face; convex hulls count as solid: "
-        "nothing reaches into them, and the centre of mass is theirs"
+        "nothing reaches into them, and they determine the centre of mass"
     )
 
 
@@ -249,31 +248,31 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
 
 
 def refuse_paths(text: str) -> None:
-    """Refuse anything but a shape in requests from outside: files that they name are not opened.
+    """Refuse all texts but shapes in requests from outside, whose files must not be opened.
 
     Raises:
-        ConfigError: if it is not a shape.
+        ConfigError: if the text is not a shape.
     """
     if not is_shape(text):
         raise ConfigError(_no_object(text))
 
 
 def _no_object(text: str) -> str:
-    # What a request from outside names may be as long as a message.
+    # A text from outside may be as long as a message.
     return f"'{text[:200]}' is not an object; write {SHAPES}"
 
 
 def trigger_place(scale: float = 1.0) -> tuple[float, float, float]:
-    """Return where the middle of a drill's trigger is in its frame [m]; it is not pressed.
+    """Return the centre of a drill's released trigger in the drill's frame [m].
 
-    The trigger's travel, and its gap to the housing, stay as they are at any scale.
+    The trigger's travel, and its gap to the housing, are the same at any scale.
     """
     front = 0.5 * (scale * HANDLE[1]) + TRIGGER_TRAVEL + 0.5 * (scale * PLATE[1])
     return 0.0, front, 0.5 * (scale * HANDLE[2]) - 0.5 * (scale * PLATE[2]) - _BELOW
 
 
 def motor_place(scale: float = 1.0) -> tuple[float, float, float]:
-    """Return where the middle of a drill's housing is in its frame [m]."""
+    """Return the centre of a drill's housing in the drill's frame [m]."""
     back = 0.5 * (scale * MOTOR[1] - scale * HANDLE[1])
     return 0.0, back, 0.5 * (scale * HANDLE[2] + scale * MOTOR[2])
 
@@ -281,7 +280,7 @@ def motor_place(scale: float = 1.0) -> tuple[float, float, float]:
 def drill_parts() -> tuple[FloatArray, ...]:
     """Return points ``(k, 3)`` [m] whose hulls are a drill's handle, motor and trigger.
 
-    The handle's middle is the origin; the trigger is not pressed.
+    The centre of the handle is the origin; the trigger is released.
     """
     radius, flat = 0.5 * HANDLE[0], 0.5 * (HANDLE[1] - HANDLE[0])
     turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
@@ -296,10 +295,10 @@ def drill_parts() -> tuple[FloatArray, ...]:
 
 
 GRAVITY: Final = "gravity"
-"""How a table is written that is across the weight."""
+"""Text for a table at right angles to the weight."""
 
 TABLE: Final = f"X,Y,Z or X,Y,Z,HEIGHT [m], its upward normal in the object's frame, or '{GRAVITY}'"
-"""How a table is written."""
+"""Syntax of a table, for messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,9 +306,9 @@ class Table:
     """The table under an object, in the object's frame.
 
     Attributes:
-        up: Its upward normal ``(3,)``; against the weight unless given.
-        height: How far along it the top is from the object's origin [m]; where the object's lowest
-            point is unless given.
+        up: Upward normal of the table ``(3,)``; opposite to the weight unless given.
+        height: Height of the table's top above the object's origin, along the normal [m]; that of
+            the object's lowest point unless given.
 
     Raises:
         ConfigError: if a number is not finite, or the normal is 0.
@@ -325,10 +324,10 @@ class Table:
 
 
 def parse_table(text: str) -> Table:
-    """Read a table: ``gravity``, ``X,Y,Z`` (its upward normal) or ``X,Y,Z,HEIGHT`` [m].
+    """Parse a table: ``gravity``, ``X,Y,Z`` (its upward normal) or ``X,Y,Z,HEIGHT`` [m].
 
     Raises:
-        ConfigError: if it is none of these.
+        ConfigError: if the text is none of these.
     """
     if text == GRAVITY:
         return Table()

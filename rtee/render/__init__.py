@@ -1,1 +1,1 @@
-"""Pictures of a hand by ray casting on the processor, without a GPU or a display."""
+"""Pictures of a hand by ray casting on the CPU, without a GPU or a display."""

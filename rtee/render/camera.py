@@ -20,13 +20,14 @@ _AZIMUTH: Final = math.radians(28.0)
 _ELEVATION: Final = math.radians(16.0)
 """Angle of the camera above the horizontal, which shows depth [rad]."""
 _MARGIN: Final = 1.08
-"""Size of the picture relative to its content, for a narrow margin."""
+"""Size of the picture relative to its content, which leaves a narrow margin."""
 _FIRST_PART: Final = 0.3
-"""Share of the travel in which fingertips show the direction of closing; later they curl back."""
+"""Share of the travel over which tips show the direction of closing; later, they curl back."""
 _SNAP: Final = math.radians(35.0)
 """Largest angle between a hand and an axis of its base for an upright view [rad]."""
 _ONE_WAY: Final = 0.45
-"""Ratio of the tips' common motion to their own below which fingers close towards one another."""
+"""Ratio of the tips' mean motion to the mean length of their motions, below which fingers close
+towards one another."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Camera:
     """A perspective camera.
 
     Attributes:
-        position: Its position in the hand's base frame [m].
+        position: Position in the hand's base frame [m].
         right: Unit vector to the right of the picture.
         up: Unit vector to the top of the picture.
         forward: Unit vector into the picture.
@@ -62,7 +63,7 @@ class Camera:
         width, height = self.size
         scale = height / (2.0 * math.tan(FIELD / 2))
         offset = points - self.position
-        # A least depth keeps points behind the camera from being mirrored into the picture.
+        # A minimum depth keeps points behind the camera from being mirrored into the picture.
         depth = np.maximum(offset @ self.forward, 1e-9)
         x = width / 2 + scale * (offset @ self.right) / depth
         y = height / 2 - scale * (offset @ self.up) / depth
@@ -87,8 +88,8 @@ def fit_camera(
     half_y = math.tan(FIELD / 2) / _MARGIN
     half_x = half_y * size[0] / size[1]
     x, y, z = points @ right, points @ above, points @ forward
-    # A point (x, y, z) is inside when |x - cx| <= half_x · (z - cz), and so for y.
-    # The narrower of both directions decides how far away the camera must be.
+    # A point (x, y, z) is inside if |x - cx| <= half_x · (z - cz), and likewise for y.
+    # The tighter of the two directions decides how far away the camera must be.
     cx, depth_x = _between(x, z, half_x)
     cy, depth_y = _between(y, z, half_y)
     cz = min(depth_x, depth_y)
@@ -96,17 +97,18 @@ def fit_camera(
 
 
 def _between(across: FloatArray, depth: FloatArray, half: float) -> tuple[float, float]:
-    """Return centre and depth of the apex of the smallest wedge that contains all points."""
+    """Return the centre and depth of the apex of the smallest wedge that contains all points."""
     upper = float((across - half * depth).max())
     lower = float((-across - half * depth).max())
     return (upper - lower) / 2, -(upper + lower) / (2 * half)
 
 
 def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
-    """Return the direction of view from which a hand's closing is seen well.
+    """Return the direction of view that shows well how a hand closes.
 
     If all fingers close in the same direction, as in a human hand, the camera is on that side; if
-    they close towards one another, it is beside them. Both are turned a little and raised.
+    they close towards one another, it is beside them. In both cases, it is slightly turned to the
+    side and raised.
 
     Returns:
         Unit vectors towards the camera and from the palm to the fingertips.
@@ -120,7 +122,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
     total = float(np.linalg.norm(moves, axis=1).sum())
     front = moves.sum(axis=0)
     if len(rest) < 3 or float(np.linalg.norm(front)) < _ONE_WAY * total or total == 0.0:
-        # The fingers close towards one another, so that the camera looks across.
+        # The fingers close towards one another: look across their motion.
         spread = rest - rest.mean(axis=0)
         widest = np.linalg.svd(np.concatenate([spread - np.outer(spread @ up, up), moves]))[2][0]
         front = np.cross(widest, up)
@@ -133,7 +135,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
 
 
 def farthest(hand: Hand) -> FloatArray:
-    """Return the posture with every actuator at its bound farthest from rest."""
+    """Return the posture with each actuator at its bound farthest from rest."""
     bounds = np.array([actuator.farthest for actuator in hand.actuators])
     # A continuous actuator has no bound; one radian shows the direction of its motion.
     return np.where(np.isfinite(bounds), bounds, hand.rest + 1.0)
@@ -154,7 +156,7 @@ def _palm(hand: Hand) -> str:
 
 
 def _tips(geometry: HandGeometry, u: FloatArray) -> FloatArray:
-    """Return the middle of each fingertip's geometry ``(f, 3)`` [m]."""
+    """Return the centre of each fingertip's geometry ``(f, 3)`` [m]."""
     poses = geometry.kinematics.placements(u)
     middles = []
     for finger in geometry.hand.fingers:
@@ -166,7 +168,7 @@ def _tips(geometry: HandGeometry, u: FloatArray) -> FloatArray:
 
 
 def _snapped(direction: FloatArray) -> FloatArray:
-    """Return the axis of the base frame near a direction, or the direction itself."""
+    """Return the axis of the base frame near a direction, or the direction if none is near."""
     axis = int(np.argmax(np.abs(direction)))
     if abs(direction[axis]) < math.cos(_SNAP):
         return direction

@@ -31,15 +31,15 @@ _FADED: Final = 0.82
 """Share of grey in the colours of links that are not highlighted."""
 _GREY: Final = "#c9ccd1"
 _MARK: Final = 0.06
-"""Radius of the mark of a contact, as a share of the picture's size."""
+"""Radius of a contact's mark, as a share of the picture's size."""
 _NEAR: Final = 0.09
-"""Radius around a contact shown in a close-up, as a share of the hand's diagonal: a fingertip."""
+"""Radius around a contact shown in a close-up, as a share of the hand's diagonal: a fingertip's."""
 _BLOCKING: Final = 0.03
 """Radius around a contact that must be visible in a close-up, as a share of the hand's diagonal."""
 _FAR: Final = 10.0
 """A distance larger than any hand [m]."""
 _WANTED: Final = 4.0
-"""Weight of the surface of given fingers relative to others, chosen by eye."""
+"""Weight of the surface of the action's fingers relative to other fingers, chosen by eye."""
 
 
 def link_colours(hand: Hand, links: Iterable[str]) -> FloatArray:
@@ -156,7 +156,7 @@ class HandRenderer:
     def free_corner(
         self, u: FloatArray, contact: Contact, fingers: Collection[str], share: float
     ) -> str:
-        """Return the corner of the picture with the smallest part of the hand.
+        """Return the corner of the picture that shows the least of the hand.
 
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
@@ -209,9 +209,9 @@ class HandRenderer:
         links: Collection[str] = (),
         ground: float | None = None,
     ) -> Shading:
-        """Return colours and light, with fingers faded that are not highlighted.
+        """Return colours and light, with fingers outside ``highlight`` or ``links`` faded.
 
-        By default all are in full colour, with all their links, and there is no ground.
+        By default, all links have full colour, and there is no ground.
         """
         owner = finger_of_link(self.hand)
         colours = link_colours(self.hand, self._mesh.links)
@@ -224,13 +224,13 @@ class HandRenderer:
         return Shading.studio(colours, camera, self._up, self._extent, ground)
 
     def _free_side(self, point: FloatArray, normal: FloatArray, others: FloatArray) -> FloatArray:
-        """Return the direction across the normal from which the contact is seen best."""
+        """Return the direction, across the normal, from which the contact is best visible."""
         first = np.cross(normal, self._up)
-        if float(np.linalg.norm(first)) < 0.2:  # the normal points up, but for 12°
+        if float(np.linalg.norm(first)) < 0.2:  # the normal points within 12° of up or down
             first = np.cross(normal, self._back)
         first /= np.linalg.norm(first)
         second = np.cross(normal, first)
-        # Every 15°: neighbouring directions see nearly the same.
+        # Directions every 15°: neighbouring ones see nearly the same.
         turns = np.arange(24) * (2 * math.pi / 24)
         sides = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
         # Prefer directions near the camera of the other pictures and above, but visibility of the
@@ -248,7 +248,7 @@ class HandRenderer:
 def _occluded_share(
     point: FloatArray, sides: FloatArray, corners: FloatArray, radius: float
 ) -> FloatArray:
-    """Return the hidden share of the surroundings of a point, seen from each side."""
+    """Return, for each viewing direction, the hidden share of a point's surroundings."""
     mesh = Mesh(corners, np.zeros_like(corners), np.zeros(len(corners), dtype=np.int64))
     caster = RayCaster(mesh)
     share = []

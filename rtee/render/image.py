@@ -1,4 +1,4 @@
-"""Encode pictures in linear light as files, with marks on contacts."""
+"""Encoding of pictures in linear light as files, with contacts marked."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Contact = tuple[Point, Point]
 """Point [m] and unit normal of a contact, in the hand's base frame."""
 
 _RING: Final = {False: 0.020, True: 0.030}
-"""Radius of a contact's ring relative to the picture's height; larger in close-ups."""
+"""Radius of a contact's ring, as a share of the picture's height; larger in close-ups."""
 _FINE: Final = 3
 """Supersampling factor of marks, for smooth edges."""
 _GHOST: Final = 0.16
-"""Coverage of a silhouette, too faint to be taken for the hand."""
+"""Coverage of a silhouette: too faint to be mistaken for the hand."""
 
 
 def with_silhouette(picture: FloatArray, silhouette: FloatArray) -> FloatArray:
-    """Return a picture with a silhouette, given by its coverage, behind it."""
+    """Return a picture with a silhouette behind it, given by the silhouette's coverage."""
     result = picture.copy()
     coverage = (1 - picture[..., 3:]) * (_GHOST * silhouette)[..., None]
     result[..., :3] += coverage * linear_rgb("#7d8590")
@@ -44,7 +44,7 @@ def linear_rgb(colour: str) -> FloatArray:
 
 
 def _srgb(light: FloatArray) -> FloatArray:
-    """Return linear light as sRGB, 0 to 1 (IEC 61966-2-1)."""
+    """Return linear light, converted to sRGB, 0 to 1 (IEC 61966-2-1)."""
     light = np.clip(light, 0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
@@ -61,7 +61,7 @@ def encode(
     """Return a picture file.
 
     Args:
-        picture: Linear colours times coverage, and coverage ``(height, width, 4)``.
+        picture: Linear colours times coverage, and the coverage ``(height, width, 4)``.
         background: Colour behind the mesh; ``None`` for transparent.
         camera: Camera of the picture.
         contacts: Contacts to mark.
@@ -72,7 +72,7 @@ def encode(
 
     coverage = np.clip(picture[..., 3:], 0, 1)
     if background is None:
-        # Files hold straight colours, without multiplication by the coverage.
+        # Files hold straight colours, which are not multiplied by the coverage.
         colour = np.where(coverage > 1e-6, picture[..., :3] / np.maximum(coverage, 1e-6), 0.0)
         data = np.concatenate([_srgb(colour), coverage], axis=2)
     else:
@@ -102,7 +102,7 @@ def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any
     layer = Image.new("RGBA", (2 * half * fine, 2 * half * fine), (255, 255, 255, 0))
     draw = ImageDraw.Draw(layer)
     x, y = (at - corner) * fine
-    # Dark on white, which is visible on any background.
+    # Dark on a wider white line, which is visible on any background.
     for colour, width in (((255, 255, 255, 235), pen * 2.2), ((17, 17, 17, 255), pen)):
         grown = (width - pen) / 2
         box = [x - radius - grown, y - radius - grown, x + radius + grown, y + radius + grown]
@@ -125,7 +125,7 @@ def _arrow(
     grown: float,
     colour: tuple[int, int, int, int],
 ) -> None:
-    """Draw an arrow from three radii outside to the ring, larger by ``grown`` on all sides."""
+    """Draw an arrow to the ring from three radii away, wider by ``grown`` [pixels] on all sides."""
     across = np.array([-side[1], side[0]])
     head = centre + side * (1.35 * radius - grown)
     neck = centre + side * 2.1 * radius

@@ -20,8 +20,8 @@ CREASE: Final = math.radians(35.0)
 """Largest angle between faces on a smooth surface; a larger one is an edge [rad]."""
 
 _CROWDED: Final = 500
-"""Most faces around a vertex that are compared with one another: their 250,000 pairs take some
-25 MB. Only the centres of discs have more."""
+"""Largest number of faces around a vertex to compare with one another: their 250,000 pairs take
+about 25 MB. Only the centres of discs have more."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Mesh:
         )
 
     def placed(self, pose: FloatArray) -> Mesh:
-        """Return the mesh in the frame in which its own has a pose ``(4, 4)``."""
+        """Return the mesh, transformed by the pose ``(4, 4)`` of its frame."""
         turn = pose[:3, :3].T
         return Mesh(self.corners @ turn + pose[:3, 3], self.normals @ turn, self.links)
 
@@ -82,26 +82,23 @@ class HandMesh:
 
 
 def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return a unit normal per corner of each face.
+    """Return a unit normal for each corner of each face ``(f, 3, 3)``.
 
     The normal of a corner is the mean of the normals of the faces around the vertex that meet the
     corner's own face at less than `CREASE`, weighted by their angles at the vertex.
 
     Args:
-        vertices: Vertices ``(v, 3)`` [m]; equal ones count as one.
+        vertices: Vertices ``(v, 3)`` [m]; coincident vertices count as one.
         faces: Indices of vertices ``(f, 3)``.
-
-    Returns:
-        ``(f, 3, 3)``.
     """
     if not len(faces):
         return np.zeros((0, 3, 3))
     corners = vertices[faces]
     flat, angles = _face_normals(corners)
-    # Pair every corner with all corners at the same vertex, including itself. All pairs of a corner
-    # are consecutive, so that one reduceat sums the normals around it.
+    # Pair every corner with all corners at the same vertex, including itself. The pairs of a corner
+    # are consecutive, so one reduceat sums the normals around it.
     place = _same_vertices(corners.reshape(-1, 3))
-    # Corners at crowded vertices get places of their own, and so the normals of their faces.
+    # Corners at crowded vertices count as separate vertices, and keep the normals of their faces.
     crowded = np.bincount(place)[place] > _CROWDED
     if crowded.any():
         apart = np.where(crowded, len(place) + np.arange(len(place)), place)
@@ -133,7 +130,7 @@ def _face_normals(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _same_vertices(points: FloatArray) -> IntArray:
-    """Return a number per point that equal points share."""
+    """Return a number for each point, which coincident points share."""
     extent = float(np.ptp(points, axis=0).max()) or 1.0
     grid = np.round((points - points.min(axis=0)) * (2**20 / extent)).astype(np.int64)
     # Three coordinates of 21 bits make one number of 63 bits, which sorts fast.

@@ -1,4 +1,4 @@
-"""Ray casting against a mesh on the processor, by Embree."""
+"""Ray casting against a mesh on the CPU, with Embree."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from rtee.render.mesh import Mesh
 from rtee.sample import FloatArray
 
 _LIGHT_ANGLE: Final = math.radians(9.0)
-"""Half the angular size of the light [rad], which gives shadows soft edges."""
+"""Angular radius of the light [rad], which gives shadows soft edges."""
 
 _GOLDEN_SECTION: Final = (math.sqrt(5.0) - 1.0) / 2.0
-"""The golden section, whose multiples modulo 1 are spread most evenly."""
+"""The golden ratio, whose multiples modulo 1 are spread most evenly."""
 
 
 def normalised(vectors: FloatArray) -> FloatArray:
@@ -28,18 +28,18 @@ def normalised(vectors: FloatArray) -> FloatArray:
 
 
 def fibonacci_lattice(index: NDArray[np.int64], count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the coordinates of points of a Fibonacci lattice in the unit square."""
+    """Return the coordinates of the given points of a Fibonacci lattice in the unit square."""
     return (index + 0.5) / count, np.mod(index * _GOLDEN_SECTION, 1.0)
 
 
 def orthonormal_basis(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two unit vectors perpendicular to each normal.
 
-    After Duff et al., "Building an Orthonormal Basis, Revisited", 2017.
+    Source: Duff et al., "Building an Orthonormal Basis, Revisited", 2017.
     """
     x, y, z = normals.T
     sign = np.where(z >= 0, 1.0, -1.0)
-    # Without branches, and without the singularity of a cross product with a fixed axis.
+    # No branches, and none of the singularities of a cross product with a fixed axis.
     a = -1.0 / (sign + z)
     b = x * y * a
     first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
@@ -47,7 +47,7 @@ def orthonormal_basis(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def cosine_hemisphere(normals: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return directions around normals with a density proportional to the cosine of their angle."""
+    """Return directions around normals, with density proportional to the cosine of the angle."""
     first, second = orthonormal_basis(normals)
     radius, turn = np.sqrt(a)[:, None], 2 * math.pi * b[:, None]
     height = np.sqrt(1 - a)[:, None]
@@ -67,14 +67,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of rays, without rays that hit nothing.
+    """First hits of rays; rays that hit nothing are left out.
 
     Attributes:
         rays: Indices of the rays ``(k,)``.
         points: Hit points ``(k, 3)`` [m].
         normals: Unit normals there, interpolated over the triangle ``(k, 3)``.
         face_normals: Unit normals of the triangles ``(k, 3)``; both kinds face the ray's origin.
-        links: Indices of the links hit ``(k,)``.
+        links: Indices of the links that were hit ``(k,)``.
         depth: Distances along the rays ``(k,)`` [m].
     """
 
@@ -87,11 +87,11 @@ class Hits:
 
 
 def check_pictures() -> None:
-    """Check, before any work, that pictures can be made.
+    """Check, before any work, that pictures can be rendered.
 
     Raises:
         MissingExtra: if the extra ``plot`` is not installed.
-        ConfigError: if embree is missing, which has packages for x86-64 only.
+        ConfigError: if embreex is missing, which has packages for x86-64 only.
     """
     with needing_extra("a picture", "plot"):
         import PIL.Image  # noqa: F401
@@ -113,7 +113,7 @@ class RayCaster:
 
         self.mesh = mesh
         self._scene: Any = EmbreeScene()
-        # Stored: the mesh must live as long as the scene.
+        # Keep a reference: the mesh must live as long as the scene.
         self._triangles: Any = TriangleMesh(self._scene, _f32(mesh.corners))
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> Hits:
@@ -129,7 +129,7 @@ class RayCaster:
         triangle = self.mesh.corners[face]
         flat = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
         seen = directions[rays]
-        # Meshes are not always wound outwards, so that normals of back faces are flipped.
+        # Meshes are not always wound outwards: flip the normals of back faces.
         backwards = np.einsum("ij,ij->i", flat, seen) > 0
         flat[backwards] *= -1
         normals[backwards] *= -1

@@ -23,33 +23,33 @@ from rtee.sample import FloatArray
 _TILE: Final = 4
 """Side of a tile, whose pixels use different rays and are averaged afterwards [pixels]."""
 _RAYS: Final = 4
-"""Rays per pixel for ambient occlusion, and as many for the soft shadow."""
+"""Number of rays per pixel for ambient occlusion, and for the soft shadow."""
 _GRID: Final = 3
-"""Samples per pixel at edges, squared."""
+"""Side of the grid of samples in each pixel at an edge."""
 _EDGE: Final = 0.035
-"""Difference of brightness or coverage from which neighbouring pixels form an edge."""
+"""Difference of brightness or coverage above which neighbouring pixels form an edge."""
 _NEIGHBOURS: Final = tuple((dy, dx) for dy in (0, -1, 1) for dx in (0, -1, 1))
-"""Offsets of a pixel itself and its neighbours [pixels]."""
+"""Offsets of a pixel itself and of its neighbours [pixels]."""
 _ALIKE: Final = 0.05
-"""Difference (see `_GBuffer.light_of`) below which two points are the same spot."""
+"""Difference (see `_GBuffer.light_of`) below which two points count as the same."""
 _LIFT: Final = 1e-4
 """Height above a surface at which shadow rays start, so that they miss it [occlusion radii]."""
 _SHADOW_REACH: Final = 10.0
-"""Length of shadow rays, beyond the whole hand [occlusion radii]."""
+"""Length of shadow rays [occlusion radii]: longer than the whole hand."""
 
 _DIFFUSE: Final = 0.80
-"""Brightness of the light on a matt surface facing it; chosen by eye, like those below."""
+"""Brightness of a matt surface that faces the light; chosen by eye, like the values below."""
 _AMBIENT: Final = (0.34, 0.30)
-"""Brightness of the sky on all surfaces, and its increase for surfaces facing up."""
+"""Brightness of all surfaces from the sky, and its increase for surfaces facing up."""
 _GLOSS: Final = (0.16, 48)
 """Brightness of a highlight and its Blinn-Phong exponent, which sets its size."""
 _RIM: Final = 0.10
-"""Brightness of the sky on surfaces seen edge-on."""
+"""Brightness from the sky of surfaces seen edge-on."""
 
 _GROUND_STEP: Final = 4
 """Spacing of the pixels for which the shadow on the ground is computed [pixels]."""
 _GROUND_RAYS: Final = 8
-"""Number of rays of each kind for each of these pixels."""
+"""Number of shadow rays, and of occlusion rays, for each of these pixels."""
 _GROUND_SHADOW: Final = (0.45, 0.55)
 """Shares of the light's shadow and of ambient occlusion in the shadow on the ground."""
 _GROUND_DARKNESS: Final = 0.62
@@ -85,7 +85,7 @@ class Shading:
         extent: float,
         ground: float | None = None,
     ) -> Shading:
-        """Return the light of a studio: from above, from the left, from behind the camera.
+        """Return studio lighting: from above, from the left, and from behind the camera.
 
         Args:
             colours: Linear colour of each link ``(l, 3)``.
@@ -116,7 +116,7 @@ class _GBuffer:
         self.light = np.zeros((*shape, 2))
 
     def set_light(self, direct: FloatArray, ambient: FloatArray) -> None:
-        """Set the light of each pixel, averaged over the same surface in the tile around it."""
+        """Set the light of each pixel, averaged over the tile around it on the same surface."""
         self.light[self.y, self.x] = np.stack([direct, ambient], axis=1)
         total, weight = np.zeros((len(self.y), 2)), np.zeros(len(self.y))
         for dy in range(-(_TILE // 2), _TILE - _TILE // 2):
@@ -133,7 +133,7 @@ class _GBuffer:
     def light_of(
         self, hits: Hits, y: NDArray[np.int64], x: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the light at points in given pixels: that of the most similar pixel around."""
+        """Return the light at points in given pixels: that of the most similar pixel nearby."""
         best = np.full(len(y), np.inf)
         light = np.ones((len(y), 2))
         left = np.arange(len(y))
@@ -145,7 +145,7 @@ class _GBuffer:
             better = difference < best[left]
             best[left[better]] = difference[better]
             light[left[better]] = self.light[beside][better]
-            # Most points match their own pixel; only the others search around it.
+            # Most points match their own pixel; only the others search its neighbours.
             left = left[best[left] > _ALIKE]
         return light[:, 0], light[:, 1]
 
@@ -165,7 +165,7 @@ class Renderer:
         self.shading = shading
 
     def render(self) -> FloatArray:
-        """Return the picture ``(height, width, 4)``: linear colours times coverage, coverage."""
+        """Return linear colours times coverage, and the coverage ``(height, width, 4)``."""
         width, height = self.camera.size
         y, x = self._window()
         hits = self._cast(x, y, 0.5, 0.5)
@@ -188,12 +188,12 @@ class Renderer:
         return total
 
     def _cast(self, x: NDArray[np.int64], y: NDArray[np.int64], dx: float, dy: float) -> Hits:
-        """Return the hits of rays through given points of pixels."""
+        """Return the hits of rays through pixels, at an offset within each pixel [pixels]."""
         rays = self.camera.rays(x.astype(np.float64) + dx, y.astype(np.float64) + dy)
         return self.caster.cast(self.camera.position, rays)
 
     def _window(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the rows and columns of the pixels in which the mesh may be seen."""
+        """Return the rows and columns of the pixels that may show the mesh."""
         width, height = self.camera.size
         spots = self.camera.project(self.caster.mesh.corners.reshape(-1, 3))
         left, top = np.clip(np.floor(spots.min(axis=0)).astype(int) - 1, 0, [width, height])
@@ -204,7 +204,7 @@ class Renderer:
     def _light(
         self, hits: Hits, x: NDArray[np.int64], y: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the visible shares of the light and of the sky at each point ``(k,)``, 0 to 1."""
+        """Return the visible shares of light and sky at each point ``(k,)``, 0 to 1."""
         shading = self.shading
         cells = _TILE * _TILE
         cell = (y[hits.rays] % _TILE) * _TILE + x[hits.rays] % _TILE
@@ -223,7 +223,7 @@ class Renderer:
         return direct / _RAYS, ambient / _RAYS
 
     def _shaded(self, hits: Hits, direct: FloatArray, ambient: FloatArray) -> FloatArray:
-        """Return colour and coverage ``(k, 4)`` of points (after Blinn and Phong)."""
+        """Return the colour and coverage ``(k, 4)`` of points, by the model of Blinn and Phong."""
         shading = self.shading
         base = shading.colours[hits.links]
         toward = -normalised(hits.points - self.camera.position)
@@ -239,7 +239,7 @@ class Renderer:
         return np.concatenate([colour, np.ones((len(colour), 1))], axis=1)
 
     def _antialias(self, picture: FloatArray, pixels: _GBuffer) -> None:
-        """Sample the pixels at edges more finely, with the light of the pixels around."""
+        """Sample the pixels at edges more finely, with the light of nearby pixels."""
         y, x = np.nonzero(_edges(picture))
         if not len(x):
             return
@@ -255,7 +255,7 @@ class Renderer:
         picture[y, x] = total / _GRID**2
 
     def _with_ground(self, picture: FloatArray) -> FloatArray:
-        """Return the picture with the shadow on the ground behind the mesh."""
+        """Return the picture with the mesh's shadow on the ground behind it."""
         shading, camera = self.shading, self.camera
         if shading.ground is None:
             return picture
@@ -280,17 +280,17 @@ class Renderer:
         turns = (x[which] * 7 + y[which] * 3) % 16
         shade[which] = _GROUND_DARKNESS * fade * self._ground_shadow(points, turns)
         shade = _blurred(shade.reshape(rows, columns))
-        # A soft shadow needs no more resolution than every fourth pixel.
+        # For a soft shadow, every fourth pixel is enough.
         coverage = _enlarged(shade, step)[:height, :width] * _border_fade(height, width)
         result = picture.copy()
-        # The shadow is black with that coverage, behind the mesh.
+        # The shadow is black with this coverage, behind the mesh.
         result[..., 3] += (1 - picture[..., 3]) * coverage
         return result
 
     def _ground_shadow(self, points: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
-        """Return the shadow at points ``(n, 3)`` [m] of the ground, from 0 to 1 ``(n,)``.
+        """Return the shadow ``(n,)``, 0 to 1, at points ``(n, 3)`` [m] of the ground.
 
-        ``turns``: which of 16 sets of rays each of them uses.
+        ``turns`` selects one of 16 sets of rays for each point.
         """
         shading = self.shading
         up = np.broadcast_to(shading.up, points.shape)
@@ -319,7 +319,7 @@ def _edges(picture: FloatArray) -> Mask:
 
 
 def _border_fade(height: int, width: int) -> FloatArray:
-    """Return factors that fade towards the picture's border ``(height, width)``."""
+    """Return factors ``(height, width)`` that fade to 0 towards the picture's border."""
     y, x = (
         np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / (_BORDER * n)
         for n in (height, width)
@@ -339,7 +339,7 @@ def _blurred(values: FloatArray) -> FloatArray:
 
 
 def _enlarged(values: FloatArray, step: int) -> FloatArray:
-    """Return values at every pixel from those at every ``step``-th one, bilinearly."""
+    """Return values at all pixels, interpolated bilinearly from every ``step``-th pixel."""
     rows, columns = values.shape
     y = np.arange((rows - 1) * step) / step
     x = np.arange((columns - 1) * step) / step

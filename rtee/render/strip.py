@@ -24,7 +24,7 @@ def write_strip(
     Args:
         path: The file.
         pictures: Captions and PNG files of the same size.
-        columns: Pictures in a row; all of them unless given.
+        columns: Number of pictures per row; all in one row unless given.
 
     Raises:
         ConfigError: if the file cannot be written.

@@ -1,7 +1,7 @@
-"""A human hand's points as positions of any hand's actuators.
+"""Conversion of a human hand's points to actuator positions of any hand.
 
-Offline, `rtee.retarget.fit` finds from the model which finger follows which; online, a `Retargeter`
-turns 21 points into positions, once per frame.
+Offline, `rtee.retarget.fit` derives from the model which finger follows which human finger. Online,
+a `Retargeter` turns 21 points into positions, once per frame.
 """
 
 from rtee.retarget.layouts import LAYOUTS, Layout, Side

@@ -1,4 +1,4 @@
-"""Correspondence of a hand's fingers to a person's: ``retarget.yaml`` in the hand's folder."""
+"""Correspondence of a hand's fingers to human fingers: ``retarget.yaml`` in the hand's folder."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ FILE_NAME: Final = "retarget.yaml"
 """Name of the file in a hand's folder."""
 
 FORMAT: Final = 1
-"""Version of the file."""
+"""Version of the file format."""
 
 Vector = tuple[float, float, float]
 
 
 class Human(StrEnum):
-    """A human finger, or that one of the four whose tip is nearest to the thumb's."""
+    """A human finger; ``nearest`` is the one of the four whose tip is nearest to the thumb's."""
 
     THUMB = "thumb"
     INDEX = "index"
@@ -39,9 +39,9 @@ class Palm(Section, frozen=True):
     """The palm's axes, unit vectors in the hand's base frame.
 
     Attributes:
-        palmar: Out of the palm, where the fingers close.
+        palmar: Out of the palm, towards the side to which the fingers close.
         radial: Towards the thumb's side.
-        distal: Towards the open fingers' tips.
+        distal: Towards the tips of the open fingers.
     """
 
     palmar: Vector
@@ -50,15 +50,15 @@ class Palm(Section, frozen=True):
 
 
 class FingerMap(Section, frozen=True):
-    """A finger of the hand and the human one that it follows.
+    """A finger of the hand, and the human finger that it follows.
 
     Attributes:
         human: The human finger.
-        base: Where it begins, in the hand's base frame [m].
-        tip: Its tip in the frame of its tip link [m].
-        reach: Farthest distance of the tip from the base [m]: where a straight human finger is.
-        scale: Factor of the reach, for people who want a finger to go less or more far.
-        follow: Weight of the human tip's place, 0 or more.
+        base: Base of the finger, in the hand's base frame [m].
+        tip: Tip of the finger, in the frame of its tip link [m].
+        reach: Largest distance of the tip from the base [m], which matches a straight human finger.
+        scale: Factor on the reach, to make a finger go less or more far.
+        follow: Weight of the human tip's position, 0 or more.
     """
 
     human: Human
@@ -74,10 +74,10 @@ class Pinch(Section, frozen=True):
 
     Attributes:
         fingers: The fingers, the thumb's first.
-        contact: The positions at which their surfaces meet [rad | m], as extraction found them;
-            none if it found no pinch.
-        widths: For grippers, distances of their surfaces, falling [m]: the first one answers human
-            tips that are fully apart.
+        contact: The positions at which their surfaces touch [rad | m], from the extraction; empty
+            if it found no pinch.
+        widths: For grippers, decreasing distances between their surfaces [m]; the first belongs to
+            human tips that are fully apart.
         positions: The positions at these distances [rad | m], by actuator.
     """
 
@@ -88,15 +88,15 @@ class Pinch(Section, frozen=True):
 
 
 class Correspondence(Section, frozen=True):
-    """Mapping from a person's hand to this one.
+    """Mapping from a person's hand to this hand.
 
     Attributes:
-        format: Version of the file.
+        format: Version of the file format.
         model: Fingerprint of the URDF for which it was made.
         palm: The palm's axes.
-        fingers: The fingers that follow a human one, by name.
-        closed: Positions when the fingers are closed, of actuators that close them [rad | m].
-        pinches: The pairs of tips that meet as the person's do.
+        fingers: The fingers that follow a human finger, by name.
+        closed: Closed positions of the actuators that close the fingers [rad | m].
+        pinches: The pairs of tips that meet when the person's tips do.
     """
 
     format: int
@@ -111,14 +111,14 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
     """Read the correspondence of a hand's folder; ``None`` if it has no such file.
 
     Raises:
-        ConfigError: if the file cannot be read, or is for another model.
-        ActionError: if it is not as it should be; names the line.
+        ConfigError: if the file cannot be read, or is for another model or format.
+        ActionError: if the file is invalid; names the line.
     """
     path = folder / FILE_NAME
     if not path.is_file():
         return None
     found = checked(Correspondence, read_yaml(path, "the retargeting"), ActionError)
-    again = f"`rtee retarget {hand.name} --save` makes it again"
+    again = f"`rtee retarget {hand.name} --save` makes a new one"
     if found.format != FORMAT:
         raise ConfigError(f"has format {found.format}, not {FORMAT}; {again}", path=path)
     if found.model != model_of(hand):
@@ -141,18 +141,21 @@ def read_correspondence(folder: Path, hand: Hand) -> Correspondence | None:
 
 
 def write_correspondence(folder: Path, hand: Hand, found: Correspondence) -> Path:
-    """Write it into a hand's folder and return the file; raises `ConfigError` if that fails."""
+    """Write a correspondence into a hand's folder, and return the path of the file.
+
+    Raises `ConfigError` if the file cannot be written.
+    """
     path = folder / FILE_NAME
     lines = (
         f"How a person's hand moves this one, made by `rtee retarget {hand.name} --save`.",
-        "Yours to change: which finger follows which human one, how far, and where tips meet.",
+        "You can edit which finger follows which human finger, how far, and where tips meet.",
     )
     write_atomically(path, emit(_plain(to_builtins(found)), lines))
     return path
 
 
 def _plain(value: Any) -> Any:
-    """Return plain data with lists instead of tuples, without empty values."""
+    """Return plain data, with lists instead of tuples, and without empty values."""
     if isinstance(value, dict):
         return {name: _plain(each) for name, each in value.items() if each not in ({}, ())}
     return [*map(_plain, value)] if isinstance(value, tuple) else value

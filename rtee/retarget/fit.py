@@ -1,4 +1,4 @@
-"""Offline: find which finger of a hand follows which human one, from its model and its pinches."""
+"""Offline: derive which finger follows which human finger, from a hand's model and pinches."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ _NAMES: Final = {str(human): human for human in Human} | {"pinky": Human.LITTLE}
 _IN_ORDER: Final = (Human.INDEX, Human.MIDDLE, Human.RING, Human.LITTLE)
 
 _WIDTHS: Final = 17
-"""Number of openings stored for a gripper, enough for the curve of a linkage."""
+"""Number of openings stored for a gripper: enough for the curve of a linkage."""
 
 _POSTURES: Final = 128
 """Number of postures that determine the reach of a finger: enough for its few joints."""
 
 _BEGIN: Final = 0.3
-"""Share of the path to the closed posture on which a finger's motion shows where the palm faces."""
+"""Share of the path to the closed posture over which a finger's motion shows where the palm faces.
+"""
 
 _PINCHING: Final = 0.5
-"""How far the fingers are closed in a usual pinch; of several pinches the nearest one is taken."""
+"""Closure of the fingers in a typical pinch, 0 to 1; of several pinches, the nearest is used."""
 
 
 def fit(library: ActionLibrary) -> Correspondence:
     """Derive the correspondence of a hand to a human hand from its model and primitives alone.
 
     Raises:
-        ConfigError: if the hand has less than two fingertips.
+        ConfigError: if the hand has fewer than two fingertips.
         ModelError: if one of its meshes cannot be read.
     """
     return _Fit(library, Tips(library.hand)).found()
@@ -96,7 +97,7 @@ class _Fit:
     # --- fingers -----------------------------------------------------------------------------
 
     def _base(self, finger: Finger) -> FloatArray:
-        """Return where a finger begins: its first joint that an actuator moves, at rest."""
+        """Return the base of a finger at rest ``(3,)`` [m]: its first actuated joint."""
         hand, path = self._hand, self._hand.urdf.path_to(str(finger.tip))
         rows = {joint.name: row for row, joint in enumerate(hand.joints)}
         own = {hand.actuator_index(name) for name in finger.own or finger.actuators}
@@ -105,23 +106,23 @@ class _Fit:
         return np.array(self._tips.kinematics.link_pose(link, self._rest)[:3, 3])
 
     def _end(self, finger: Finger) -> tuple[int, FloatArray]:
-        """Return the body of a fingertip and its farthest point in the frame of its link."""
+        """Return the body of a fingertip, and its farthest point in the tip link's frame [m]."""
         geometry, kinematics = self._tips.geometry, self._tips.kinematics
         body, placement = kinematics.bodies[str(finger.tip)]
         shapes = [geometry.shapes[i] for i in geometry.of_links(*finger.tip_links)]
         points = np.concatenate(
             [s.points @ s.placement.rotation.T + s.placement.translation for s in shapes]
         )
-        # From the finger's base at rest, which is where most hands are open.
+        # Measured from the finger's base at rest, where most hands are open.
         self._tips.go(self._rest)
         base = kinematics.data.oMi[body].actInv(self._bases[finger.name])
         far = points[np.argmax(np.linalg.norm(points - base, axis=1))]
-        # A little inside, in the middle of the tip's end rather than on an edge of it.
+        # Take the mean near the end, which lies in the middle of the tip instead of on its edge.
         ends = points[points @ _unit(far - base) > far @ _unit(far - base) - 0.004]
         return body, np.array(placement.actInv(ends.mean(axis=0)))
 
     def _tip(self, name: str, u: FloatArray) -> FloatArray:
-        """Return where a tip is at positions ``(n,)`` [m]."""
+        """Return the position of a tip ``(3,)`` [m] at actuator positions ``(n,)``."""
         link = str(self._hand.finger(name).tip)
         pose = self._tips.kinematics.link_pose(link, u)
         found: FloatArray = pose[:3, :3] @ self._ends[name][1] + pose[:3, 3]
@@ -141,7 +142,7 @@ class _Fit:
     # --- closing -----------------------------------------------------------------------------
 
     def _closing(self) -> dict[str, float]:
-        """Return the positions of the actuators that close fingers, closed."""
+        """Return the closed positions of the actuators that close fingers."""
         kinds = (PrimitiveKind.TRIG, PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS)
         closed: dict[str, float] = {}
         for kind in kinds:
@@ -153,7 +154,7 @@ class _Fit:
         return closed
 
     def _at(self, closed: float) -> FloatArray:
-        """Return the positions when all fingers are closed so far, 0 to 1 ``(n,)``."""
+        """Return the actuator positions ``(n,)`` with all fingers closed by a share, 0 to 1."""
         u = self._rest.copy()
         for name, value in self._closed.items():
             i = self._hand.actuator_index(name)
@@ -173,14 +174,14 @@ class _Fit:
             motions = {name: self._motion(name) for name in names}
             total = sum(motions.values(), np.zeros(3))
             thumb = min(names, key=lambda name: float(motions[name] @ (total - motions[name])))
-            # Without a palm, fingers have no names: the hand opens and closes.
+            # Without a named thumb, the hand only opens and closes, like a gripper.
             return {name: Human.THUMB if name == thumb else Human.NEAREST for name in names}
         if len(names) == 2:
             return {name: known.get(name, Human.NEAREST) for name in names}
         free = [human for human in _IN_ORDER if human not in known.values()]
         thumb = next(name for name, human in known.items() if human is Human.THUMB)
         others = [name for name in names if name not in known]
-        # From the one nearest to the thumb on, along the line of their bases.
+        # In the order of their bases' distances from the thumb's.
         others.sort(key=lambda n: float(np.linalg.norm(self._bases[n] - self._bases[thumb])))
         return known | dict(zip(others, free, strict=False))
 
@@ -222,7 +223,7 @@ class _Fit:
             try:
                 opening = self._openings.of(primitive)
             except ActionError:
-                continue  # no table of it
+                continue  # it has no table
             touching = primitive.evidence[0].contact_at if primitive.evidence else None
             return opening.at(share * (touching or 1.0))
         u = self._rest.copy()
@@ -237,7 +238,7 @@ class _Fit:
         return [each for each in found if {*each.elements} == {*pair}]
 
     def _contact(self, pair: tuple[str, str]) -> dict[str, float]:
-        """Return where the tips of two fingers first meet on the path to their pinch."""
+        """Return the positions at which two fingertips first touch on the path to their pinch."""
         hand, usual = self._hand, self._at(_PINCHING)
         lower, upper = limits_of(hand)
         best: tuple[float, dict[str, float]] = (np.inf, {})

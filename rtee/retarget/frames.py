@@ -1,4 +1,4 @@
-"""Frames of a tracker: JSON lines, as they come or from a file, and arrays of NumPy."""
+"""Frames of a tracker: JSON lines, live or from a file, and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from rtee.retarget.retargeter import Retargeter
 from rtee.sample import FloatArray
 
 Send = Callable[[Mapping[str, float], float], Awaitable[None]]
-"""Sends positions by actuator [rad | m] with their time [s]."""
+"""Sends positions by actuator [rad | m], and their time [s]."""
 
 _RATE: Final = 30.0
-"""Rate of an array without times [Hz], a webcam's."""
+"""Frame rate of an array without times [Hz]: that of a webcam."""
 
 _LONGEST: Final = 65536
-"""Longest line [characters]: a frame with all of MediaPipe's output takes 10,000."""
+"""Longest line [characters]: a frame with MediaPipe's whole output takes 10,000."""
 
 _LARGEST: Final = 200_000_000
 """Largest file [bytes]: hours of frames."""
@@ -45,8 +45,8 @@ class TrackerFrame:
     """The output of a tracker at one time.
 
     Attributes:
-        stamp: Its time, by any clock that never goes back [s].
-        points: The points in MediaPipe's order ``(21, 3)`` [m]; ``None``: the hand was not found.
+        stamp: Time of the frame, by any monotonic clock [s].
+        points: The points in MediaPipe's order ``(21, 3)`` [m]; ``None`` if no hand was found.
     """
 
     stamp: float
@@ -54,12 +54,12 @@ class TrackerFrame:
 
 
 class FrameReader:
-    """Reads frames of one side of a person, each from a line of JSON.
+    """Reads frames of a person's left or right hand, each from a line of JSON.
 
     A line has the time, ``t`` [s] or ``timestamp_ms``, and the ``points``, rows of three numbers,
-    or MediaPipe's ``hand_world_landmarks`` and ``handedness``; null or no points say that no hand
-    was found. A first line ``{"layout": …}`` names the layout, or describes it by the numbers of
-    its points in MediaPipe's order, ``{"order": […], "count": 25, "unit": 0.001}``.
+    or MediaPipe's ``hand_world_landmarks`` and ``handedness``. If the points are null or empty, the
+    tracker has found no hand. A line ``{"layout": …}`` names the layout, or describes it by the
+    indices of its points in MediaPipe's order: ``{"order": […], "count": 25, "unit": 0.001}``.
     """
 
     def __init__(self, layout: Layout, side: Side, path: Path | str) -> None:
@@ -68,10 +68,10 @@ class FrameReader:
         self._last = -math.inf
 
     def read(self, line: str) -> TrackerFrame | None:
-        """Return the frame in a line; ``None`` if it has none.
+        """Return the frame in a line; ``None`` if the line has none.
 
         Raises:
-            LogError: if the line is not valid; says what would be.
+            LogError: if the line is not valid.
         """
         self._number += 1
         if not line.strip():
@@ -101,7 +101,7 @@ class FrameReader:
     def _frame(self, entry: Mapping[str, Any]) -> TrackerFrame:
         stamp = _time(entry)
         if not stamp > self._last:
-            raise ValueError(f"its time, {stamp:g} s, is not later than the last one")
+            raise ValueError(f"its time, {stamp:g} s, is not later than that of the last frame")
         if "hand_world_landmarks" in entry:
             points = self._of_mediapipe(entry)
         elif "points" in entry:
@@ -145,7 +145,7 @@ def _layout(given: Any) -> Layout:
         return Layout("the layout", order, int(given["count"]), float(given.get("unit", 1.0)))
     except (KeyError, TypeError, AttributeError):
         raise ValueError(
-            "a layout must be a name, or an object with the 'order' of 21 numbers of points, their "
+            "a layout must be a name, or an object with the 'order', 21 indices of points, their "
             "'count' and their 'unit' in metres"
         ) from None
 
@@ -153,12 +153,12 @@ def _layout(given: Any) -> Layout:
 def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
     """Return the frames in a file.
 
-    A file of NumPy (``.npz``) has ``points`` or ``joints`` ``(k, count, 3)`` and perhaps the times
-    ``t`` ``(k,)`` [s], otherwise it has 30 frames per second; all others have a frame in each line,
-    as `FrameReader` reads it.
+    A NumPy file (``.npz``) has the array ``points`` or ``joints`` ``(k, count, 3)``, and optionally
+    the times ``t`` ``(k,)`` [s]; without times, it has 30 frames per second. Other files have one
+    frame per line, see `FrameReader`.
 
     Raises:
-        LogError: if the file cannot be read, or has no frames.
+        LogError: if the file cannot be read, or no frame has points.
     """
     reader = FrameReader(layout, side, path)
     try:
@@ -190,7 +190,7 @@ def _of_arrays(path: Path, reader: FrameReader) -> Iterator[TrackerFrame]:
     except (ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise LogError(f"cannot be read: {error}", path=path) from None
     for stamp, each in zip(times.tolist(), points, strict=True):
-        # A frame all of NaN is how arrays say that nothing was found.
+        # In arrays, a frame of NaN means that no hand was found.
         lost = bool(np.isnan(each).all())
         frame = reader.read(json.dumps({"t": stamp, "points": None if lost else each.tolist()}))
         if frame is not None:
@@ -215,9 +215,10 @@ async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[
 
 
 async def follow(frames: AsyncIterable[TrackerFrame], retargeter: Retargeter, send: Send) -> int:
-    """Send the answer to each frame and return how many were sent.
+    """Send the positions for each frame, and return how many were sent.
 
-    Nothing is sent before a hand was found. While it is lost, the last answer is sent again.
+    Nothing is sent until a hand is found. While the hand is lost, the last positions are sent
+    again.
 
     Raises:
         TrackingError: if the points are not those of the expected hand.

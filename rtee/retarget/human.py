@@ -1,4 +1,4 @@
-"""Features of 21 points of a human hand, such as fingertips in the palm's frame."""
+"""Features of a human hand's 21 points, such as fingertip positions in the palm's frame."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 """The human fingers, in the order of the points."""
 
 PALM: Final = 0.095
-"""Length of the palm, wrist to middle knuckle, for which lengths are given [m]: the mean of adults.
-Longer and shorter hands are scaled to it."""
+"""Reference length of the palm, wrist to middle knuckle [m]: the mean of adults. All hands are
+scaled to it."""
 
 _FLEXION: Final = (0.3, 3.9)
-"""Sum of a finger's three angles of flexion when it counts as straight and as closed [rad]."""
+"""Sum of a finger's three flexion angles at which it counts as straight and as closed [rad]."""
 
 _THUMB: Final = (0.095, 0.035)
-"""Distance of the thumb's tip from the little finger's knuckle when it is open and closed [m]."""
+"""Distance of the tip of the open and of the closed thumb from the little finger's knuckle [m]."""
 
 _BENT: Final = 0.2
-"""A finger whose joints are further than this behind the palm in the mean, as a share of its
-length, would be bent backwards: the hand is a mirror image."""
+"""Mean distance of a finger's joints behind the palm, as a share of its length, above which it
+would be bent backwards: the hand is then a mirror image."""
 
 _BONES: Final = np.array([(i, i + 1) for i in range(1, 20) if i % 4])
-"""The points between which bones of the fingers lie."""
+"""Pairs of points at the ends of the fingers' bones."""
 
 
 @dataclass(frozen=True, slots=True)
 class HumanPosture:
-    """A human hand, seen in its palm's frame: palmar, towards the thumb's side, towards the tips.
+    """A human hand in its palm's frame, with axes palmar, radial (to the thumb's side) and distal.
 
-    Left and right hands look the same in it. Lengths are those of a palm of `PALM`.
+    Left and right hands look the same in this frame. Lengths are scaled to a palm of `PALM`.
 
     Attributes:
-        tips: Tips of the five fingers from their bases, as shares of the fingers' lengths
-            ``(5, 3)``.
-        curls: How far the fingers are closed, 0 to 1 ``(5,)``.
-        gaps: Distances of the tips from the thumb's ``(5,)`` [m]; the first is 0.
+        tips: Vectors from the bases of the five fingers to their tips, as shares of the fingers'
+            lengths ``(5, 3)``.
+        curls: Closure of the fingers, 0 to 1 ``(5,)``.
+        gaps: Distances of the tips from the thumb's tip ``(5,)`` [m]; the first is 0.
     """
 
     tips: FloatArray
@@ -51,7 +51,7 @@ class HumanPosture:
 
 
 def palm_frame(points: FloatArray, side: Side) -> FloatArray:
-    """Return the palm's axes as rows ``(3, 3)``: palmar, to the thumb's side, to the fingers."""
+    """Return the palm's axes palmar, radial (to the thumb's side) and distal as rows ``(3, 3)``."""
     distal = _unit(points[9] - points[0])
     radial = points[5] - points[17]
     radial = _unit(radial - (radial @ distal) * distal)
@@ -65,13 +65,13 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 
 def in_palm(points: FloatArray, side: Side) -> FloatArray:
-    """Return points ``(21, 3)`` in the palm's frame from the wrist, in the unit given."""
+    """Return points ``(21, 3)`` in the palm's frame with origin at the wrist, in the same unit."""
     local: FloatArray = (points - points[0]) @ palm_frame(points, side).T
     return local
 
 
 def bones(points: FloatArray) -> FloatArray:
-    """Return the lengths of the fingers' three bones each ``(15,)``, in the unit given."""
+    """Return the lengths of each finger's three bones ``(15,)``, in the unit of the points."""
     lengths: FloatArray = np.linalg.norm(points[_BONES[:, 1]] - points[_BONES[:, 0]], axis=1)
     return lengths
 
@@ -87,7 +87,7 @@ def posture_of(local: FloatArray, lengths: FloatArray, palm: float) -> HumanPost
     first, last = local[1::4], local[4::4]
     size = PALM / palm
     tips = (last - first) / lengths.reshape(5, 3).sum(axis=1)[:, None]
-    # Angles between bones, the first of them from the palm's own direction.
+    # Angles between consecutive bones, the first of them against the palm's distal axis.
     chain = np.diff(local[1:].reshape(5, 4, 3), axis=1)
     chain /= np.maximum(np.linalg.norm(chain, axis=2, keepdims=True), 1e-9)
     into = np.clip(chain[:, 0, 2], -1.0, 1.0)
@@ -101,7 +101,7 @@ def posture_of(local: FloatArray, lengths: FloatArray, palm: float) -> HumanPost
 
 
 def mirrored(local: FloatArray) -> bool:
-    """Return whether fingers bend backwards, as those of the other hand would seem to."""
+    """Return whether fingers bend backwards, as those of the other hand would in this frame."""
     palmar = local[5:, 0].reshape(4, 4)
     long = np.linalg.norm(np.diff(local[5:].reshape(4, 4, 3), axis=1), axis=2).sum(axis=1)
     return int(((palmar[:, 1:].mean(axis=1) - palmar[:, 0]) < -_BENT * long).sum()) >= 2
@@ -111,10 +111,10 @@ class Smoother:
     """The one-euro filter (Casiez et al., 2012): smooth at rest, without lag in motion."""
 
     _CUTOFF: Final = 2.0
-    """Cutoff frequency at rest [Hz]: below it are a person's slow motions."""
+    """Cutoff frequency at rest [Hz]: a person's slow motions are below it."""
 
     _SPEED: Final = 25.0
-    """Increase of the cutoff with the speed [Hz/(m/s)]: 2.5 Hz more at 0.1 m/s."""
+    """Increase of the cutoff frequency with speed [Hz/(m/s)]: 2.5 Hz more at 0.1 m/s."""
 
     _OF_SPEED: Final = 4.0
     """Cutoff frequency of the speed itself [Hz]."""
@@ -124,7 +124,7 @@ class Smoother:
         self._speed: FloatArray = np.zeros(0)
 
     def step(self, points: FloatArray, dt: float) -> FloatArray:
-        """Return points ``(k, 3)`` filtered, ``dt`` [s] after the last ones."""
+        """Return the filtered points ``(k, 3)``, given points ``dt`` [s] after the last ones."""
         if self._at is None or dt <= 0.0:
             self._at, self._speed = points, np.zeros_like(points)
             return points

@@ -1,4 +1,4 @@
-"""The points of trackers, by name, and their translation into MediaPipe's order."""
+"""Layouts of trackers' points, by name, and their conversion to MediaPipe's order."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from rtee.errors import ConfigError
 from rtee.sample import FloatArray
 
 POINTS: Final = 21
-"""Points of MediaPipe's hand: the wrist, then four of each finger from the palm to the tip, thumb,
-index, middle, ring, little."""
+"""Number of points of MediaPipe's hand: the wrist, then four per finger from palm to tip, in the
+order thumb, index, middle, ring, little."""
 
 
 class Side(StrEnum):
@@ -27,14 +27,15 @@ class Side(StrEnum):
 
 @dataclass(frozen=True)
 class Layout:
-    """Order and units of a tracker's points of a hand.
+    """Order and unit of a tracker's points of a hand.
 
-    The frame does not matter, as long as it is right-handed: the palm's own one is used.
+    The tracker's frame does not matter, as long as it is right-handed: retargeting uses the palm's
+    own frame.
 
     Attributes:
-        name: Its name.
-        order: For each of MediaPipe's 21 points, the tracker's points whose mean it is.
-        count: The number of points that the tracker gives.
+        name: Name of the layout.
+        order: For each of MediaPipe's 21 points, the indices of the tracker's points to average.
+        count: Number of points from the tracker.
         unit: The tracker's unit of length [m].
     """
 
@@ -62,7 +63,7 @@ class Layout:
         """Return a tracker's points ``(count, 3)`` as MediaPipe's ``(21, 3)`` [m].
 
         Raises:
-            ConfigError: if they are not as many, or not finite numbers.
+            ConfigError: if their number is wrong, or they are not finite numbers.
         """
         try:
             found = np.array(given, dtype=np.float64)
@@ -83,7 +84,7 @@ def _picked(name: str, order: Sequence[int], count: int, unit: float = 1.0) -> L
 
 
 _WITHOUT_METACARPALS: Final = (0, 1, 2, 3, 4, *(i for i in range(5, 25) if i % 5 != 0))
-"""Of 25 points, the wrist, the thumb's four, and those of each finger after its metacarpal's."""
+"""Indices among 25 points: wrist, four of the thumb, four of each finger without its metacarpal."""
 
 LAYOUTS: Final[Mapping[str, Layout]] = {
     layout.name: layout
@@ -92,7 +93,7 @@ LAYOUTS: Final[Mapping[str, Layout]] = {
         # XRHand: wrist, four of the thumb, five of each finger from the metacarpal's base.
         _picked("webxr", _WITHOUT_METACARPALS, 25),
         # LeapC gives the ends of bones in millimetres: four of the thumb, whose metacarpal has no
-        # length, and five of each finger. The wrist is where the metacarpals begin.
+        # length, and five of each finger. The wrist is the mean of the fingers' first points.
         Layout(
             "leap",
             (
@@ -106,7 +107,7 @@ LAYOUTS: Final[Mapping[str, Layout]] = {
         # Manus Core's raw skeleton: wrist, four of the thumb, five of each finger.
         _picked("manus", _WITHOUT_METACARPALS, 25),
         _picked("manus21", range(21), 21),
-        # SMPL-X's joints of MANO (index, middle, little, ring, thumb), then tips from the thumb.
+        # MANO's joints as in SMPL-X (index, middle, little, ring, thumb), then tips, thumb first.
         _picked(
             "mano",
             (0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20),
@@ -118,14 +119,14 @@ LAYOUTS: Final[Mapping[str, Layout]] = {
 
 
 def layout_named(name: str) -> Layout:
-    """Return a layout; raises `ConfigError` if there is none of this name."""
+    """Return the layout with this name; raises `ConfigError` if there is none."""
     if name not in LAYOUTS:
         raise ConfigError(f"unknown layout '{name}'; valid: {', '.join(LAYOUTS)}")
     return LAYOUTS[name]
 
 
 def side_named(name: str) -> Side:
-    """Return a side; raises `ConfigError` if the name is not one."""
+    """Return the side with this name; raises `ConfigError` if there is none."""
     if name not in (*Side,):
         raise ConfigError(f"the person's hand must be left or right, not '{name}'")
     return Side(name)

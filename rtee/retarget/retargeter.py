@@ -31,58 +31,61 @@ from rtee.retarget.tips import Row, Tips, limits_of
 from rtee.sample import FloatArray
 
 TOUCHING: Final = 0.018
-"""Distance of two human tips, as trackers place them, when they touch [m]: half a finger's
-thickness each."""
+"""Distance between two tracked human tips that touch [m]: half a finger's thickness each."""
 
 APART: Final = 0.095
-"""Distance of the human tips at which a gripper is fully open [m]."""
+"""Distance between the human tips at which a gripper is fully open [m]."""
 
 _MEET: Final = (0.036, 0.06)
 """Distances between two human tips [m]: below the first, their gap is kept exactly; above the
 second, it is ignored. In between, the weight changes smoothly."""
 
 _FINGER: Final = 0.085
-"""Length of a human finger, from the knuckle [m]: gaps scale as the hand's fingers do to it."""
+"""Length of a human finger from the knuckle [m]: gaps scale with the robot's fingers over it."""
 
 _PRIOR: Final = 0.6
-"""Weight of how far the fingers are closed, where a tip's place leaves a choice [1/range]."""
+"""Weight of the human fingers' closure, which decides where tip positions leave a choice [1/range].
+"""
 
 _STAY: Final = 0.6
 """Weight of the last positions [1/range]."""
 
 _SLIDE: Final = 3.0
-"""Weight of the last positions of fingers whose tips meet [1/range]: their surfaces are curved, so
-that tips that slide fast on one another part."""
+"""Weight of the last positions of fingers whose tips meet [1/range]: as their surfaces are curved,
+tips that slide quickly on one another would separate."""
 
 _GAP: Final = 150.0
-"""Weight of a gap between tips that meet [1/m]: ten times a tip's place, about 1/reach."""
+"""Weight of a gap between tips that meet [1/m]: ten times that of a tip's position, about 1/reach.
+"""
 
 _DRAW: Final = 0.5
-"""Weight of the positions of the extracted pinch as the tips meet [1/range]."""
+"""Weight of the extracted pinch's positions while the tips meet [1/range]."""
 
 _GRIP: Final = 50.0
-"""Such a weight for a gripper, which has nothing but its opening."""
+"""The same weight for a gripper, which can only open and close [1/range]."""
 
 _DRAWN: Final = 0.03
-"""Gap at which the extracted pinch has half of that weight [m]."""
+"""Gap at which the extracted pinch has half of this weight [m]."""
 
 _APART: Final = 1000.0
 """Weight of overlapping links of different fingers [1/m]: more than that of tips that meet."""
 
 _CURVED: Final = 1.0
-"""Curvature from which a tip's path is damped, relative to a circle around the finger's base."""
+"""Curvature assumed for damping a tip's path, relative to a circle around the finger's base."""
 
 _STEPS: Final = 2
-"""Steps of Gauss-Newton per frame: from the last frame's answer, two come to within noise."""
+"""Number of Gauss-Newton steps per frame: from the last frame's solution, two suffice to reach the
+level of noise."""
 
 _CORRECTIONS: Final = 3
-"""Most corrections of gaps after them: at the edges of tips, a step turns the normal."""
+"""Maximum number of gap corrections after these steps: at the edges of tips, a step turns the
+normal."""
 
 _REACHED: Final = (0.0002, 0.008)
-"""Errors of a gap that need no correction, and that no correction mends [m]."""
+"""Errors of a gap below which it needs no correction, and above which none would help [m]."""
 
 _SOFT: Final = 1e-5
-"""Square of the motion of a gap over an actuator's range that counts as 0 [m²]: 3 mm."""
+"""Square of a gap's motion over an actuator's range that counts as 0 [m²]: 3 mm squared."""
 
 _SMALL: Final = 0.05
 """Largest correction [range]."""
@@ -100,8 +103,8 @@ class _Pinch:
     positions: FloatArray
 
     def at(self, width: float) -> FloatArray:
-        """Return a gripper's positions ``(a,)`` at a distance of its tips [m]."""
-        # np.interp needs rising abscissae, and the widths fall.
+        """Return a gripper's actuator positions ``(a,)`` at a distance between its tips [m]."""
+        # np.interp needs increasing abscissae, but the widths decrease.
         return np.array([np.interp(-width, -self.widths, column) for column in self.positions])
 
 
@@ -111,11 +114,11 @@ class _Problem:
 
     Attributes:
         last: The last positions ``(n,)`` [rad | m].
-        targets: Where the tips should be ``(k, 3)`` [m].
-        follow: Weights of the tips' places ``(k,)`` [1/m].
-        stiffness: Weights of positions ``(n,)``.
-        pull: The sum of these weights times their target positions ``(n,)``.
-        wanted: Pairs of fingers, the gap between them [m] and its weight, 0 to 1.
+        targets: Target positions of the tips ``(k, 3)`` [m].
+        follow: Weights of the tips' positions ``(k,)`` [1/m].
+        stiffness: Sums of the squared weights of target positions ``(n,)``.
+        pull: Sums of the squared weights times the target positions ``(n,)``.
+        wanted: Pairs of fingers, the required gap between their tips [m] and its weight, 0 to 1.
         near: Links that should stay apart.
     """
 
@@ -129,7 +132,7 @@ class _Problem:
 
 
 class Solver:
-    """Solves for a hand's positions, each time from the last ones."""
+    """Solves for a hand's actuator positions, starting from the last ones."""
 
     def __init__(self, hand: Hand, found: Correspondence, tips: Tips) -> None:
         self._tips = tips
@@ -149,10 +152,10 @@ class Solver:
             body, placement = tips.kinematics.bodies[str(hand.finger(name).tip)]
             self._bodies.append(body)
             self._points.append(np.array(placement * np.array(each.tip)))
-        # The jaws of a gripper are moving; their hulls may overlap.
+        # Not for a gripper: the hulls of its moving jaws may overlap.
         if self._follow.any():
             tips.watch()
-        # Which fingers an actuator closes: their mean says how far.
+        # The fingers that each actuator closes; it follows the mean of their closures.
         self._closed = self._rest.copy()
         self._closes = np.zeros((n, len(names)))
         self._moves = np.array(
@@ -184,7 +187,7 @@ class Solver:
             )
 
     def solve(self, human: HumanPosture, last: FloatArray) -> FloatArray:
-        """Return the positions ``(n,)`` [rad | m] for a human posture, from the last ones."""
+        """Return the positions ``(n,)`` [rad | m] for a human posture, starting from the last."""
         nearest = 1 + int(np.argmin(human.gaps[1:]))
         of = [nearest if h is Human.NEAREST else FINGERS.index(h) for h in self._humans]
         curls = human.curls[of]
@@ -232,7 +235,7 @@ class Solver:
             self._tips.go(u)
             found = [self._tips.gap(pair) for pair, _ in wanted]
             off = np.array([gap - row[0] for (_, gap), row in zip(wanted, found, strict=True)])
-            # Distant targets are out of reach; and where tips overlap, other tips do not meet.
+            # Distant targets are out of reach; while some tips overlap, correct only these.
             over = np.array([row[0] < -_REACHED[0] for row in found])
             mended = (np.abs(off) < _REACHED[1]) & (over | ~over.any())
             rows, off = np.array([row[1] for row in found])[mended] * self.range, off[mended]
@@ -244,14 +247,14 @@ class Solver:
         return u
 
     def _intent(self, pinch: _Pinch, distance: float) -> tuple[float, float]:
-        """Return the weight of a gap and how wide it should be [m]."""
+        """Return the weight of a pinch's gap, and its required width [m]."""
         beyond = max(0.0, distance - TOUCHING)
         share = min(1.0, max(0.0, (_MEET[1] - distance) / (_MEET[1] - _MEET[0])))
-        # Squared, so that a fist, whose tips are near one another as well, closes.
+        # Squared, so that a fist, whose tips are also near one another, still closes.
         return (share * share * (3.0 - 2.0 * share)) ** 2, pinch.scale * beyond
 
     def _step(self, u: FloatArray, problem: _Problem) -> FloatArray:
-        """Return the positions after one step of Gauss-Newton."""
+        """Return the positions after one Gauss-Newton step."""
         tips, unit, follow = self._tips, self.range, problem.follow
         tips.go(u)
         # In units of the ranges, so that radians and metres are comparable.
@@ -265,7 +268,7 @@ class Solver:
                 -1, len(u)
             )
             off = (follow[:, None] * (problem.targets - places)).ravel()
-            # Damp by the term that Gauss-Newton drops, or unreachable targets oscillate.
+            # Damp by the term that Gauss-Newton drops, or unreachable targets cause oscillation.
             damping = damping + _CURVED * float(np.abs(off).max()) * self._turned
         added = []
         for pair, gap, weight in problem.wanted:
@@ -274,7 +277,7 @@ class Solver:
             added.append((weight * row * unit, weight * (gap - distance)))
             damping = damping + np.abs(added[-1][0] * added[-1][1])
         for begun, row in problem.near:
-            # They move little in a frame, so that one look at them is enough.
+            # These links move little in a frame, so one measurement suffices.
             distance = begun + float(row @ (u - problem.last))
             if distance < 0.0:
                 added.append((_APART * row * unit, -_APART * distance))
@@ -288,7 +291,10 @@ class Solver:
         )
 
     def _within(self, u: FloatArray, hessian: FloatArray, slope: FloatArray) -> FloatArray:
-        """Return the minimum of a quadratic function within the limits, by freezing."""
+        """Return the minimum of a quadratic function within the limits.
+
+        Coordinates that would leave the limits are frozen there one after another.
+        """
         low, high = (self._lower - u) / self.range, (self._upper - u) / self.range
         step = np.zeros_like(u)
         free = ~((low >= 0.0) & (slope < 0.0) | (high <= 0.0) & (slope > 0.0))
@@ -306,7 +312,7 @@ class Solver:
 
 
 def _opened(distance: float) -> float:
-    """Return how far a person's tips are apart, 0 to 1."""
+    """Return the opening of a person's tips, from 0 (touching) to 1 (fully apart)."""
     return min(1.0, max(0.0, (distance - TOUCHING) / (APART - TOUCHING)))
 
 
@@ -314,25 +320,26 @@ _LOST: Final = 0.5
 """Time without points after which the hand counts as newly found [s]."""
 
 _FRAME: Final = 1.0 / 30.0
-"""Time since the last frame that counts when there was none [s], a webcam's."""
+"""Time since the last frame to assume if there was none [s]: that of a webcam."""
 
 _PALM: Final = (0.03, 0.2)
-"""Shortest and longest palm of a person [m], children's and giants' included."""
+"""Shortest and longest palm of a person [m], from children to giants."""
 
 _JUMP: Final = 5.0
-"""Fastest motion of a tip against the palm [m/s]; a person's fastest is about 4 m/s."""
+"""Fastest motion of a tip relative to the palm [m/s]; people reach about 4 m/s."""
 
 _NOISE: Final = 0.03
-"""Noise of a webcam's tips that does not count as a jump, however fast [m]."""
+"""Motion of a tip that never counts as a jump [m]: the noise of a webcam."""
 
 _BONE: Final = 2.2
-"""Largest ratio between a finger's lengths over time: a camera sees a finger foreshortened."""
+"""Largest ratio between a finger's lengths over time: a camera foreshortens fingers."""
 
 _OUTLIERS: Final = 5
-"""After so many outliers in a row the hand is really elsewhere."""
+"""Number of consecutive outliers after which the hand really is elsewhere."""
 
 _LEARNING: Final = 0.03
-"""Share of a frame in the person's lengths: a second's worth at a webcam's rate."""
+"""Weight of a frame in the moving average of the person's lengths: about a second at a webcam's
+rate."""
 
 _SPEED: Final = 4.0
 """Largest change of a position [range/s]: a person opens or closes a hand in a quarter of a second.
@@ -340,7 +347,7 @@ The loop limits it to what the actuators can do."""
 
 
 class TrackingError(ConfigError):
-    """Points that do not fit the expected hand; the robot does not follow them."""
+    """Raised if a frame does not fit the expected hand; the robot does not follow it."""
 
 
 class Retargeter:
@@ -348,9 +355,9 @@ class Retargeter:
 
     Attributes:
         hand: The hand.
-        correspondence: Which finger follows which.
-        side: Which of the person's hands moves it.
-        dropped: How many frames were outliers so far.
+        correspondence: Mapping from human fingers to the hand's.
+        side: The person's hand that moves it.
+        dropped: Number of frames dropped as outliers so far.
     """
 
     def __init__(
@@ -387,9 +394,9 @@ class Retargeter:
         """Return the retargeter of a hand: as its ``retarget.yaml`` says, otherwise from its model.
 
         Args:
-            hand: Its name, or the path of its folder.
-            side: Which of the person's hands moves it, whichever the hand itself is.
-            layout: The points, or their name in `LAYOUTS`.
+            hand: Name of the hand, or path of its folder.
+            side: The person's hand that moves it, which need not be on the robot hand's side.
+            layout: Layout of the tracker's points, or its name in `LAYOUTS`.
 
         Raises:
             UserError: if the hand, its actions or an argument can't be used.
@@ -403,24 +410,25 @@ class Retargeter:
         return cls(model, found, side=side_named(side), layout=known)
 
     def begin(self, at: Mapping[str, float]) -> None:
-        """Begin at positions by actuator [rad | m], such as measured ones; by default at rest."""
+        """Start from positions by actuator [rad | m], such as measured ones, instead of rest."""
         for name, value in at.items():
             if math.isfinite(value):
                 self._u[self.hand.actuator_index(name)] = value
         self._u = np.array(self.hand.clamp(self._u))
 
     def step(self, points: object, stamp: float) -> dict[str, float]:
-        """Return the positions by actuator [rad | m] that answer the points of a frame.
+        """Return the positions by actuator [rad | m] for the points of a frame.
 
         Args:
             points: Points of the layout, MediaPipe's ``(21, 3)`` [m] by default, in any
-                right-handed frame; ``None`` when the hand was not found, which it answers by the
-                last positions.
-            stamp: Time of the frame [s], later than the last one.
+                right-handed frame; ``None`` if no hand was found, for which it returns the last
+                positions.
+            stamp: Time of the frame [s], later than that of the last one.
 
         Raises:
-            TrackingError: if the points are not as many, not finite, not in the layout's unit, of
-                the other hand, or not later than the last ones. The answer stays as it was.
+            TrackingError: if the number of points is wrong, or they are not finite, not in the
+                layout's unit, of the other hand, or not later than the last frame. The positions
+                then stay as they were.
         """
         if not (math.isfinite(stamp) and stamp > self._stamp):
             raise TrackingError(
@@ -449,7 +457,7 @@ class Retargeter:
         palm = float(np.linalg.norm(points[9] - points[0]))
         dt = stamp - self._stamp
         if dt > _LOST or self._local is None:
-            # Found again, perhaps of another person.
+            # Found again; it may be another person's hand.
             if self._local is None or self._odd > _OUTLIERS:
                 self._bones, self._palm = lengths, palm
             self._smoother.restart()
@@ -490,7 +498,7 @@ class Retargeter:
     def beside(self, points: FloatArray) -> FloatArray:
         """Return a person's points ``(21, 3)`` [m], placed, turned and scaled beside the hand.
 
-        In the hand's base frame, its palm's axes along the hand's own, to look at.
+        For display: the points are in the hand's base frame, with the palm's axes along the hand's.
         """
         palm, maps = self.correspondence.palm, [*self.correspondence.fingers.values()]
         local = in_palm(points, self.side)
@@ -498,7 +506,7 @@ class Retargeter:
         larger = reach / max(float(np.linalg.norm(local[12] - local[9])), bones(local)[6:9].sum())
         axes = np.array([palm.palmar, palm.radial, palm.distal])
         bases = np.array([each.base for each in maps]).mean(axis=0)
-        # Its knuckles beside the hand's, on the little finger's side.
+        # Put the knuckles beside the hand's, on the little finger's side.
         found: FloatArray = larger * (local - local[9]) @ axes + bases - 1.5 * reach * axes[1]
         return found
 
@@ -508,7 +516,7 @@ class Retargeter:
         Args:
             at: Positions by actuator [rad | m]; those left out are at rest.
             first: A finger.
-            second: Another one.
+            second: Another finger.
 
         Raises:
             UnknownActuator: if there is no such actuator.

@@ -1,4 +1,4 @@
-"""The tips of a hand's fingers at a posture: places, gaps between surfaces, derivatives."""
+"""The fingertips of a hand at a posture: positions, gaps between surfaces, and derivatives."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from rtee.hand.model import Hand
 from rtee.sample import FloatArray
 
 NEAR: Final = 0.004
-"""Distance kept between links of different fingers [m]: more than their motion in a step of the
-solver near contact."""
+"""Distance to keep between links of different fingers [m]: more than their motion in a solver step
+near contact."""
 
 _POSTURES: Final = 200
-"""Number of postures at which pairs of shapes are checked once, to find those that may come
-near."""
+"""Number of postures at which `Tips.watch` checks pairs of shapes for coming near one another."""
 
 _FAR: Final = 0.008
-"""Least distance at these postures of pairs that never do [m]: between them, pairs come closer."""
+"""Distance above which a pair at all these postures never comes near [m]: more than `NEAR`, since
+pairs come closer between them."""
 
 Row = tuple[float, FloatArray]
 """A distance [m] and its derivative by the actuators ``(n,)``."""
 
 
 def limits_of(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Return the actuators' limits ``(n,)`` [rad | m]; those of one turn where there are none."""
+    """Return the actuators' limits ``(n,)`` [rad | m]; an actuator without limits gets one turn."""
     return (
         np.where(np.isfinite(hand.lower), hand.lower, -np.pi),
         np.where(np.isfinite(hand.upper), hand.upper, np.pi),
@@ -40,7 +40,7 @@ def limits_of(hand: Hand) -> tuple[FloatArray, FloatArray]:
 
 
 class Tips:
-    """A hand's kinematics and convex shapes, at one posture after another."""
+    """A hand's kinematics and convex shapes, evaluated at one posture at a time."""
 
     def __init__(self, hand: Hand) -> None:
         """Read the model; raises `ModelError` if a mesh cannot be read."""
@@ -81,9 +81,9 @@ class Tips:
             request.enable_signed_distance = True
 
     def watch(self) -> None:
-        """Find which links may come near one another, for `near`; takes up to a second."""
+        """Find the links that may come near one another, for `near`; takes up to a second."""
         hand, shapes = self.hand, self.geometry.shapes
-        # Hulls that overlap at rest cannot show a collision.
+        # Hulls that overlap at rest cannot reveal a collision.
         self.go(np.array(hand.rest))
         self._others = list(self._links)
         self._others = [k for k in self._others if self._distance(k).min_distance > NEAR]
@@ -133,12 +133,12 @@ class Tips:
         self._jacobian = np.array(data.J)
 
     def place(self, body: int, point: FloatArray) -> FloatArray:
-        """Return a point of a body ``(3,)`` in the base frame [m]."""
+        """Return a body's point ``(3,)`` in the base frame [m]."""
         found: FloatArray = self.kinematics.data.oMi[body].act(point)
         return found
 
     def moves(self, bodies: Sequence[int], points: FloatArray) -> FloatArray:
-        """Return derivatives of bodies' points ``(k, 3)`` by the actuators ``(k, 3, n)``."""
+        """Return the derivatives ``(k, 3, n)`` of bodies' points ``(k, 3)`` by the actuators."""
         linear, angular = self._jacobian[:3], self._jacobian[3:]
         x, y, z = points.T
         across = np.zeros((len(points), 3, 3))
@@ -149,7 +149,7 @@ class Tips:
         return found
 
     def gap(self, pair: tuple[str, str]) -> Row:
-        """Return the distance of two fingers' tips, negative inside one another, between hulls."""
+        """Return the signed distance between the hulls of two fingertips, and its derivative."""
         if pair not in self._pairs:
             pair = pair[1], pair[0]
         return self._row(min(self._pairs[pair], key=lambda k: self._distance(k).min_distance))
@@ -157,11 +157,11 @@ class Tips:
     def near(self, meeting: Iterable[tuple[str, str]]) -> list[Row]:
         """Return the distances of links that should not touch and are nearer than `NEAR`.
 
-        Of links that `watch` has found; the tips of the fingers that meet are left out.
+        Only links that `watch` has found count. The tips of ``meeting`` fingers are left out.
         """
         if not len(self._spheres):
             return []
-        # The spheres around the shapes first: most pairs are far apart.
+        # Check the spheres around the shapes first: most pairs are far apart.
         placements = self.kinematics.data.oMi
         turns = np.array([place.rotation for place in placements])
         moves = np.array([place.translation for place in placements])
@@ -185,7 +185,7 @@ class Tips:
     def _row(self, pair: int) -> Row:
         result = self._distance(pair)
         first, second = (self._support[self.geometry.shapes[i].body] for i in self._shapes_of(pair))
-        # A force along the normal at a point, as a wrench: its work on each joint's motion.
+        # The work that a unit force along the normal does on the motion of each joint.
         points = np.array([result.getNearestPoint1(), result.getNearestPoint2()])
         x, y, z = result.normal
         turns = points @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]).T

@@ -1,4 +1,4 @@
-"""Hands as nodes of a ROS 2 graph, over Zenoh with the protocol of rmw_zenoh; needs no ROS."""
+"""Hands as nodes of a ROS 2 graph, over Zenoh with rmw_zenoh's protocol, without ROS itself."""
 
 from rtee.ros2.node import Context, Node
 from rtee.ros2.qos import DEFAULT, LATCHED, PARAMETERS, ROSOUT, SENSOR_DATA, Qos

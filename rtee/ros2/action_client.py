@@ -50,13 +50,13 @@ class ClientGoal:
     async def result(self, timeout: float = math.inf) -> ActionOutcome:
         """Wait for the end of the goal and return its outcome.
 
-        Raises `TimeoutError` if it has not ended within the timeout [s], and `NoHand` if the server
-        has gone, or does not know the goal any more.
+        Raises `TimeoutError` if the goal has not ended within the timeout [s], and `NoHand` if the
+        server has gone, or no longer knows the goal.
         """
         return await self._client.result(self, timeout)
 
     async def cancel(self, timeout: float = _ANSWER_WITHIN) -> Refusal:
-        """Request the server to cancel the goal; return its refusal, or `Refusal.NONE`.
+        """Ask the server to cancel the goal; return its refusal, or `Refusal.NONE`.
 
         Raises `TimeoutError` if it does not answer within the timeout [s].
         """
@@ -100,7 +100,7 @@ class ActionClient:
         )
 
     async def wait_for_server(self, timeout: float = math.inf) -> None:
-        """Wait until there is a server; raises `TimeoutError` if there is none by then [s]."""
+        """Wait until there is a server; raise `TimeoutError` if there is none in time [s]."""
         with anyio.move_on_after(timeout) as scope:
             await self._graph.wait_until(lambda: self.available)
         if scope.cancelled_caught:
@@ -163,8 +163,8 @@ class ActionClient:
         finally:
             for task in (call, watch):
                 task.cancel()
-            # Awaited, so that no task is left behind and no exception of theirs is logged as
-            # unseen.
+            # Awaited, so that no task is left behind and asyncio does not log their exceptions as
+            # never retrieved.
             await asyncio.gather(call, watch, return_exceptions=True)
         # Not after a timeout, since the goal then goes on and its feedback is still wanted.
         self._goals.pop(goal.id, None)

@@ -46,7 +46,7 @@ _LOGGED_AGAIN = 60.0
 """Time after which the same reason for a refusal is logged again [s]."""
 
 _LONGEST_END = 2.0
-"""Longest time that goals have to end when the server does [s]: a hand brakes in less."""
+"""Longest time that goals may take to end when the server ends [s]: a hand brakes faster."""
 
 _NEXT_LOOK = 0.01
 """Time between two checks whether goals have ended and their clients have the results [s]."""
@@ -62,7 +62,7 @@ class Job(Protocol):
         """Do the work to its end; an `RteeError`, or cancellation, aborts the goal."""
 
     async def cancel(self) -> None:
-        """Have `run` end soon; raise an `RteeError` to refuse."""
+        """Make `run` end soon; raise an `RteeError` to refuse."""
 
 
 Accept = Callable[[Any], Awaitable[Job]]
@@ -71,7 +71,7 @@ Accept = Callable[[Any], Awaitable[Job]]
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A type under which a server offers its action, with the function that accepts its goals."""
+    """A type under which a server offers its action, and the function that accepts its goals."""
 
     type: ActionType
     accept: Accept
@@ -195,12 +195,14 @@ class ActionServer:
         return self._goals.get(goal_id)
 
     async def begin(self, goal_id: bytes, message: Message, offered: _Offered, stamp: int) -> bool:
-        """Begin a goal and return whether it was accepted; log the reason of a rejection.
+        """Begin a goal and return whether it was accepted; log the reason for a rejection.
 
         The stamp is the time of acceptance since 1970 [ns].
         """
         if goal_id in self._goals or goal_id in self._pending or goal_id == NO_GOAL:
-            self._context.warning_log.tell(f"a goal of {self.name} is refused", "its id is not new")
+            self._context.warning_log.tell(
+                f"a goal of {self.name} is refused", "its identifier is not new"
+            )
             return False
         # Goals that are still being checked count, too: many could arrive during one check.
         active = sum(not goal.state.ended for goal in self._goals.values())
@@ -236,7 +238,7 @@ class ActionServer:
         except RteeError as error:
             self._log_refusal(str(error))
         except Exception:
-            self._context.log.exception("%s could not look at a goal", self.name)
+            self._context.log.exception("%s could not check a goal", self.name)
         return None
 
     def _log_refusal(self, reason: str) -> None:

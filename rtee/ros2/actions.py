@@ -48,7 +48,7 @@ class Refusal(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ActionOutcome:
-    """Outcome of a goal; the reason is that of an abortion, for the log."""
+    """Outcome of a goal, with the reason for an abort, for the log."""
 
     state: GoalState
     result: Message
@@ -73,7 +73,7 @@ def names(action: str) -> Names:
 def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
     """Return an action's type in all versions that differ in their feedback.
 
-    That of the distribution comes first. The feedback of FollowJointTrajectory changed with
+    The distribution's own version comes first. The feedback of FollowJointTrajectory changed with
     control_msgs 6.3, which a robot of any distribution may have. Humble has no hashes, and so only
     one version.
     """

@@ -13,7 +13,7 @@ _ROUTER_REMEDY = "start it: ros2 run rmw_zenoh_cpp rmw_zenohd, or without ROS: r
 
 
 _MOVEIT = ("moveit", "move_group")
-"""Parts of the names of MoveIt's nodes: it alone sends joint values to grippers by itself."""
+"""Parts of the names of MoveIt's nodes, which send joint values to grippers by default."""
 
 
 async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[Check]:
@@ -50,18 +50,18 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
 
 
 def _gripper(row: Listed, settings: Ros2Settings, hand: str | None) -> list[Check]:
-    """Return whether the clients of a gripper and the hand use the same unit of position."""
+    """Check whether a gripper's clients and the hand use the same unit of position."""
     if hand is None or not row.used or not row.name.endswith(f"/{ros_name(hand)}/gripper_cmd"):
         return []
     users = ", ".join(row.used)
     if settings.gripper_joint or settings.gripper is GripperUnit.MOVEIT:
-        return [ok("gripper", f"{users}: positions are the value of a joint, as MoveIt's")]
+        return [ok("gripper", f"{users}: positions are joint values, as from MoveIt")]
     moveit = [name for name in row.used if any(word in name for word in _MOVEIT)]
     if moveit:
         return [
             warning(
                 "gripper",
-                f"{', '.join(moveit)} seems to be MoveIt, which sends the value of a joint;"
+                f"{', '.join(moveit)} seems to be MoveIt, which sends joint values;"
                 " this hand takes positions as metres between the fingertips",
                 "write 'ros2: {gripper: moveit}' in hand.yaml",
             )

@@ -19,7 +19,7 @@ _PERIOD = 1.0
 """Time between two messages [s], that of diagnostic_updater."""
 
 _OLD = 1.0
-"""Age of the newest measurement from which a device is stale [s]: many ticks of any hand."""
+"""Age of the newest measurement above which a device is stale [s]: many ticks of any hand."""
 
 
 class Level(IntEnum):
@@ -39,7 +39,7 @@ class Diagnostics(Part):
         self._array = served.message("diagnostic_msgs/msg/DiagnosticArray")
         self._status = served.message("diagnostic_msgs/msg/DiagnosticStatus")
         self._pair = served.message("diagnostic_msgs/msg/KeyValue")
-        # Absolute whatever the namespace, since tools subscribe to one topic for the whole robot.
+        # Absolute in any namespace, since tools subscribe to one topic for the whole robot.
         self._publisher = served.node.publisher(
             "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
         )
@@ -75,7 +75,7 @@ class Diagnostics(Part):
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics
-        # Since the last message only: a tick missed hours ago must not warn for ever.
+        # Only since the last message: a tick missed hours ago must not cause warnings for ever.
         before, self._before = self._before or clock, clock
         missed, dropped = clock.missed - before.missed, clock.dropped - before.dropped
         level, summary = Level.OK, status.action or "ready"
@@ -138,7 +138,7 @@ class Diagnostics(Part):
         values = {f"{name} [°C]": value for name, value in known.items()}
         currents = zip(state.names, state.current.tolist(), strict=True)
         values |= {f"{name} [A]": value for name, value in currents if not math.isnan(value)}
-        return self._entry("temperatures", level, f"{hottest} has {worst:.0f} °C", values)
+        return self._entry("temperatures", level, f"{hottest} is at {worst:.0f} °C", values)
 
 
 def health(device: DeviceStatus) -> tuple[Level, str]:

@@ -1,4 +1,4 @@
-"""Publishers and subscriptions of a node."""
+"""Publishers, subscriptions, services and clients of a node."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = ["Client", "Publisher", "Service", "Subscription"]  # the rest is for 
 log = logging.getLogger(__name__)
 
 _MOST_KEPT = 1000
-"""Most messages of a topic that wait or are kept, whatever the QoS: a limit to the memory."""
+"""Most messages of a topic that wait or are kept, whatever the QoS, to limit memory."""
 
 
 LONGEST = 1 << 20
@@ -63,7 +63,7 @@ class Publisher:
         self._publisher = self._declared(participant.session, key, entity.qos)
         self._heard, self._listener = True, None
         if isinstance(self._publisher, zenoh.Publisher):
-            # By listener, since each query of the status takes as long as encoding a message.
+            # Use a listener, since each query of the status takes as long as encoding a message.
             self._heard = False
             self._listener = self._publisher.declare_matching_listener(direct(self._matched))
             # Queried after declaring the listener, so that no subscriber in between is missed.
@@ -77,7 +77,7 @@ class Publisher:
 
     @staticmethod
     def _declared(session: zenoh.Session, key: str, qos: Qos) -> Any:
-        # All others drop messages, so that a slow subscriber cannot block the hand's node.
+        # Block only if every message must arrive; a slow subscriber must not stop the hand's node.
         block = qos.reliable and qos.history == History.KEEP_ALL
         control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
         if not qos.transient_local:
@@ -88,8 +88,8 @@ class Publisher:
                 reliability=reliability.RELIABLE if qos.reliable else reliability.BEST_EFFORT,
             )
         # Unlike rmw_zenoh's publishers, do not repeat the number of the last message for a while:
-        # to stop that, Zenoh waits for its threads while it holds Python's lock, for which these
-        # threads may wait, a deadlock. On a stream such as TCP, no last message is lost.
+        # to stop that, Zenoh waits for its threads while it holds the GIL, for which these threads
+        # may wait: a deadlock. On a stream such as TCP, the last message is not lost anyway.
         return ext.declare_advanced_publisher(
             session,
             key,
@@ -192,7 +192,7 @@ class Subscription:
             attachment = attachments.decode(sample.attachment)
             # Checked before `bytes` copies it, since anybody may send anything.
             if len(sample.payload) > self._longest:
-                raise MessageError(f"of {len(sample.payload)} bytes")
+                raise MessageError(f"it has {len(sample.payload)} bytes")
         except MessageError as error:
             self._drop(error)
             return
@@ -265,7 +265,7 @@ def fields_handler(
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """A request before decoding, with its query, which ends when the last reference is dropped."""
+    """A request before decoding, with its query, which ends when its last reference is dropped."""
 
     query: zenoh.Query
     payload: bytes
@@ -307,13 +307,13 @@ class Service:
 
     @property
     def _nothing(self) -> Message:
-        """The response without a value in any field."""
+        """The response with the default value in each field."""
         made: Message = self.type.response.from_dict({})
         return made
 
     @contextmanager
     def _errors_logged(self) -> Iterator[None]:
-        """Log errors of the context."""
+        """Log errors raised in the context."""
         try:
             yield
         except RteeError as error:
@@ -356,9 +356,9 @@ class Service:
 
     def _begin(self, received: _Asked) -> None:
         number = (received.attachment.gid, received.attachment.sequence)
-        # A client matches answers by this number, so it could not tell the second from the first.
+        # A client matches answers by this number and could not distinguish two with the same one.
         if number in self._under_way:
-            self._drop("its number is that of a request which is not answered yet")
+            self._drop("an earlier request with its number is not answered yet")
             return
         try:
             request = self.type.request.decode(received.payload)
@@ -370,7 +370,7 @@ class Service:
         self._participant.start(self._answer(received, number, request))
 
     async def _answer(self, received: _Asked, number: tuple[bytes, int], request: Any) -> None:
-        # ROS 2 has no error responses, and its clients wait without end: they get an empty one.
+        # ROS 2 has no error responses, and its clients wait for ever: so send an empty response.
         response = self._nothing
         try:
             with self._errors_logged():
@@ -443,7 +443,7 @@ class Client:
             raise TimeoutError(f"no node offers the service {self.name} ({self.type.name})")
 
     async def _answerable(self) -> None:
-        """Wait for the queryable: if its token comes first, a call before it would end at once."""
+        """Wait for the queryable: a call that comes after its token but before it would fail."""
         loop, there = asyncio.get_running_loop(), asyncio.Event()
 
         def note(status: Any) -> None:

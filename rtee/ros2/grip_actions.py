@@ -1,7 +1,8 @@
 """The action ``~/gripper_cmd``, as GripperCommand and as ParallelGripperCommand at once.
 
 A position is the gap between the fingertips [m], and an effort the force between them [N]. If a
-goal or a parameter names a joint, they are the position [rad | m] and effort [N·m | N] of that one.
+goal or a parameter names a joint, they are the position [rad | m] and effort [N·m | N] of the
+joint.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ JOINT, ACTION = "gripper.joint", "gripper.action"
 """Names of the parameters: the joint of the positions, and the action to close with."""
 
 ALLOW_STALLING = "gripper.allow_stalling"
-"""Name of the parameter whether a goal that stalls on an object has succeeded: ``allow_stalling``
-of ros2_control's gripper controllers, where it is off."""
+"""Name of the parameter that lets a goal succeed if it stalls on an object: ``allow_stalling`` of
+ros2_control's gripper controllers, where it is off by default."""
 
 GAP = "opening"
 """Name of the gap in ParallelGripperCommand, which gives each position a name."""
@@ -45,7 +46,7 @@ _BEYOND = 0.01
 
 
 _STILL = 0.02
-"""Share of its velocity limit below which an actuator stands still: the default of the hand's own
+"""Share of its velocity limit below which an actuator counts as still: the hand's own default,
 `rtee.hand.config_schema.StallSettings.speed`."""
 
 
@@ -115,7 +116,7 @@ class Gripper(ActionPart):
         yield Parameter(
             ALLOW_STALLING,
             True,
-            f"Whether a goal of {GRIPPER} that stalls on an object has succeeded; else it is"
+            f"Whether a goal of {GRIPPER} that stalls on an object succeeds; otherwise it is"
             " aborted, as by default in ros2_control.",
         )
 
@@ -212,7 +213,7 @@ class Gripper(ActionPart):
         for actuator in self._served.model.actuators:
             if widest * (1.0 + _BEYOND) < gap <= actuator.upper:
                 raise GoalRejected(
-                    f"{gap:g} m is too wide, and the nearest is {1e3 * widest:.0f} mm; if it is"
+                    f"{gap:g} m is too wide; the widest opening is {1e3 * widest:.0f} mm; if it is"
                     f" the value of '{actuator.name}', as MoveIt sends it, write"
                     " 'ros2: {gripper: moveit}' in hand.yaml"
                 )
@@ -284,7 +285,7 @@ class Gripper(ActionPart):
 def joint_of(settings: Ros2Settings, actuators: Sequence[str]) -> str:
     """Return the actuator whose position goals give; ``""``: they give the gap.
 
-    Raises `ConfigError` if there is none of this name, or several where none is named.
+    Raises `ConfigError` if no actuator has the configured name, or several exist and none is named.
     """
     joint = settings.gripper_joint
     if joint and joint not in actuators:
@@ -316,8 +317,8 @@ def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
     """Return the force of a goal for the ``max_effort`` of a command [N], needed at a gap [m].
 
     ROS 2's controllers take ``max_effort`` as an upper bound, and programs send one value to any
-    gripper. So this is the bound; or, if all of the actions are weaker at the gap, the force of the
-    strongest.
+    gripper. So the result is this bound, or, if all of the actions are weaker at the gap, the force
+    of the strongest.
     """
     strongest = max(
         (each.forces_at(gap)[1] for each in ranges if each.narrowest <= gap <= each.widest),

@@ -33,7 +33,7 @@ GRIP_EFFORT = "grip_effort"
 """Name of the parameter for the effort on a grasped object."""
 
 CHANGED = "actions_changed"
-"""Kind of the event that the hand's actions have changed."""
+"""Kind of the event that reports changed actions of the hand."""
 
 _TRIGGER = "std_srvs/srv/Trigger"
 
@@ -94,7 +94,7 @@ class Services(Part):
             text = f"{name.capitalize()} limits of the actuators [rad | m]."
             yield Parameter(f"limits.{name}", values.tolist(), text, read_only=True)
         yield Parameter(
-            "use_sim_time", False, "A hand has the time of its computer.", read_only=True
+            "use_sim_time", False, "Always false: a hand uses its computer's time.", read_only=True
         )
 
     async def _set_gain(self, device: str, gain: str, value: float) -> None:
@@ -103,7 +103,7 @@ class Services(Part):
     async def run(self) -> None:
         """Follow changes of the hand's actions until the hand ends."""
         events = self._served.hand.events()
-        # Again after subscribing, since the actions may have changed while the node was made.
+        # Update after subscribing, since the actions may have changed while the node was made.
         self._update(await self._served.hand.actions())
         async for event in events:
             if event.kind == CHANGED:
@@ -136,7 +136,7 @@ class Services(Part):
         confirmed = await self._served.hand.stop()
         silent = [device for device, done in confirmed.items() if not done]
         if silent:
-            return False, f"no answer of {', '.join(silent)}"
+            return False, f"no answer from {', '.join(silent)}"
         return True, "all devices have stopped"
 
     async def _recover(self) -> tuple[bool, str]:
@@ -201,7 +201,7 @@ class Services(Part):
             await self._served.hand.add_generic(
                 request.name, where, store=request.store, replace=request.replace
             )
-        # A hand that has ended does not refuse; its services just give no answer.
+        # A hand that has ended does not refuse the action; the service logs this error.
         except NoHand:
             raise
         except RteeError as error:

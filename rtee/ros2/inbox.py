@@ -1,4 +1,4 @@
-"""Bounded queue from Zenoh's threads to the event loop, and limits for what others send."""
+"""Bounded queue from Zenoh's threads to the event loop, and limits on data from others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class WarningLog:
         """Count a problem, and log it the first time; may be called from any thread.
 
         Args:
-            what: The problem, as one of few different texts.
+            what: The problem, one of a small number of texts.
             detail: Details to log with it.
         """
         with self._lock:
@@ -48,7 +48,7 @@ class WarningLog:
         # Outside the lock, for which Zenoh's threads wait, since a log handler may block.
         if not before:
             self._log.warning(
-                "%s%s; further ones are not logged", what, f": {detail}" if detail else ""
+                "%s%s; further cases are not logged", what, f": {detail}" if detail else ""
             )
 
 

@@ -62,7 +62,7 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
         keys = [(sort, entity.topic, entity.type, entity.type_hash)]
         if _PARTS in entity.topic and not parts:
             keys = []
-        # One of the five parts represents the action, which would be listed five times otherwise.
+        # One of its five parts represents an action, which would otherwise be listed five times.
         if sort is Sort.SERVICE and entity.topic.endswith(_GOALS):
             name, kind = entity.topic.removesuffix(_GOALS), entity.type.removesuffix(_GOAL_TYPE)
             keys.append((Sort.ACTION, name, kind, entity.type_hash))
@@ -94,7 +94,7 @@ def unheard(rows: Iterable[Listed]) -> list[str]:
         else:
             difference = f"as {row.type}, not {other.type}"
         sentences.append(
-            f"{users} {who} for the {row.sort} {row.name} {difference}: it hears nothing of"
+            f"{users} {who} for the {row.sort} {row.name} {difference}: nothing arrives from"
             f" {', '.join(other.offered)}"
         )
     return sentences

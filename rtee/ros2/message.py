@@ -69,10 +69,10 @@ class Message:
 
     @classmethod
     def decode(cls, data: bytes | bytearray | memoryview) -> Any:
-        """Return the message of CDR bytes.
+        """Return the message that CDR bytes encode.
 
         Raises:
-            MessageError: if the bytes are not those of such a message.
+            MessageError: if the bytes do not encode such a message.
         """
         if len(data) == _HEADER and cls.STRUCTURE.fields[0].name == EMPTY_FIELD:
             data = bytes(data) + b"\0"  # dora-rs leaves out the byte of a message without fields
@@ -87,7 +87,7 @@ class Message:
 
     @classmethod
     def filled(cls, fields: Mapping[str, Any]) -> Any:
-        """Return a message of all its fields."""
+        """Return a message from the values of all its fields."""
         # Skip `__init__`, which would look for defaults.
         message = cls.__new__(cls)
         for name, value in fields.items():
@@ -102,7 +102,7 @@ class Message:
             MessageError: if there is no such field, or a value does not fit its field.
         """
         if not isinstance(fields, Mapping):
-            raise MessageError(f"{cls.STRUCTURE.name}: fields by name expected, not '{fields}'")
+            raise MessageError(f"{cls.STRUCTURE.name}: expected fields by name, not '{fields}'")
         inner = {field.name: field.inner for field in cls.STRUCTURE.fields}
         message = cls(**{name: _made(inner.get(name), value) for name, value in fields.items()})
         message.encode()  # to report a wrong value here, with its field

@@ -147,7 +147,7 @@ class Node:
             name: Name of the service.
             type_: Type of the service.
             handler: Returns the response to a request; may take any time. If it raises an error,
-                the client gets no response, since ROS 2 has no error responses.
+                the client gets an empty response, since ROS 2 has no error responses.
             qos: Quality of service.
             at_once: Most requests handled at once; 100 more wait, and further ones are dropped.
 
@@ -222,8 +222,8 @@ class Context:
         Args:
             settings: Domain, distribution and router.
             environment: Environment variables of rmw_zenoh; by default those of the process.
-            insecure: Allow a router on another computer without certificates.
-            router_needed: Raise `NoRouter` if the router is not there instead of going on.
+            insecure: Whether to allow a router on another computer without certificates.
+            router_needed: Whether to raise `NoRouter` without a router, instead of going on.
 
         Raises:
             ConfigError: if a setting or variable cannot be used.
@@ -237,10 +237,10 @@ class Context:
         domain, attempts = domain_of(settings, environment), router_attempts(environment)
         config = configuration(settings, environment, insecure=insecure)
         missing = (
-            f"no router of ROS 2 at {router_of(config)}: nobody is found until it runs"
+            f"no router of ROS 2 at {router_of(config)}: nodes find each other only once it runs"
             " (ros2 run rmw_zenoh_cpp rmw_zenohd, or rtee ros2 router)"
         )
-        # A client's session cannot open without its router, so that 0 attempts wait for ever.
+        # A client's session cannot open without its router; 0 attempts mean waiting for ever.
         session = await _opened(config, attempts if router_needed else 0, missing)
         try:
             context = cls(settings, Participant(session, domain, settings.distro.value))
@@ -272,7 +272,7 @@ class Context:
 
     async def _watch(self, missing: str) -> None:
         """Log once when the router is lost, and once when it is back."""
-        # None: a router that is missing at the start is logged, one that is there is not.
+        # None at the start: log a router that is missing then, but not one that is there.
         was: bool | None = None
         while True:
             disable_linger()  # dropping the link to a frozen node must not block Zenoh's thread
@@ -310,10 +310,10 @@ class Context:
 
 
 async def _opened(config: zenoh.Config, attempts: int, missing: str) -> zenoh.Session:
-    """Open a session; that of a client opens once its router answers.
+    """Open a session; a client's session opens once its router answers.
 
-    Raises `NoRouter` with the sentence ``missing`` if it does not within so many attempts (0: no
-    limit), and `ConfigError` if an endpoint cannot be used.
+    Raises `NoRouter` with the sentence ``missing`` if it does not open within the given number of
+    attempts (0: no limit), and `ConfigError` if an endpoint cannot be used.
     """
     for attempt in itertools.count(1):
         try:

@@ -84,7 +84,7 @@ class Parameter:
         return kind_of(self.value)
 
     def refusal(self, value: Value | None) -> str:
-        """Return the reason for which the parameter refuses a value; ``""`` if it accepts it."""
+        """Return the reason why the parameter refuses a value; ``""`` if it accepts the value."""
         if self.read_only:
             return f"parameter '{self.name}' cannot be set because it is read-only"
         if value is None or kind_of(value) != self.kind:
@@ -108,7 +108,7 @@ def kind_of(value: Value) -> int:
     """Return the number of a value's type in ``rcl_interfaces/msg/ParameterType``."""
     if isinstance(value, bytes):
         return _BYTES
-    # An empty list counts as one of doubles, as all arrays among a hand's parameters are.
+    # The elements of an empty list have no type; it counts as a list of doubles.
     sample = (value[0] if value else 0.0) if isinstance(value, list) else value
     kind = next(number for type_, number, _ in _KINDS if isinstance(sample, type_))
     return kind + _TO_ARRAY if isinstance(value, list) else kind
@@ -274,7 +274,7 @@ class Parameters:
 
 
 def _content(value: Any) -> Value | None:
-    """Return the value in a ``ParameterValue``; ``None`` if it has none, or of an unknown type."""
+    """Return the value in a ``ParameterValue``; ``None`` if it is not set or of unknown type."""
     if not 0 < value.type < len(_FIELDS):
         return None
     content: Value | np.ndarray = getattr(value, _FIELDS[value.type])

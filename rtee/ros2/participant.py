@@ -35,7 +35,7 @@ times."""
 
 
 class Graph:
-    """The graph of a domain, kept up to date from its first use on.
+    """The graph of a domain, kept up to date once it is first used.
 
     Args:
         session: Zenoh session to observe the graph with.
@@ -68,7 +68,7 @@ class Graph:
         with self._lock:
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(key, None)
-            # `ready` passes tokens again that the subscriber has delivered and that may be parsed.
+            # `ready` delivers tokens again, and the earlier ones may already be parsed.
             elif key not in self._tokens:
                 if len(self._tokens) >= MOST or len(key) > LONGEST_TOKEN:
                     self._warning_log.tell("entities of the ROS graph are left out", "too many")

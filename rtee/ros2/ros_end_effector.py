@@ -142,7 +142,7 @@ class RosEndEffector:
         where = dict(zip(positions.name, positions.position.tolist(), strict=True))
         counts = dict(zip(mask.name, mask.count, strict=True))
         if unknown := set(counts) - set(where):
-            return {"error_msg": f"action_motor_count counts '{min(unknown)}' without a position"}
+            return {"error_msg": f"action_motor_count has '{min(unknown)}' without a position"}
         # Without a mask, motors at 0 count as not involved.
         where = {
             name: value
@@ -171,7 +171,7 @@ class RosEndEffector:
         }
 
     def _matrix(self, values: Any, labels: tuple[str, str]) -> Message:
-        """Return a matrix, row by row."""
+        """Return the message of a matrix, row by row."""
         package = "example_interfaces/msg"
         rows, columns = np.shape(values)
         dimension = self._interfaces.message(f"{package}/MultiArrayDimension")
@@ -296,9 +296,9 @@ def goal_of(command: Any) -> Goal:
     """Return the goal in a ``rosee_msg/msg/ROSEEActionControl``.
 
     Its percentage is a fraction, 0 to 1, and is ignored for a timed action, as in ROS End-Effector.
-    Commands for single motors are efforts [N·m | N], which 0 leaves as configured: ROS End-Effector
-    passes them on as those of its references. Raises `GoalRejected` if its type is unknown, or the
-    commands are not one for each of their names.
+    Commands for single motors are efforts [N·m | N], and 0 keeps the configured effort: ROS
+    End-Effector passes them on as the efforts of its references. Raises `GoalRejected` if the type
+    of the action is unknown, or the numbers of motor names and commands differ.
     """
     motors, commands = list(command.optional_motors_names), list(command.optional_motors_commands)
     if len(motors) != len(commands):

@@ -90,4 +90,4 @@ class Part(Protocol):
         return ()
 
     async def run(self) -> None:
-        """Work until cancelled, or until the hand ends, with `NoHand`."""
+        """Work until cancelled; raise `NoHand` if the hand ends."""

@@ -53,7 +53,7 @@ class Shown:
 
     Attributes:
         settings: Domain, distribution, router and namespace.
-        insecure: Allow a router on another computer without certificates.
+        insecure: Whether to allow a router on another computer without certificates.
         configured: Model of the hand if it is configured here, otherwise ``None``.
         thermal: Temperatures at which the hand warns and disables.
         endpoint: Address of the hand; ``None``: this computer.
@@ -84,7 +84,7 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
     Raises `ConfigError` if a namespace is malformed, or two hands would have the same node.
     """
     risks = [
-        f"anyone who reaches the router of ROS 2 at {router}{_others(router)} can move"
+        f"anyone who reaches the ROS 2 router at {router}{_others(router)} can move"
         f" {_listed(names)}: ROS 2 does not check identities"
         for router, names in _grouped((hand.settings.router, hand.name) for hand in hands).items()
     ]
@@ -97,8 +97,8 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
             )
     spaces = _grouped((hand.settings.namespace.strip("/"), hand.name) for hand in hands)
     risks += [
-        f"{_listed(names)} share the topics joint_states and robot_description; a namespace of its"
-        " own under 'ros2' in each hand.yaml parts them"
+        f"{_listed(names)} share the topics joint_states and robot_description; give each a"
+        " namespace of its own under 'ros2' in its hand.yaml"
         for names in spaces.values()
         if len(names) > 1
     ]
@@ -151,11 +151,11 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
                     group.start_soon(part.run)
         except* (RemoteError, MessageError) as errors:
             log.warning("%s has left ROS 2: %s", hand.name, _first(errors))
-        # Trying again does not help against a wrong setting, so that the command ends.
+        # Trying again does not help against a wrong setting, so the command ends.
         except* UserError:
             raise
         except* Exception:  # an error here must not end the nodes of other hands
-            log.exception("the node of %s has failed; it is started again", hand.name)
+            log.exception("the node of %s has failed; it will be started again", hand.name)
             await anyio.sleep(_AFTER_FAILURE)
         await anyio.sleep(_AGAIN)
 

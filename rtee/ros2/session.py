@@ -102,7 +102,7 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
 
 
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
-    """Return the domain of the environment, otherwise of the settings.
+    """Return the domain in the environment, otherwise the one in the settings.
 
     Raises `ConfigError` if the environment variable is not a domain.
     """
@@ -120,7 +120,7 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
 
 
 def check_environment() -> None:
-    """Refuse variables of the environment that no node could use; raises `ConfigError`."""
+    """Raise `ConfigError` if an environment variable has a value that no node could use."""
     domain_of(Ros2Settings())
     router_attempts()
     configuration(Ros2Settings())
@@ -129,14 +129,14 @@ def check_environment() -> None:
 def check_session(
     settings: Ros2Settings, environment: Mapping[str, str], *, insecure: bool
 ) -> None:
-    """Refuse settings and variables with which no session could open; raises `ConfigError`."""
+    """Raise `ConfigError` if no session could open with these settings and variables."""
     domain_of(settings, environment)
     router_attempts(environment)
     configuration(settings, environment, insecure=insecure)
 
 
 def router_attempts(environment: Mapping[str, str] | None = None) -> int:
-    """Return the number of checks for a router at the start; 0: no limit, negative: none.
+    """Return the number of checks for a router at the start; 0: no limit, negative: no check.
 
     Raises `ConfigError` if the environment variable is not a whole number.
     """
@@ -192,7 +192,7 @@ def configuration(
 
 
 def router_of(config: zenoh.Config) -> str:
-    """Return where a session looks for its router, for messages."""
+    """Return the endpoints at which a session looks for its router, for messages."""
     endpoints = json.loads(config.get_json("connect/endpoints"))
     return " or ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
 
@@ -213,7 +213,7 @@ def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
         config.insert_json5(key, value)
     except zenoh.ZError as error:
         words = _words(error)
-        why = "not JSON5, or no value of this setting" if words.startswith("Json5Err") else words
+        why = "not JSON5, or not a valid value" if words.startswith("Json5Err") else words
         raise ConfigError(f"{source}: {key}={value} is not a setting of Zenoh: {why}") from None
 
 
@@ -225,7 +225,7 @@ def _words(error: zenoh.ZError) -> str:
 def open_session(config: zenoh.Config) -> zenoh.Session:
     """Open a session; blocks for some milliseconds, or until a router that a client needs answers.
 
-    Raises `NoRouter` if that does not answer, `ConfigError` if an endpoint cannot be used.
+    Raises `NoRouter` if the router does not answer, `ConfigError` if an endpoint cannot be used.
     """
     try:
         return remote_session.open_session(config)

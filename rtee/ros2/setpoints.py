@@ -1,8 +1,8 @@
-"""The action of trajectories: ``control_msgs/action/FollowJointTrajectory``.
+"""Trajectories and jogs: the action ``control_msgs/action/FollowJointTrajectory``, and topics.
 
-It behaves like that of the joint_trajectory_controller of ros2_control, with its error codes. A
+The action behaves like that of ros2_control's joint_trajectory_controller, with its error codes. A
 refused goal has no result there either, so the log has the reason, beginning with the code's name.
-A trajectory may omit joints, and one without points stops the hand where it is, as in ROS 1.
+A trajectory may omit joints. Without points, it stops the hand where it is, as in ROS 1.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Play:
 
     Attributes:
         until: Time until which to send set-points [s]; after its end, the last one is repeated.
-        failed: Called with the reason if the hand refuses or stops to follow the motion.
+        failed: Called with the reason if the hand refuses or stops following the motion.
         replaced: Called with the source of another motion that replaces this one.
         begun: Whether one of its set-points has been sent.
     """
@@ -118,8 +118,8 @@ class MotionPlayer:
         return Parameter(
             STREAM_RATE,
             100.0,
-            "Set-points a second that trajectories and jogs are turned into, and the most that"
-            " ~/commands may have [Hz]; it counts from the next stream on.",
+            "Rate of the set-points that trajectories and jogs become, and the highest rate of"
+            " ~/commands [Hz]; a change takes effect with the next stream.",
             lower=20.0,
             upper=500.0,
         )
@@ -224,10 +224,10 @@ class Tolerance(NamedTuple):
 
 
 def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Tolerance]:
-    """Return the tolerances of those joints that have one, ``control_msgs/msg/JointTolerance``.
+    """Return the tolerances in ``control_msgs/msg/JointTolerance`` messages, by joint.
 
     Ignores tolerances of accelerations, which are not measured. Raises `MessageError` if a
-    tolerance is invalid; it begins with the name of the error code.
+    tolerance is invalid; its text begins with the name of the error code.
     """
     tolerances = {}
     for tolerance in given:
@@ -253,7 +253,7 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
 
 
 class TrajectoryAction:
-    """Serves the action; the player streams also the trajectories of topics to the hand."""
+    """Serves the action; the player also streams the trajectories of topics to the hand."""
 
     def __init__(self, served: ServedHand, player: MotionPlayer) -> None:
         self.served, self.player = served, player
@@ -271,15 +271,15 @@ class TrajectoryAction:
             STOPPED,
             0.01,
             f"Speed below which a joint has stopped, so that a goal of {ACTION} may end [rad/s |"
-            " m/s]; 2 % of its velocity limit if that is more.",
+            " m/s]; 2 % of its velocity limit if that is higher.",
             lower=1e-4,
             upper=10.0,
         )
         yield Parameter(
             GOAL_TIME,
             2.0,
-            f"How long after its end a trajectory of {ACTION} may reach its goal tolerance [s],"
-            " where it does not say.",
+            f"Time after the end of a trajectory of {ACTION} to reach its goal tolerance [s],"
+            " unless the goal gives one.",
             lower=0.01,
             upper=600.0,
         )
@@ -306,7 +306,7 @@ class TrajectoryAction:
         self._following.discard(job)
 
     def _checked(self, message: Any) -> _Following:
-        """Return the job of a goal; raise `MessageError`, which begins with the error code."""
+        """Return the job of a goal; raise `MessageError` with the error code first."""
         multi, names = message.multi_dof_trajectory, list(message.trajectory.joint_names)
         parts = (
             multi.joint_names,
@@ -353,7 +353,7 @@ class TrajectoryAction:
         return _Following(self, motion, names, limits, times)
 
     def _stopped(self, names: Sequence[str], given: Iterable[Any]) -> dict[str, float]:
-        """Return the speeds below which joints have stopped, unless their goal gives some."""
+        """Return the speeds below which joints have stopped, for those without one in the goal."""
         own = {tolerance.name for tolerance in given if tolerance.velocity != 0.0}
         least, joints = self.served.number(STOPPED), self.player.joints
         return {name: max(least, _NOISE * joints[name].speed) for name in names if name not in own}
@@ -454,7 +454,7 @@ class _Following:
             self._hold()
 
     def fail(self, reason: str) -> None:
-        """Abort the goal, which the hand refuses or stops to follow."""
+        """Abort the goal, which the hand refuses or stops following."""
         self._end(GoalState.ABORTED, Code.INVALID_GOAL, reason)
 
     def _replaced(self, source: str) -> None:
@@ -505,7 +505,7 @@ class _Following:
     def _judge(self, now: float, at: float, desired: SetPoint, actual: _Joints) -> None:
         """End the goal if it is reached or a tolerance is violated."""
         end, limits = self._motion.end, self._limits
-        # The first state after the end, too: of a short trajectory there may be no earlier one.
+        # Also check the first state after the end: a short trajectory may have no earlier one.
         played = self._played <= now
         if played and not self._passed:
             self._passed = at >= end
@@ -517,12 +517,12 @@ class _Following:
         outside, moving = _outside(limits.goal, desired, actual), _moving(limits.stopped, actual)
         if not played:
             # Joints that have not set off yet do not move, either.
-            moving = moving or "the hand did not play it"
+            moving = moving or "the hand had not played it"
         else:
             self._after += 1
         # Without goal tolerances, the goal is reached only after a time to settle, counted in
-        # states: a measurement may be older than the end, and on a busy computer time passes in
-        # which the hand plays nothing.
+        # states: a measurement may be older than the end, and on a busy computer the hand may play
+        # nothing for some time.
         if not (outside or moving) and (limits.goal or self._after >= SETTLED * _RATE):
             # The stream went on until now, for a hand that is slower than the trajectory.
             self._play.until = max(now, end + SETTLED)
@@ -601,15 +601,15 @@ log = logging.getLogger(__name__)
 COMMANDS, TRAJECTORY, JOG = "~/commands", "~/joint_trajectory", "~/joint_jog"
 
 _LOGGED_AGAIN = 10.0
-"""Time until refusals of a topic are logged again [s]: a sender may repeat them at 100 Hz."""
+"""Time until refused messages of a topic are logged again [s]: a sender may send them at 100 Hz."""
 
 _JOGGED_FOR = 0.1
-"""Duration of the velocities of a message without one [s]: input devices send at least every
+"""Duration of a jog by velocities whose message gives none [s]: input devices send at least every
 0.1 s."""
 
 
 class Setpoints(Part):
-    """Moves the hand by the topics and the action of trajectories; the newest command counts."""
+    """Moves the hand by the topics and the action of trajectories; the newest command wins."""
 
     def __init__(self, served: ServedHand) -> None:
         self._served = served
@@ -639,7 +639,7 @@ class Setpoints(Part):
         try:
             await self._player.run()
         finally:
-            await self._action.end("the hand has gone from ROS 2")
+            await self._action.end("the hand has left ROS 2")
 
     # --- messages of the topics
 
@@ -656,7 +656,7 @@ class Setpoints(Part):
         )
 
     def _refuse(self, topic: str, reason: str) -> None:
-        """Log the reason for a refused message, at most every `_LOGGED_AGAIN` for each topic."""
+        """Log why a message is refused, at most once per `_LOGGED_AGAIN` and topic."""
         now = monotonic.now()
         logged, unlogged = self._refused.get(topic, (-math.inf, 0))
         if now < logged + _LOGGED_AGAIN:

@@ -45,7 +45,7 @@ def ros_name(name: str) -> str:
 def description(model: Hand, urdf: str) -> str:
     """Return the URDF of a running hand with absolute addresses of the meshes on this computer.
 
-    The model's folders are searched for them.
+    Searches the model's folders for the meshes.
     """
     addresses = {}
     links = model.urdf.links.values()
@@ -127,8 +127,8 @@ class Topics(Part):
         yield Parameter(
             RATE,
             float(self._served.settings.rate),
-            "Rate of joint_states and of the other topics with what is measured [Hz]; the nearest"
-            " one that divides the rate of the loop is taken.",
+            "Rate of joint_states and of the other topics of measurements [Hz]; the nearest rate"
+            " that divides the loop's rate is used.",
             lower=1.0,
             upper=1000.0,
             change=lambda _: self._again.cancel(),
@@ -184,10 +184,10 @@ class Topics(Part):
 
 
 class RosEndEffectorTopics:
-    """Publishes joints and references where programs of ROS End-Effector listen.
+    """Publishes joints and references on the topics of ROS End-Effector.
 
-    Its hardware nodes publish ``/ros_end_effector/joint_states``, and its executor
-    ``motor_reference_pos``, whose efforts are those that goals ask for, or 0.
+    There, hardware nodes publish ``/ros_end_effector/joint_states``, and the executor publishes
+    ``motor_reference_pos``, whose efforts are here the effort limits, or 0 for none.
     """
 
     def __init__(self, served: ServedHand) -> None:

@@ -28,7 +28,7 @@ _MOST_POINTS = 10_000
 """Most points of a trajectory: far more than a planner sends."""
 
 _QUICKEST = 0.05
-"""Least time of a jog's displacement [s]: a step would be braked, not followed."""
+"""Least time of a jog's displacement [s]: a step would be limited, not followed."""
 
 _STILL = 1e-6
 """Velocity at the end of a trajectory that counts as 0 [rad/s | m/s], since planners round."""
@@ -38,7 +38,7 @@ Where = Callable[[str], float]
 
 
 class OldTrajectory(MessageError):
-    """A trajectory ended before it arrived."""
+    """A trajectory that ended before it arrived."""
 
 
 class SetPoint(NamedTuple):
@@ -74,7 +74,7 @@ class Range(NamedTuple):
 def movable_joints(model: Hand) -> dict[str, Range]:
     """Return the joints that set-points may name: actuators, and joints that follow one."""
     ranges = {each.name: Range(each.lower, each.upper, each.velocity) for each in model.actuators}
-    # Joints that follow move faster or slower than their actuator, all at once.
+    # For all joints at once: a joint may be faster or slower than the actuator that it follows.
     speeds = np.array([each.velocity for each in model.actuators])
     follow = model.transmission.velocities(model.rest, speeds)
     for row, joint in enumerate(model.joints):
@@ -104,7 +104,8 @@ def checked_position(name: str, value: float, limits: Range) -> float:
     slack = _BEYOND * slack if math.isfinite(slack) else 0.0
     if not limits.lower - slack <= value <= limits.upper + slack:  # NaN compares as false
         raise MessageError(
-            f"{value:g} of '{name}' is not inside its limits {limits.lower:g} to {limits.upper:g}"
+            f"position {value:g} of '{name}' is outside its limits, {limits.lower:g} to "
+            f"{limits.upper:g}"
         )
     return limits.clamped(value)
 
@@ -142,7 +143,8 @@ class Trajectory:
     or a straight line if the points have no velocities, as the joint_trajectory_controller of
     ros2_control does.
 
-    The times rise [s]; positions [rad | m] and velocities [rad/s | m/s] go by point and joint.
+    The times [s] increase; positions [rad | m] and velocities [rad/s | m/s] are lists of one list
+    per point, with one number per joint.
     """
 
     def __init__(
@@ -171,7 +173,7 @@ class Trajectory:
         return dict(zip(self.names, self._positions[-1], strict=True))
 
     def at(self, now: float) -> SetPoint:
-        """Return the set-point at a time [s]: the first point before the begin, the last after it.
+        """Return the set-point at a time [s]; before the first point or after the last, that point.
 
         After the end all velocities are 0, whatever the last point has, since the hand stays there.
         """
@@ -226,9 +228,9 @@ def trajectory_of(
     if times[0] < 0.0 or any(b <= a for a, b in pairwise(times)):
         raise MessageError("the times of its points must increase from 0")
     if times[-1] > _LONGEST or begin - now > _LONGEST:
-        raise MessageError(f"it must begin at once and take at most {_LONGEST:g} s")
+        raise MessageError(f"it must begin within, and take at most, {_LONGEST:g} s")
     if begin + times[-1] < now:
-        raise OldTrajectory(f"it was over {now - begin - times[-1]:.3g} s ago")
+        raise OldTrajectory(f"it ended {now - begin - times[-1]:.3g} s ago")
     positions, velocities = [], []
     for point in points:
         if len(point.positions) != len(names) or len(point.velocities) not in (0, len(names)):
@@ -305,8 +307,8 @@ def jog_of(
 ) -> VelocityCommand:
     """Return the motion in a ``control_msgs/msg/JointJog``.
 
-    The message has velocities for its duration, or displacements, in the shortest time unless it
-    has a duration. Raises `MessageError` if the hand cannot follow it, with the reason.
+    The message has velocities for its duration, or displacements, which take the shortest time
+    unless it has a duration. Raises `MessageError` if the hand cannot follow it, with the reason.
 
     Args:
         message: The message.

@@ -1,1 +1,1 @@
-"""A hand prepared from its configuration, and run: loop, recorder and server, wired together."""
+"""Preparing a hand from its configuration, and running it with its loop, recorder and server."""

@@ -1,7 +1,7 @@
-"""Events, goals and results of hands as JSON lines on stdout or entries of systemd's journal.
+"""Events, goals and results of hands, as JSON lines on stdout or entries in systemd's journal.
 
-Both are written in a thread of their own, since a pipe or the journal may be slow to read. Times
-are in UTC and, as in recordings and messages, on CLOCK_MONOTONIC.
+A separate thread writes both, since the reader of a pipe, or the journal, may be slow. Times are in
+UTC and, as in recordings and messages, on CLOCK_MONOTONIC.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from rtee.types import Event, Goal, Named, Result
 log = logging.getLogger(__name__)
 
 _JOURNAL = "/run/systemd/journal/socket"
-"""Where the journal takes entries: `systemd.io/JOURNAL_NATIVE_PROTOCOL`."""
+"""Socket of the journal; see `systemd.io/JOURNAL_NATIVE_PROTOCOL`."""
 
 _PRIORITIES = {"info": 6, "warning": 4, "error": 3}
-"""Severities as those of syslog."""
+"""Syslog priorities by severity."""
 
 Fields = Mapping[str, str | float]
 
@@ -38,8 +38,8 @@ class EventLines(Observer):
 
     Args:
         hand: Name of the hand.
-        devices: Names of its devices.
-        put: Takes the fields of an entry, and returns at once.
+        devices: Names of the hand's devices.
+        put: Receives the fields of an entry, and returns at once.
     """
 
     def __init__(self, hand: str, devices: Collection[str], put: Callable[[Fields], None]) -> None:
@@ -107,16 +107,16 @@ def entry(fields: Fields) -> bytes:
     data = b""
     for name, value in named.items():
         text = str(value).encode()
-        # With its length, as a value may have several lines.
+        # Each value is preceded by its length, as it may have several lines.
         data += name.encode() + b"\n" + len(text).to_bytes(8, "little") + text + b"\n"
     return data
 
 
 @contextmanager
 def event_lines(where: Lines) -> Iterator[Callable[[Fields], None]]:
-    """Write entries for as long as the context lasts; those that wait for a slow reader are kept.
+    """Yield a function that writes entries, for as long as the context lasts.
 
-    Raises `ConfigError` if there is no journal.
+    Entries wait in a queue for a slow reader. Raises `ConfigError` if there is no journal.
     """
     if where is Lines.STDOUT:
 

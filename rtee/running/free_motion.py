@@ -1,7 +1,8 @@
-"""The learned free motion of a hand, kept from one run to the next.
+"""The learned free motion of a hand, stored from one run to the next.
 
-One file for each hand in the user's folder of states, ``$XDG_STATE_HOME/rtee/free_motion`` (else
-``~/.local/state``). Each device has a section of it, and its emulator another one.
+Each hand has a file in the user's state folder, ``$XDG_STATE_HOME/rtee/free_motion``;
+``$XDG_STATE_HOME`` is ``~/.local/state`` unless set. Each device has a section in the file, and its
+emulator another one.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _Stored:
-    """The content of a file: estimates by device and name of the actuator."""
+    """Content of a file: estimates by device and actuator name."""
 
     devices: Mapping[str, Mapping[str, LearnedMotion]] = field(default_factory=dict)
 
 
 def _file_of(hand: str) -> Path | None:
-    """Return the file of a hand; ``None``: the user has no folder for it."""
+    """Return the file of a hand; ``None`` if the user has no folder for it."""
     folder = Path(os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state"))
-    # Without a home directory, `~` is not expanded: the file would be in the working directory.
+    # Without a home directory, `~` stays as it is, and the file would be in the working directory.
     return folder / "rtee" / "free_motion" / f"{hand}.json" if folder.is_absolute() else None
 
 
 def _key(device: DeviceSettings) -> str:
-    """Return the key that distinguishes a device from the hand's others and from its emulator."""
+    """Return the key that distinguishes a device from other devices and from its emulator."""
     spec = device.spec
     return f"{spec.name}: {spec.driver}{' (emulated)' if spec.emulated else ''}"
 
@@ -50,7 +51,7 @@ def _kept(hand: str) -> _Stored:
     except FileNotFoundError:
         return _Stored()
     except (OSError, RteeError) as error:
-        # The estimate is learned again by the next slow closing.
+        # The next slow closing learns the estimate again.
         log.warning("%s: free motion is learned again: %s", file, error)
         return _Stored()
 
@@ -68,7 +69,7 @@ def recall(hand: str, devices: Sequence[DeviceSettings]) -> dict[str, LearnedMot
 
 
 def keep(hand: str, devices: Sequence[DeviceSettings], known: Mapping[str, LearnedMotion]) -> None:
-    """Store the learned free motion by actuator; that of the hand's other devices is kept."""
+    """Store the learned free motion by actuator, and keep that of the hand's other devices."""
     file = _file_of(hand)
     if file is None or not known:
         return

@@ -1,4 +1,4 @@
-"""Read and check a hand by its hand.yaml and the command line, without opening any device."""
+"""Read and check a hand from hand.yaml and the command line, without opening any device."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class RunOptions:
 
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
-        emulated: Whether to talk to emulators instead of the real devices.
-        ideal: Whether emulated devices match their data sheets instead of being worn.
+        emulated: Whether to use emulators instead of the real devices.
+        ideal: Whether emulated devices match their data sheets, instead of being worn.
         object_in_hand: The object between the fingers of emulated devices, as on the command line.
         driver_options: Options of the driver, which take precedence over those in hand.yaml.
         home: Whether to home devices that need it at the start; this moves them.
@@ -50,13 +50,13 @@ class RunOptions:
         realtime: Whether to request real-time scheduling, even if hand.yaml does not.
         log: Folder of the recordings; ``None``: as in hand.yaml.
         record: Whether to write recordings; faults are always written if a folder is configured.
-        duration: Time after which the run ends [s]; ``None``: never by itself.
+        duration: Time after which the run ends [s]; ``None``: no limit.
         trace: Whether to record the bytes of all buses.
         companions: Commands that run beside the hands, and end with them.
-        ros2: Whether all hands are nodes of ROS 2, even if hand.yaml says otherwise.
-        metrics: ``HOST:PORT`` to serve the metrics of all hands on; empty: as in hand.yaml.
-        events: Where a line about each event goes; ``None``: nowhere.
-        config_dirs: Folders in which hands are looked up before the usual ones.
+        ros2: Whether all hands are ROS 2 nodes, even if hand.yaml says otherwise.
+        metrics: ``HOST:PORT`` on which to serve the metrics of all hands; empty: as in hand.yaml.
+        events: Destination of the lines about events; ``None``: none.
+        config_dirs: Folders to search for hands before the usual ones.
     """
 
     driver: str | None = None
@@ -80,7 +80,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class PreparedHand:
-    """A hand that was read and checked, before any device is opened."""
+    """A hand whose files have been read and checked, before any device is opened."""
 
     hand: Hand
     config: HandConfig
@@ -114,14 +114,14 @@ class PreparedHand:
         """Return the settings of the hand's recorder."""
         given = self.config.log
         settings = structs.asdict(given)
-        # The shell leaves the `~` of `--log=~/logs` as it is.
+        # The shell does not expand the `~` in `--log=~/logs`.
         log_folder = None if options.log is None else Path(os.path.expanduser(options.log))
         settings["directory"] = folder = log_folder or given.directory
         settings["enabled"] = recorded = options.record and (
             given.enabled or options.log is not None
         )
-        # Without recordings and a folder for them, users expect no files at all; and a replay was
-        # recorded before.
+        # Without recordings and a folder for them, users expect no files at all; and a replay is
+        # a recording already.
         if (not recorded and folder is None) or options.driver == "replay":
             settings["flight_recorder"] = 0.0
         found = RecorderSettings(**settings)
@@ -136,13 +136,13 @@ class PreparedHand:
 
 
 def open_to_everybody(folder: Path) -> list[str]:
-    """Return a warning if other users can change a hand's files, and so its motions."""
+    """Return a warning if all users can change a hand's files, and thereby its motions."""
     for path in (folder, *sorted(folder.rglob("*"))):
         try:
             status = path.lstat()
         except OSError:
             continue
-        # The mode of a link itself, which Linux sets to 0o777, permits nothing.
+        # Linux sets the mode of a link itself to 0o777, which permits nothing.
         if stat.S_IMODE(status.st_mode) & stat.S_IWOTH and not stat.S_ISLNK(status.st_mode):
             return [f"{path} can be changed by everybody; 'chmod -R o-w {folder}' prevents it"]
     return []
@@ -182,7 +182,7 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
 def _with_options(
     hand: str, devices: Sequence[DeviceSettings], options: RunOptions
 ) -> tuple[DeviceSettings, ...]:
-    """Return the devices with homing allowed, and with an object, if the options say so."""
+    """Return the devices, with homing allowed and an object in the hand if the options say so."""
     specs = tuple(device.spec for device in devices)
     if options.home:
         specs = homing_allowed(specs)
@@ -192,9 +192,9 @@ def _with_options(
 
 
 def homing_allowed(specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
-    """Return the devices of a hand with homing allowed at their first activation.
+    """Return the devices of a hand, with homing allowed at their first activation.
 
-    A device that is homed already, or never needs it, does not move.
+    A device that is already homed, or never needs homing, does not move.
     """
     return tuple(
         replace(spec, options={**spec.options, "home": "on_connect"})

@@ -55,14 +55,14 @@ __all__ = ["PreparedHand", "RunOptions", "prepare", "run_hands"]
 log = logging.getLogger(__name__)
 
 CONNECT_WITHIN = 3.0
-"""Time after which the hands start to tick, even if a device is still connecting or homing [s]:
-most devices connect faster."""
+"""Longest wait for devices that connect or home, before the hands start to tick [s]: most devices
+connect faster."""
 
 
 Serve = Callable[
     [HandLoop, RemoteSettings, Recorder, str, HandLock], AbstractAsyncContextManager[Server]
 ]
-"""Makes a hand available on the network for as long as the context lasts: see `Server.open`."""
+"""Makes a hand available on the network for as long as the context lasts; see `Server.open`."""
 
 
 @dataclass
@@ -91,7 +91,7 @@ async def run_hands(
         serve: Opens the network server of a hand; ``None``: the hands are not on the network.
         say: Prints a line.
         until: Ends the run when it is set.
-        beside: Runs beside the hands, and is cancelled when they end.
+        beside: Runs beside the hands; cancelled when they end.
 
     Returns:
         The exit status: 0.
@@ -118,16 +118,15 @@ async def run_hands(
     realtime = next((settings for settings in wanted if settings.enabled), RealtimeSettings())
     collector = Collector()
     service = ServiceReporter.of()
-    # Left in the opposite order: the network is closed first, then the devices and the recorders.
+    # Closed in the opposite order: first the network, then the devices and the recorders.
     async with AsyncExitStack() as stack:
         if service is not None:
             stack.enter_context(service)
-        # Before any thread is started, as it only counts for later ones.
+        # Before any thread starts, as the stack size only applies to later ones.
         stack.callback(threading.stack_size, small_stacks())
-        # Before devices are opened: a signal during that ends the run as configured, a moment
-        # later.
+        # Before devices are opened, so that a signal meanwhile ends the run as configured.
         signals = stack.enter_context(receive_signals())
-        # Before devices are opened, too: a hand that runs already is using them.
+        # Also before devices are opened: a hand that is already running uses them.
         places = {name: stack.enter_context(claimed(name)) for name in given if serve is not None}
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
@@ -145,9 +144,9 @@ async def run_hands(
             say(start_line(hand.loop, _log_words(hand.recorder), network))
             if service is not None:
                 hand.loop.add_observer(service.watch(hand.loop.name))
-        # The CPUs before this thread is pinned: companions would inherit the pinned ones.
+        # Read the CPUs before this thread is pinned: companions would inherit the pinned ones.
         cpus = affinity()
-        # Only now, since it also gives precedence to the hands' threads, which all run.
+        # Only now, since it also gives priority to the hands' threads, which all run by now.
         for warning in set_up(realtime):
             log.warning("%s", warning)
         stack.enter_context(favoured_session(realtime))
@@ -178,9 +177,9 @@ def _recalled(prepared: PreparedHand) -> PreparedHand:
 def _in_ros2(
     names: Sequence[str], prepared: Sequence[PreparedHand], options: RunOptions
 ) -> Iterator[tuple[str, ...]]:
-    """Yield the command that makes hands nodes of ROS 2, if any hand is to be one.
+    """Yield the command that makes hands ROS 2 nodes, if any hand should be one.
 
-    It runs as a client in a process of its own, so that it cannot delay the loop.
+    The command runs as a client in its own process, so that it cannot delay the loop.
     """
     pairs = zip(names, prepared, strict=True)
     shown = [name for name, one in pairs if options.ros2 or one.config.ros2.enabled]
@@ -192,7 +191,7 @@ def _in_ros2(
 
 
 def _metrics(prepared: Sequence[PreparedHand], options: RunOptions) -> Iterator[tuple[str, ...]]:
-    """Yield the commands that serve metrics, one for each address; clients, as in ROS 2."""
+    """Yield the commands that serve metrics, one per address; like ROS 2, they are clients."""
     hands: dict[str, list[str]] = {}
     for one in prepared:
         if listen := options.metrics or one.config.metrics.listen:
@@ -206,7 +205,7 @@ def _metrics(prepared: Sequence[PreparedHand], options: RunOptions) -> Iterator[
 
 
 def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:
-    """Warn of hands that move by another profile than configured, once for each reason."""
+    """Warn about hands whose motion profile differs from the configured one, once per reason."""
     hands: dict[str, list[str]] = {}
     for one in prepared:
         if one.settings.profile.kind != one.config.profile.kind:
@@ -229,7 +228,7 @@ async def _open(
         for device in prepared.devices
     ]
     loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
-    # The recorder calls from its writer's thread.
+    # The recorder calls `notify` from its writer's thread.
     announce = asyncio.get_running_loop().call_soon_threadsafe
 
     def notify(event: Event) -> None:
@@ -249,7 +248,7 @@ async def _open(
     )
     tally = Tally()
     recorder.controller = loop.controller
-    # The recorder before the loop, so that it still records how the devices are closed.
+    # Enter the recorder before the loop, so that it still records the closing of the devices.
     await stack.enter_async_context(recorder)
     trace.recorders.append(recorder)
     loop.add_observer(recorder)
@@ -262,10 +261,10 @@ async def _open(
 
 
 async def _connected(hands: Sequence[_RunningHand]) -> None:
-    """Wait until all devices have tried to connect, for `CONNECT_WITHIN` at most.
+    """Wait until all devices have tried to connect, for at most `CONNECT_WITHIN`.
 
     Raises:
-        UserError: if a mistake in the configuration keeps a device from ever connecting.
+        UserError: if a mistake in the configuration prevents a device from ever connecting.
     """
     with anyio.move_on_after(CONNECT_WITHIN):
         for hand in hands:
@@ -282,7 +281,7 @@ async def _run(
     service: ServiceReporter | None,
     beside: Callable[[], Coroutine[Any, Any, None]] | None,
 ) -> None:
-    # Hands of one rate share a clock: one wake-up of the thread ticks them all.
+    # Hands with the same rate share a clock: one wake-up of the thread ticks them all.
     loops_by_rate: dict[float, list[HandLoop]] = {}
     for hand in hands:
         loops_by_rate.setdefault(hand.prepared.settings.rate, []).append(hand.loop)
@@ -298,7 +297,7 @@ async def _run(
             reason = await wait_for_end(options.duration, until, signals)
             if service is not None:
                 service.stopping()
-            # The clocks still tick, which opening a hand at the end needs.
+            # The clocks still tick, as required for opening a hand at the end.
             await _rest(hands, reason, ticking=True)
             rested = True
             group.cancel_scope.cancel()
@@ -311,7 +310,7 @@ async def _run(
     finally:
         if not rested:  # cancelled from outside, which is not an `Exception`
             await _rest(hands, "the run was cancelled")
-        for hand in hands:  # while clients are still connected, to receive their results
+        for hand in hands:  # while clients are still connected, so that they receive results
             hand.loop.end()
 
 
@@ -319,7 +318,7 @@ async def _rest(
     hands: Sequence[_RunningHand], reason: str, *, ticking: bool = False, failed: bool = False
 ) -> None:
     """Bring all hands to rest at the same time, each as configured."""
-    # Shielded, since a run that is being cancelled must bring its hands to rest, too.
+    # Shielded, since a cancelled run must bring its hands to rest, too.
     with anyio.CancelScope(shield=True):
         async with anyio.create_task_group() as group:
             for hand in hands:
@@ -331,7 +330,7 @@ async def _rest(
 
 def _failure(error: Exception, hands: Sequence[_RunningHand]) -> RteeError:
     """Log an error of the loop, write the flight recording, and return the error to raise."""
-    # The task group wraps the error of a clock, which is worth more to the user by itself.
+    # The task group wraps the clock's error, which by itself is clearer to the user.
     while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         error = error.exceptions[0]
     log.error("the loop failed", exc_info=error)
@@ -377,5 +376,5 @@ def _summary(hands: Sequence[_RunningHand]) -> list[str]:
         if status.trouble:
             lines.append(f"{hand.loop.name}: recording: {status.trouble}")
         for path in status.flight_files:
-            lines.append(f"{hand.loop.name}: what was before the fault is in {path}")
+            lines.append(f"{hand.loop.name}: the time before the fault is recorded in {path}")
     return lines

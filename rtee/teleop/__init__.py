@@ -1,1 +1,1 @@
-"""Teleoperation of a hand by gamepad, keyboard or recorded samples, through a stream."""
+"""Teleoperation of a hand from a gamepad, keyboard or recorded samples, through a stream."""

@@ -1,4 +1,4 @@
-"""Samples of a stream from an input device or a recording."""
+"""Samples for a stream, from an input device or a recording."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from rtee.messages import topics
 from rtee.teleop.inputs import Input
 
 RATE: Final = 50.0
-"""Samples per second [Hz]: several times the bandwidth of a person's hand."""
+"""Sample rate [Hz]: several times the bandwidth of a person's hand."""
 
 _LONGEST: Final = 10_000_000
-"""Longest table read [bytes]: an hour of a glove's twenty joints takes less."""
+"""Largest table to read [bytes]: an hour of a glove's twenty joints takes less."""
 
 _SLOWEST: Final = 0.5
-"""Slowest rate of a table [Hz]: times in milliseconds seem slower."""
+"""Lowest rate of a table [Hz]: times in milliseconds would appear slower."""
 
 _LONGEST_GAP: Final = 0.08
-"""Gap between samples of a recording from which the sample before is repeated [s], since the person
-stayed there."""
+"""Gap between samples of a recording above which the previous sample is repeated [s], since the
+person did not move."""
 
 
 _PAUSE: Final = 1.5
-"""Gap between samples of a slow recording, in periods, from which the sample before is repeated:
-shorter ones are jitter, and `rtee stream play` makes the hand wait for three periods."""
+"""Gap between samples of a slow recording, in periods, above which the previous sample is repeated:
+shorter gaps are jitter, and with `rtee stream play`, the hand waits for three periods."""
 
 
 class Sink(Protocol):
@@ -54,9 +54,9 @@ class Sink(Protocol):
 def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
     """Return the actions by axis.
 
-    An action comes with its elements, as in ``PinchTight index thumb``. An axis may precede it, as
-    in ``lt=Trig ring``; the others get the next free axes. Raises `ConfigError` if an axis does not
-    exist or is given twice, or there are too few axes.
+    An action includes its elements, as in ``PinchTight index thumb``. An axis may precede it, as in
+    ``lt=Trig ring``; other actions get the next free axes. Raises `ConfigError` if an axis does not
+    exist, an axis or action is given twice, or there are too few axes.
     """
     by_axis: dict[str, str] = {}
     given = [action.partition("=") for action in actions]
@@ -82,16 +82,16 @@ def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
 async def samples_of(
     source: Input, actions: Mapping[str, str], rate: float = RATE
 ) -> AsyncIterator[dict[str, float]]:
-    """Yield targets of an input device, with an action by axis, at a rate [Hz].
+    """Yield the targets of an input device at a rate [Hz]; ``actions`` has the action of each axis.
 
-    Yields nothing until the person moves an axis, so that the hand stays as it is.
+    Yields nothing until the person moves an axis, so that the hand stays as it is until then.
     """
     due = monotonic.now()
     while True:
         moved = source.read()
         if any(axis in moved for axis in actions):
             yield {action: moved.get(axis, 0.0) for axis, action in actions.items()}
-        # After a stall, skip the missed samples, which would come in a burst.
+        # After a stall, skip the missed samples, which would be sent in a burst.
         due = max(due + 1.0 / rate, monotonic.now() - 1.0 / rate)
         await anyio.sleep(max(0.0, due - monotonic.now()))
 
@@ -100,7 +100,7 @@ async def samples_of(
 class Played:
     """A recorded sample: targets and velocities as for `rtee.remote.stream.Stream.send`.
 
-    The time is since the first sample [s].
+    ``time`` is the time since the first sample [s].
     """
 
     time: float
@@ -109,11 +109,11 @@ class Played:
 
 
 def recorded(path: Path) -> list[Played]:
-    """Return the samples in a recording (MCAP, or a folder with it) or in a table (CSV).
+    """Return the samples in a recording (MCAP, or a folder of recordings) or in a table (CSV).
 
     The first line of a table has the names: ``t``, the time [s], and the targets. An empty cell
-    leaves a target out. Takes the newest recording of a folder, and the newest stream of a
-    recording. Raises `LogError` if the file cannot be read or holds no samples.
+    omits a target. Uses the newest recording of a folder, and the newest stream of a recording.
+    Raises `LogError` if the file cannot be read or contains no samples.
     """
     samples = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
     if not samples:
@@ -138,7 +138,7 @@ def _of_table(path: Path) -> list[Played]:
     try:
         if path.stat().st_size > _LONGEST:
             raise LogError(f"is longer than {_LONGEST // 1_000_000} MB", path=path)
-        # Spreadsheets write a byte-order mark, and semicolons where numbers have a comma.
+        # Spreadsheets write a byte-order mark, and semicolons if numbers have a decimal comma.
         with path.open(newline="", encoding="utf-8-sig") as file:
             delimiter = ";" if ";" in file.readline() else ","
             file.seek(0)
@@ -181,13 +181,13 @@ def _number(column: str, cell: str, delimiter: str) -> float:
 
 
 def check_units(samples: Sequence[Played], limits: Mapping[str, tuple[float, float]]) -> None:
-    """Raise `ConfigError` for targets that are meant in another unit, such as degrees.
+    """Raise `ConfigError` if targets are in another unit, such as degrees.
 
-    Applies the hand's own rule early: the hand would refuse them only when in motion.
+    This applies the hand's own rule early: the hand would refuse such targets only during motion.
 
     Args:
         samples: The samples.
-        limits: Lower and upper limit of the actuators [rad | m]; all else is an intensity.
+        limits: Lower and upper limit of the actuators [rad | m]; other targets are intensities.
     """
     for sample in samples:
         for name, value in sample.targets.items():
@@ -202,7 +202,7 @@ def check_units(samples: Sequence[Played], limits: Mapping[str, tuple[float, flo
 
 
 def rate_of(samples: Sequence[Played]) -> float:
-    """Return the rate of recorded samples [Hz], by the median time between them."""
+    """Return the rate of recorded samples [Hz], from the median time between them."""
     steps = sorted(b.time - a.time for a, b in pairwise(samples))
     # The mean would include pauses, in which nothing was sent.
     return 1.0 / steps[len(steps) // 2] if steps else RATE
@@ -211,7 +211,7 @@ def rate_of(samples: Sequence[Played]) -> float:
 async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> None:
     """Send recorded samples when they are due, with their recorded stamps.
 
-    Time passes ``speed`` times as fast; raises `ConfigError` if that is not above 0.
+    Time passes ``speed`` times as fast. Raises `ConfigError` if ``speed`` is not above 0.
     """
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")
@@ -224,9 +224,9 @@ async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> N
         while (left := stamp - monotonic.now()) > 0.0:
             await anyio.sleep(min(left, longest))
             now = monotonic.now()
-            # After a late wake-up, the sample itself is due and must not follow a newer stamp.
+            # After a late wake-up, the next sample itself is due and must not follow a newer stamp.
             if before is not None and left > longest and now < stamp:
-                # The recorded velocity would move the hand on during the pause.
+                # Without velocity, which would keep the hand moving during the pause.
                 await stream.send(before.targets, {}, now)
         velocity = {name: speed * value for name, value in sample.velocity.items()}
         await stream.send(sample.targets, velocity, stamp)

@@ -1,6 +1,6 @@
-"""Input devices: gamepads, through evdev, and the keys of a terminal.
+"""Input devices: gamepads, through evdev, and the keyboard of a terminal.
 
-Both are read without blocking, at the rate of a stream. Axes are 0 (released) to 1.
+Both are read without blocking, at the rate of a stream. Axes range from 0 (released) to 1.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from typing import Any, Final, Protocol, Self
 from rtee.errors import ConfigError, needing_extra
 
 EV_SYN, SYN_DROPPED = 0, 3
-"""Type and code of evdev's event after lost events."""
+"""Type and code of the evdev event that follows lost events."""
 
 EV_KEY: Final = 1
-"""Type of evdev's events of buttons (linux/input-event-codes.h)."""
+"""Type of evdev's button events (linux/input-event-codes.h)."""
 
 EV_ABS: Final = 3
-"""Type of evdev's events of axes."""
+"""Type of evdev's axis events."""
 
 TRIGGERS: Final[Mapping[str, tuple[int, ...]]] = {"rt": (5, 9), "lt": (2, 10)}
-"""Codes of triggers by name: ABS_RZ or ABS_GAS, ABS_Z or ABS_BRAKE."""
+"""Codes of the triggers by name: ABS_RZ or ABS_GAS, and ABS_Z or ABS_BRAKE."""
 
 STICKS: Final[Mapping[str, tuple[int, int]]] = {
     "up": (1, -1),  # evdev's y grows downwards
@@ -34,20 +34,20 @@ STICKS: Final[Mapping[str, tuple[int, int]]] = {
     "right_up": (4, -1),
     "right_right": (3, 1),
 }
-"""Halves of sticks from their centre outwards: code (ABS_Y, ABS_X, ABS_RY, ABS_RX) and sign."""
+"""Directions of the sticks from their centres: code (ABS_Y, ABS_X, ABS_RY, ABS_RX) and sign."""
 
 BUTTONS: Final[Mapping[str, int]] = {"a": 304, "b": 305, "x": 307, "y": 308, "rb": 311, "lb": 310}
 """Buttons by name: BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST, BTN_TR, BTN_TL."""
 
 _DEAD: Final = 0.08
-"""Dead zone of a stick or trigger around its rest, as a share of its range: sticks rarely return to
-exactly the same value."""
+"""Dead zone of a stick or trigger around its released position, as a share of its range: sticks
+rarely return to exactly the same value."""
 
 _STEP: Final = 0.05
 """Change of an axis per key press; a terminal repeats a held key about 30 times per second."""
 
 KEYS: Final = (("q", "a"), ("w", "s"), ("e", "d"), ("r", "f"), ("t", "g"), ("z", "h"))
-"""The keys of each axis: more and less."""
+"""Keys of each axis: the first increases it, the second decreases it."""
 
 
 class Input(Protocol):
@@ -55,17 +55,18 @@ class Input(Protocol):
 
     @property
     def axes(self) -> Sequence[str]:
-        """Names of the axes, in the order of their use."""
+        """Names of the axes, in the order in which actions are assigned to them."""
 
     def read(self) -> Mapping[str, float]:
-        """Return the values of the axes moved so far, 0 to 1, without blocking.
+        """Return the values, 0 to 1, of the axes moved so far, without blocking.
 
-        Raises `OSError` if the device is gone, `KeyboardInterrupt` if the person ends the input.
+        Raises `OSError` if the device is gone, and `KeyboardInterrupt` if the person ends the
+        input.
         """
 
 
 class InputEvent(Protocol):
-    """An event of evdev."""
+    """An evdev event."""
 
     type: int
     code: int
@@ -73,13 +74,13 @@ class InputEvent(Protocol):
 
 
 class EventDevice(Protocol):
-    """A device of input events, such as ``evdev.InputDevice``."""
+    """A source of input events, such as ``evdev.InputDevice``."""
 
     def read(self) -> Iterable[Any]:
         """Return the events since the last call; raise `BlockingIOError` if there are none."""
 
     def absinfo(self, axis_num: int) -> Any:
-        """Return the range of an axis, ``min`` and ``max``, and its present ``value``."""
+        """Return the range of an axis, ``min`` and ``max``, and its current ``value``."""
 
     def active_keys(self) -> Iterable[Any]:
         """Return the codes of the pressed buttons."""
@@ -87,7 +88,7 @@ class EventDevice(Protocol):
 
 @dataclass(slots=True)
 class _AxisEvent:
-    """The present value of an axis, in the form of an event."""
+    """The current value of an axis, in the form of an event."""
 
     type: int
     code: int
@@ -95,7 +96,7 @@ class _AxisEvent:
 
 
 class Gamepad:
-    """A gamepad, read from its input events; its device is opened in non-blocking mode."""
+    """A gamepad, read from its input events; the device must be in non-blocking mode."""
 
     axes: Sequence[str] = (*TRIGGERS, *STICKS, *BUTTONS)
 
@@ -118,7 +119,7 @@ class Gamepad:
         return self._moved
 
     def _look(self) -> None:
-        """Read the present values of all moved axes, since lost events may have released some."""
+        """Read the current values of all moved axes, since lost events may have released some."""
         for code in tuple(self._ranges):
             self._take(_AxisEvent(EV_ABS, code, self._device.absinfo(code).value))
         pressed = set(self._device.active_keys())
@@ -155,7 +156,7 @@ def _beyond_rest(share: float) -> float:
 
 
 def open_gamepad(path: str | None = None) -> Gamepad:
-    """Return the first gamepad, or that of a device such as ``/dev/input/event5``.
+    """Return the first gamepad, or the one at a path such as ``/dev/input/event5``.
 
     Raises `ConfigError` if there is none, or it cannot be read, and `MissingExtra` if evdev is not
     installed.
@@ -168,22 +169,22 @@ def open_gamepad(path: str | None = None) -> Gamepad:
             axes = {axis for axis, _ in device.capabilities().get(EV_ABS, ())}
             # Touchpads and tablets also have axes, but only gamepads have triggers.
             if path or axes.intersection(code for codes in TRIGGERS.values() for code in codes):
-                # Non-blocking, since samples are due while nothing moves, too.
+                # Non-blocking, since samples are also due while nothing moves.
                 os.set_blocking(device.fd, False)
                 return Gamepad(device)
             device.close()
     except OSError as error:
         raise ConfigError(f"the gamepad cannot be read: {error}") from None
     raise ConfigError(
-        "no gamepad can be read here; if one is connected, your user may have to be in the group "
+        "no gamepad can be read here; if one is connected, your user may need to be in the group "
         "'input'"
     )
 
 
 class Keyboard:
-    """Keys of the terminal, pairs of which move up to six axes up and down; use it as a context.
+    """The keyboard of the terminal: pairs of keys move up to six axes; use it as a context.
 
-    Raises `ConfigError` if there are more, or the input is not a terminal.
+    Raises `ConfigError` for more axes, or if the input is not a terminal.
     """
 
     def __init__(self, axes: int) -> None:
@@ -197,7 +198,7 @@ class Keyboard:
         self._moved: dict[str, float] = {}
 
     def __enter__(self) -> Self:
-        """Turn off line mode and echo of the terminal; Ctrl-C still interrupts."""
+        """Turn off the terminal's line mode and echo; Ctrl-C still interrupts."""
         tty.setcbreak(self._file)
         return self
 
@@ -208,7 +209,7 @@ class Keyboard:
         """See `Input.read`."""
         while select.select([self._file], [], [], 0.0)[0]:
             keys = os.read(self._file, 256)
-            # Escape only if it is alone, since the codes of arrow keys begin with it.
+            # Escape only if it is alone, since the codes of arrow keys start with it.
             if not keys or keys == b"\x1b" or b"\x04" in keys:  # closed, Escape or Ctrl-D
                 raise KeyboardInterrupt
             # The bytes may end inside a character; the keys of axes are ASCII.

@@ -41,7 +41,7 @@ def run_trials(
     Raises:
         UserError: if the hand, an action or an object cannot be used, before anything is tried.
         MissingExtra: if the extra ``sim`` is not installed.
-        WorkerLost: if one of the processes was ended from outside.
+        WorkerLost: if something outside killed one of the processes.
     """
     folder = hand_folder(hand)[0]
     library = bench(str(folder)).library

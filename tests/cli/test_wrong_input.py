@@ -244,7 +244,7 @@ def test_words_of_a_command(command: str, refused: Run) -> None:
         ("gui --host 999.999.999.999", "--host 999.999.999.999 is not an IP address"),
         ("gui --port abc", "'abc' is not a whole number; see"),
         ("gui --host=", "--host is empty"),
-        ("gui --host nowhere.invalid", "there is no address of this name"),
+        ("gui --host nowhere.invalid", "cannot find an address for this name"),
         ("gui --host 192.0.2.1 --behind-proxy https://hand", "cannot listen there"),
         ("gui --host 0.0.0.0", "encrypt it with --tls-cert and --tls-key"),
         ("gui --behind-proxy http://hand", "is not an origin"),

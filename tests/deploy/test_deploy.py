@@ -342,7 +342,7 @@ def test_a_driver_of_others_is_not_imported(
     assert [port.path for port in needs.ports] == ["/dev/ttyTHS1"]
     done = rtee("install", hand, "--root", root, "--program", PROGRAM, path=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert "the drivers of gripper are not rtee's" in done.stdout
+    assert "the drivers of gripper are not part of rtee" in done.stdout
     assert "DeviceAllow=char-ttyTHS rw" in text_for(hand, DROP_IN)
     assert not (tmp_path / "ran").exists()
 
@@ -483,7 +483,7 @@ def test_the_doctor_says_that_recordings_are_not_to_be_looked_at(closed: str) ->
         finally:
             os.seteuid(0)
         assert found["recordings"].verdict is Verdict.WARNING
-        assert "cannot be looked at: permission denied" in found["recordings"].text
+        assert "cannot be read: permission denied" in found["recordings"].text
         assert found["recordings"].remedy == "sudo rtee doctor jaw"
         # Whoever may look is told.
         seen = {check.subject: check.verdict for check in check_service(needs, folder)}

@@ -125,7 +125,7 @@ def test_mistakes_are_named() -> None:
         Player("robotiq_2f", tcp=0, can="x")
     with pytest.raises(ConfigError, match="'xbot2' is a server on the network: give --tcp PORT"):
         Player("xbot2", link=Path("there"))
-    with pytest.raises(ConfigError, match="no line at 115200 baud; possible: 921600"):
+    with pytest.raises(ConfigError, match="cannot be set to 115200 baud; possible: 921600"):
         Player("schunk_svh", baudrate=115200)
 
 

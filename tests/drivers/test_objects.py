@@ -36,16 +36,16 @@ def test_an_object_is_a_width_or_a_part_of_the_way(
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("ball", "cannot be read; an object is 0.4"),
+        ("ball", "cannot be read; write 0.4"),
         ("", "cannot be read"),
         (None, "cannot be read"),
         (True, "cannot be read"),
         ("1e999mm", "cannot be read"),
         ("1.2.3", "cannot be read"),
-        ("0.4:0", "stiffness 0.1 to 1e6"),
+        ("0.4:0", "stiffness is 0.1 to 1e6"),
         ("0.4:hard", "cannot be read"),
-        ("-0.1", "0 to 1 of the travel, not -0.1"),
-        (50, "a width has a unit, such as 50mm"),
+        ("-0.1", "0 to 1 of the travel, not at -0.1"),
+        (50, "a width needs a unit, such as 50mm"),
     ],
 )
 def test_what_is_no_object_is_refused(text: object, sentence: str) -> None:

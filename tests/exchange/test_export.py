@@ -280,7 +280,7 @@ def test_limits_that_hand_yaml_gives_a_continuous_joint(tmp_path: Path, limit: s
     assert model.actuator("left").ctrlrange.tolist() == [-0.1, 3.0]
     (folder / "hand.yaml").write_text(own + "limits: {left: {lower: -0.1}}\n")
     notes = export_hand(folder, tmp_path / "half").notes
-    assert any("'left' has one limit" in note for note in notes)
+    assert any("'left' has only one limit" in note for note in notes)
     assert load_model(tmp_path / "half" / "g.urdf").actuator("left").lower == -np.inf
 
 

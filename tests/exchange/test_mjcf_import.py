@@ -232,7 +232,7 @@ def test_a_tendon_that_may_hardly_move_couples_its_joints(tmp_path: Path) -> Non
     assert by == "a_1"
     assert slope == pytest.approx(0.8, abs=1e-6)
     assert offset == pytest.approx(0.02, abs=1e-6)
-    assert "tendon 'crossed' may move by 0.0024 alone" in notes_of(tmp_path / "hand.xml")
+    assert "tendon 'crossed' can move by only 0.0024" in notes_of(tmp_path / "hand.xml")
     # One that only ends the motion couples nothing, and a motor of its own decides.
     made(tmp_path, hand_of(LIMITED.format(range="-0.02 0.02", more="")))
     assert import_mjcf(tmp_path / "hand.xml", tmp_path / "made").passive == ("a_2",)
@@ -400,7 +400,7 @@ def test_a_linkage_of_unequal_sides_follows_a_curve_and_its_limits(tmp_path: Pat
         q = rocker.value(u)
         by_rocker = np.array([0.045 + 0.035 * np.sin(q), 0.005 + 0.035 * np.cos(q)])
         assert by_crank == pytest.approx(by_rocker, abs=1e-6)
-    assert "are its limits" in notes_of(tmp_path / "hand.xml") or hand.lower[0] == pytest.approx(
+    assert "become its limits" in notes_of(tmp_path / "hand.xml") or hand.lower[0] == pytest.approx(
         -2.6
     )
 
@@ -786,7 +786,7 @@ def refused(folder: Path, text: str | bytes) -> ModelError:
     [
         ("", "is not XML", 1),
         ("<mujoco><worldbody></mujoco>", "is not XML", 1),
-        ("<robot name='a'/>", "URDF; give it by --urdf", 1),
+        ("<robot name='a'/>", "URDF (give it with --urdf)", 1),
         ("<sdf/>", "whose root element is <mujoco>", 1),
         ("<mujoco/>", "no joint that a motor could move", None),
         ('<!DOCTYPE m [<!ENTITY a "b">]>\n<mujoco/>', "document type or entities", 1),
@@ -960,7 +960,7 @@ def test_a_hand_is_taken_out_of_a_floating_robot_among_free_objects(tmp_path: Pa
 def test_without_a_root_or_with_an_unknown_one_a_floating_robot_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "scene.xml"
     file.write_text(scene())
-    with pytest.raises(ModelError, match=r"is free; .* by --root"):
+    with pytest.raises(ModelError, match=r"is free; .* with --root"):
         import_mjcf(file, tmp_path)
     with pytest.raises(ModelError, match=r"'plam'.*palm"):
         import_mjcf(file, tmp_path, root="plam")

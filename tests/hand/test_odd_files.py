@@ -150,7 +150,7 @@ def test_a_mesh_that_an_mjcf_lacks_is_told_with_the_places(tmp_path: Path, compi
     with pytest.raises(ModelError) as refused:
         import_mjcf(path, tmp_path)
     message = str(refused.value)
-    assert "(line 3) does not exist; it was searched in" in message
+    assert "(line 3) does not exist; looked in" in message
     assert str(tmp_path) in message
     assert ("assets" in message) == bool(compiler)
     assert ("no meshdir" in message) == (not compiler)

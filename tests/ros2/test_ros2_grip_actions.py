@@ -142,7 +142,7 @@ async def test_what_a_gripper_refuses(
         parallel = await client_of(robot, f"/{NAME}/gripper_cmd", PARALLEL)
         refused = [
             (simple, simple_goal(simple, math.nan), "the position must be a finite number"),
-            (simple, simple_goal(simple, 0.2), "the nearest is 8"),
+            (simple, simple_goal(simple, 0.2), "the widest opening is 8"),
             (simple, simple_goal(simple, 0.03, -1.0), "the effort must be 0"),
             (parallel, parallel_goal(parallel), "takes one position"),
             (
@@ -189,7 +189,7 @@ async def test_a_gripper_as_moveit_and_ros2_control_have_it(
         opened = await (await client.send_goal(simple_goal(client, 0.0))).result(30)
         assert opened.result.position == pytest.approx(0.0, abs=0.02)
         [check] = [c for c in await check_graph(moveit, NAME) if c.subject == "gripper"]
-        assert "the value of a joint, as MoveIt's" in check.text
+        assert "positions are joint values, as from MoveIt" in check.text
         # An object stops it: succeeded, unless it is to be as by default in ros2_control.
         served.driver.place_object("finger_joint", 0.5)
         for allowed, state in ((True, GoalState.SUCCEEDED), (False, GoalState.ABORTED)):

@@ -272,7 +272,7 @@ def test_the_environment_is_read_as_by_rmw(tmp_path: Any) -> None:
         ({"ZENOH_SESSION_CONFIG_URI": str(tmp_path / "none")}, "No such file"),
         ({"ZENOH_CONFIG_OVERRIDE": "mode"}, "PATH/KEY=VALUE"),
         ({"ZENOH_CONFIG_OVERRIDE": "mode=7"}, "not a setting of Zenoh"),
-        ({"ZENOH_CONFIG_OVERRIDE": 'mode="no"'}, "not JSON5, or no value of this setting"),
+        ({"ZENOH_CONFIG_OVERRIDE": 'mode="no"'}, "not JSON5, or not a valid value"),
     ):
         with pytest.raises(ConfigError, match=what):
             configuration(settings, wrong)

@@ -281,9 +281,9 @@ async def test_refused(
             "INVALID_JOINTS: 'near' and 'far' are moved by",
         ),
         (goal([], way), "INVALID_JOINTS: the message names no joints"),
-        (old, "OLD_HEADER_TIMESTAMP: it was over"),
+        (old, "OLD_HEADER_TIMESTAMP: it ended"),
         (goal(["near"], way, way), "INVALID_GOAL: the times of its points"),
-        (goal(["near"], (0.1, [math.nan])), "INVALID_GOAL: nan of 'near'"),
+        (goal(["near"], (0.1, [math.nan])), "INVALID_GOAL: position nan of 'near'"),
         (goal(["near"], (0.1, [0.5, 0.6])), "INVALID_GOAL: each point needs 1 positions"),
         (
             KIND.goal(trajectory=trajectory(["near"], way, velocities=[1.0])),

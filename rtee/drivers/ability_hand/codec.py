@@ -1,7 +1,7 @@
 """The Ability Hand's frames, byte stuffing, replies and touch words; no I/O.
 
 Source: the maker's interface document (API frames over UART or RS-485) and its published client.
-Where the two differ in the order of the touch words, the client is followed. Frames are stuffed:
+The two differ in the order of the touch words; this codec follows the client. Frames are stuffed:
 ``7E``, the frame with ``7E`` and ``7D`` escaped, ``7E``. The checksum is the two's complement of
 the sum of all bytes before it.
 """
@@ -23,17 +23,17 @@ COUNT = len(MOTORS)
 TOUCHING = ("index", "middle", "ring", "pinky", "thumb")
 """The fingers with touch sensors, in the order of the touch words."""
 SITES = 6
-"""Touch sensors of a finger."""
+"""Number of touch sensors per finger."""
 SENSORS = SITES * len(TOUCHING)
 BAUDRATES = (
     460_800, 1200, 38_400, 56_000, 57_600, 76_800, 115_200, 230_400, 250_000, 921_600, 1_000_000,
 )  # fmt: skip
-"""Rates that a hand can be set to [baud], the one from the factory first; those between 1200 and
-38,400 are not published, and above 460,800 only RS-485 works."""
+"""Baud rates of a hand, the factory setting first; those between 1200 and 38,400 are not published,
+and those above 460,800 need RS-485."""
 ADDRESS = 0x50
-"""Address from the factory."""
+"""Factory address."""
 API_TIME = 0.3
-"""Longest silence after which the hand is still in API mode [s]."""
+"""Time without a command after which the hand leaves API mode [s]."""
 
 _FLAG, _ESCAPE, _FLIP = 0x7E, 0x7D, 0x20
 _LEAST = 2
@@ -41,19 +41,19 @@ _LEAST = 2
 VELOCITIES, NO_TOUCH = 2, 3
 """Variants of a reply: 2 has velocities instead of currents; 3 has both, and no touch words."""
 _TOUCH = 45
-"""Bytes of the thirty touch words of 12 bits."""
+"""Bytes of the thirty 12-bit touch words."""
 _WORDS = struct.Struct("<6h")
 _PAIRS = struct.Struct("<12h")
 COUNTS = 32767 / math.radians(150.0)
-"""Counts of a position per radian: full scale is 150 degrees."""
+"""Position counts per radian: full scale is 150 degrees."""
 _RATE = 32767 / math.radians(3000.0)
-"""Counts of a commanded velocity per rad/s: full scale is 3000 degrees per second."""
+"""Counts per rad/s of a commanded velocity: full scale is 3000 degrees per second."""
 _ROTOR = 4.0
-"""Counts of a reported velocity per rad/s of the rotor."""
+"""Counts per rad/s of the rotor in a reported velocity."""
 AMPERE = 620.606
-"""Counts of a current per ampere; the client's value, which depends on the hardware."""
+"""Current counts per ampere: the client's value, which depends on the hardware."""
 DUTY = 3546
-"""Counts of a duty cycle of 100 %."""
+"""Counts of a 100 % duty cycle."""
 GEARS = (649.0,) * 5 + (162.45,)
 """Turns of the rotor per turn of the joint."""
 _TORQUE = 1.49e-3
@@ -93,7 +93,7 @@ def stuffed(frame: bytes) -> bytes:
 
 
 def unstuffed(run: bytes) -> bytes:
-    """Return the frame between two flags; raises `CodecError` after an escape at its end."""
+    """Return the frame between two flags; raises `CodecError` if it ends with an escape byte."""
     if _ESCAPE not in run:
         return run
     out, flip = bytearray(), 0
@@ -112,9 +112,9 @@ class _Parser(Generic[F]):
     """Splits a stuffed stream at its flags; each flag ends a frame and begins the next."""
 
     FRAME: ClassVar[Any]
-    """The frames, with the method ``from_frame``."""
+    """Class of the frames, with a method ``from_frame``."""
     LIMIT = 2 * 72 + 2
-    """Most bytes of a frame on the wire: the longest reply, all of it escaped."""
+    """Largest number of bytes of a frame on the wire: the longest reply with every byte escaped."""
 
     def __init__(self) -> None:
         self._run = bytearray()
@@ -122,7 +122,7 @@ class _Parser(Generic[F]):
 
     @property
     def pending(self) -> int:
-        """Bytes kept because a frame may still be completed."""
+        """Number of bytes received of an incomplete frame."""
         return len(self._run)
 
     def reset(self) -> None:
@@ -160,7 +160,7 @@ class Command:
     """A command of the host.
 
     Attributes:
-        address: Of the hand.
+        address: Address of the hand.
         header: The kind of request.
         words: The six set-points [counts]; empty for headers without set-points.
     """
@@ -178,13 +178,13 @@ class Command:
 
     @classmethod
     def from_frame(cls, frame: bytes) -> Self:
-        """Read it from a frame without its checksum; raises `CodecError`."""
+        """Read a command from a frame without its checksum; raises `CodecError`."""
         if len(frame) < _LEAST:
             raise CodecError(f"a command cannot have {len(frame)} bytes")
         words: tuple[int, ...] = ()
         if frame[1] & 0xF0 in SET_POINTS:
             if len(frame) != 2 + _WORDS.size:
-                raise CodecError(f"{len(frame)} bytes are not set-points")
+                raise CodecError(f"a frame of set-points cannot have {len(frame)} bytes")
             words = _WORDS.unpack_from(frame, 2)
         return cls(frame[0], frame[1], words)
 
@@ -206,7 +206,7 @@ class Reply:
         currents: `AMPERE` per ampere.
         velocities: Four per rad/s of the rotor.
         touch: 12 bits of each of the thirty sensors.
-        limited: Whether the hand limits a motor, for heat or a collision.
+        limited: Whether the hand limits each motor, because of heat or a collision.
     """
 
     variant: int
@@ -218,15 +218,15 @@ class Reply:
 
     @classmethod
     def from_frame(cls, frame: bytes) -> Self:
-        """Read it from a frame without its checksum; raises `CodecError`."""
+        """Read a reply from a frame without its checksum; raises `CodecError`."""
         variant = (frame[0] & 0x0F) + 1 if frame else 0
         with_touch = 1 <= variant < NO_TOUCH
         size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)
-        # The echoed class is documented for positions only, so any is accepted.
+        # The echoed kind of command is documented for positions only, so any kind is accepted.
         if not 1 <= variant <= NO_TOUCH or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
             raise CodecError(f"not the header of a reply: {frame[:1].hex()}")
         if len(frame) != size:
-            raise CodecError(f"{len(frame)} bytes are not a reply of variant {variant}")
+            raise CodecError(f"a reply of variant {variant} cannot have {len(frame)} bytes")
         if frame[-1] & 0xC0:
             raise CodecError(f"not the status of six motors: {frame[-1]:#04x}")
         pairs = _PAIRS.unpack_from(frame, 1)
@@ -287,49 +287,49 @@ def _clipped(value: float) -> int:
 
 
 def angle(counts: int) -> float:
-    """Return a position [rad]."""
+    """Convert the counts of a position to [rad]."""
     return counts / COUNTS
 
 
 def angle_counts(position: float) -> int:
-    """Return the counts of a position [rad], limited to 150 degrees."""
+    """Convert a position [rad] to counts, limited to 150 degrees."""
     return _clipped(position * COUNTS)
 
 
 def velocity(counts: int, motor: int) -> float:
-    """Return the reported velocity of a motor's joint [rad/s]."""
+    """Convert the reported counts of a motor to the velocity of its joint [rad/s]."""
     return counts / _ROTOR / GEARS[motor]
 
 
 def velocity_counts(rate: float, motor: int) -> int:
-    """Return the counts with which a hand reports the velocity of a motor's joint [rad/s]."""
+    """Convert the velocity of a motor's joint [rad/s] to the counts that a hand reports."""
     return _clipped(rate * _ROTOR * GEARS[motor])
 
 
 def rate(counts: int) -> float:
-    """Return a commanded velocity [rad/s]."""
+    """Convert the counts of a commanded velocity to [rad/s]."""
     return counts / _RATE
 
 
 def rate_counts(commanded: float) -> int:
-    """Return the counts of a commanded velocity [rad/s]."""
+    """Convert a commanded velocity [rad/s] to counts."""
     return _clipped(commanded * _RATE)
 
 
 def effort(counts: int, motor: int) -> float:
-    """Return the torque of a motor's joint [N·m] at a current [counts]."""
+    """Convert a current [counts] to the torque of the motor's joint [N·m]."""
     return counts / AMPERE * TORQUES[motor]
 
 
 def effort_counts(torque: float, motor: int) -> int:
-    """Return the current [counts] of a torque of a motor's joint [N·m]."""
+    """Convert the torque of a motor's joint [N·m] to a current [counts]."""
     return _clipped(torque / TORQUES[motor] * AMPERE)
 
 
 _OFFSET = 0.878894
 """Force at zero conductance according to the client's formula [N]; words at rest are above 0."""
 _SLOPE = 121_591.0
-"""Force of a touch sensor by its conductance [N·Ω]."""
+"""Force of a touch sensor per conductance [N·Ω]."""
 _FULL = 4095
 """Largest touch word: twelve bits."""
 _VOLTS = 3.3 / (_FULL + 1)
@@ -344,7 +344,7 @@ _SHORTED = 20_000.0
 def touch_force(word: int) -> float:
     """Return the force on a touch sensor by the client's formula [N].
 
-    It is a placeholder of the maker, not a calibration, and begins at 0.88 N; only the
+    The formula is the maker's placeholder, not a calibration, and starts at 0.88 N. Only the
     difference from a sensor's value at rest indicates a contact.
     """
     volts = word * _VOLTS
@@ -352,7 +352,7 @@ def touch_force(word: int) -> float:
 
 
 def touch_word(force: float) -> int:
-    """Return the 12 bits with which a touch sensor reports a force [N] of `touch_force`."""
+    """Return the 12-bit word that `touch_force` converts to a force [N]."""
     if force <= _OFFSET:
         return 0
     resistance = _SLOPE / (force - _OFFSET)

@@ -1,4 +1,4 @@
-"""The set-points of a command from the targets of the six motors, in each mode. No I/O."""
+"""Computes the set-points of the six motors from their targets, in each mode. No I/O."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from rtee.drivers.ability_hand.codec import COUNT, Header, Reply
 SPEEDS = (8.068,) * 5 + (40.34,)
 """Largest velocities of the joints, from the maker's model [rad/s]."""
 EFFORTS = (6.0,) * 5 + (1.2,)
-"""Largest efforts of the joints, likewise [N·m]."""
+"""Largest efforts of the joints, from the same model [N·m]."""
 _REFERRED = tuple((gear / codec.GEARS[0]) ** 2 for gear in codec.GEARS)
-"""Factors of the gains: equal rotors act through gears of different ratios."""
+"""Factor of the gains of each motor: the rotors are equal, but not their gear ratios."""
 
 
 class MotorControl:
     """Computes the set-points of the six motors; signs are those of the wire.
 
-    In the modes velocity and current, positions are controlled here: by a velocity proportional to
-    the error, or by a torque from error and velocity, both limited. One command sets all six
-    motors, so a motor without a reference stays where it was at the first command.
+    In velocity mode and in current mode, this class controls the positions: it commands a velocity
+    proportional to the error, or a torque from error and velocity, both limited. One command sets
+    all six motors, so a motor without a reference stays where it was at the first command.
 
     Attributes:
         header: Header of the set-points.
         approach: Velocity per position error [1/s].
-        stiffness: Effort of a digit per position error [N·m/rad]; that of the thumb's rotation is
-            smaller by the square of its gear ratio.
-        damping: Effort per velocity, scaled alike [N·m·s/rad].
+        stiffness: Effort of a digit per position error [N·m/rad]; for the thumb's rotation it is
+            reduced by the square of the ratio of the gears.
+        damping: Effort per velocity, scaled in the same way [N·m·s/rad].
         targets: Target of each motor [rad].
     """
 
@@ -84,7 +84,7 @@ class MotorControl:
         for motor, error in enumerate(errors):
             rate = codec.velocity(counts[motor], motor)
             torque = self.stiffness * error + self.damping * (self._feed[motor] - rate)
-            # The limit last, since it applies to the sum of both terms.
+            # Limited at the end, since the limit applies to the sum of both terms.
             torques.append(_within(_REFERRED[motor] * torque, self._efforts[motor]))
         return torques
 

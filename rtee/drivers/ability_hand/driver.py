@@ -92,11 +92,11 @@ def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
 
 
 _LEFT = 1
-"""Code of the fault that the hand has left API mode; the hand itself has no codes."""
+"""Fault code of a hand that has left API mode; the hand itself reports no codes."""
 _JUMP = codec.angle_counts(0.1)
-"""Change of a position that is plausible at any speed [counts]: backlash, and a push."""
+"""Change of a position that is plausible at any speed [counts], from backlash or a push."""
 _FASTEST = tuple(2.0 * codec.COUNTS * speed for speed in SPEEDS)
-"""Largest plausible speed, twice that of the joint [counts/s]: a reply above it is damaged."""
+"""Largest plausible speed [counts/s], twice that of the joint: a reply beyond it is damaged."""
 _MOVED = codec.angle_counts(0.05)
 """Smallest change that counts as a motion of a finger [counts]: 0.05 rad are 3 mm at its tip."""
 _SENT = 17 + 1
@@ -250,9 +250,10 @@ class AbilityHandDriver(Driver):
         return reply
 
     def _plausible(self, reply: codec.Reply, now: float) -> bool:
-        """Return whether no joint moved faster than it can, or the previous reply showed it, too.
+        """Return whether no joint has moved impossibly fast since the previous reply.
 
-        A checksum of one byte does not detect all damage, and the control depends on positions.
+        A one-byte checksum does not detect all damage, and the control depends on the positions. A
+        doubted reply counts as the previous one, so a jump that is reported twice is accepted.
         """
         before = self._doubted or self._reply
         if before is None:
@@ -262,7 +263,7 @@ class AbilityHandDriver(Driver):
         return all(way <= _JUMP + fast * elapsed for way, fast in zip(ways, _FASTEST, strict=True))
 
     async def _check(self) -> None:
-        """Raise `DeviceFault` if the hand left API mode after a silence, and moved by itself since.
+        """Raise `DeviceFault` if the hand left API mode after a silence and has moved by itself.
 
         Its previous set-points would make it jump back.
         """
@@ -365,7 +366,7 @@ class AbilityHandDriver(Driver):
                 await patiently(lambda: self._exchange(codec.Header.DUTY, (0,) * codec.COUNT))
 
     async def recover(self) -> None:
-        """Start again from the measured positions; nothing is sent until a reference asks to."""
+        """Restart from the measured positions; send nothing until a reference asks for motion."""
         with self._pace.relaxed_deadline():
             self._control.hold(await self._read())
         self._in_api = self._moved = self._waiting = False

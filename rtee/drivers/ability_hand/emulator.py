@@ -1,8 +1,8 @@
 """Emulates an Ability Hand on the wire: stuffed frames, API mode with its timeout, touch words.
 
-What differs between hands, or is not known, is a property here: fast mode, whether it has touch
-sensors, and what it does by itself when it leaves API mode. It ignores frames with a wrong checksum
-or for another address.
+Properties set what differs between hands or is not known: fast mode, whether the hand has touch
+sensors, and what it does by itself when it leaves API mode. The hand ignores frames with a wrong
+checksum or for another address.
 """
 
 from __future__ import annotations
@@ -126,15 +126,15 @@ class AbilityHandEmulator(Emulator, Grasps):
         self.rest = wear.touch or self.rest
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the motors of the five digits close."""
+        """Return the closing motions of the five digits' motors."""
         return [
-            # The rotator is left out: it turns the thumb and closes on nothing.
+            # Without the rotator, which turns the thumb and closes on nothing.
             Closing(axis, low, high, effort)
             for axis, (low, high), effort in zip(self.axes[:5], _RANGES, EFFORTS, strict=False)
         ]
 
     def power_cycle(self, now: float) -> None:
-        """Restart under its own control; the fingers stay where they are."""
+        """Restart the hand under its own control; the fingers stay where they are."""
         self.advance(now)
         self.line_reset()
         self.api = False
@@ -199,7 +199,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     def _reply_variant(self, header: int) -> int:
         """Return the variant of the reply to a command."""
         asked = header & 0x0F
-        # A header that selects no variant is answered in the last one.
+        # The reply to a header that selects no variant has the last variant.
         known = header & 0xF0 in (*codec.SET_POINTS, codec.Header.READ) and asked < codec.NO_TOUCH
         before, self._variant = self._variant, asked + 1 if known else self._variant
         return before if self.properties.fast else self._variant
@@ -241,7 +241,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         axis.max_velocity = fastest * self._most[motor] / strongest
 
     def reply(self, variant: int) -> codec.Reply:
-        """Return its measurements, in a variant of the reply."""
+        """Return the measurements as a reply of a variant."""
         currents = tuple(
             round(axis.effort / codec.TORQUES[motor] * codec.AMPERE)
             for motor, axis in enumerate(self.axes)

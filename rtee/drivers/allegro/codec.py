@@ -56,7 +56,7 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 
 @dataclass(frozen=True, slots=True)
 class Periods(Packed):
-    """Periods at which the hand sends data by itself [ms]; 0: never."""
+    """Periods at which the hand sends data unasked [ms]; 0: never."""
 
     WHAT = "periods"
 
@@ -65,7 +65,7 @@ class Periods(Packed):
     temperature: int = part("H", default=0)
 
     def to_frame(self, hand: int = 0) -> CanFrame:
-        """Return the frame that sets them."""
+        """Return the frame that sets these periods."""
         return CanFrame(identifier(Command.SET_PERIOD, hand), self.to_bytes())
 
 
@@ -125,7 +125,7 @@ def pack_counts(values: Sequence[float]) -> bytes:
 def read_counts(data: bytes) -> tuple[int, int, int, int]:
     """Return four joints' counts; raises `CodecError`."""
     if len(data) != _INT16.size:
-        raise CodecError(f"four joints are eight bytes, not {len(data)}")
+        raise CodecError(f"four joints take eight bytes, not {len(data)}")
     first, second, third, fourth = _INT16.unpack(data)
     return first, second, third, fourth
 
@@ -147,11 +147,11 @@ class JointScale:
     period_ms: int
 
     def to_rad(self, count: int) -> float:
-        """Return an angle [rad]."""
+        """Convert a count to an angle [rad]."""
         return count * self.rad_per_count
 
     def to_count(self, angle: float) -> int:
-        """Return the count of an angle [rad]."""
+        """Convert an angle [rad] to a count."""
         return round(angle / self.rad_per_count)
 
 
@@ -165,4 +165,4 @@ LIMITS_PWM: tuple[int, ...] = (375, 675, 450, 285) * 3 + (525, 405, 270, 270)
 """Largest torque of each joint [counts], as the vendor's programs clamp it."""
 
 NAMES: tuple[str, ...] = ("index", "middle", "ring", "thumb")
-"""The fingers in the order of the wire."""
+"""The fingers, in the order of the frames."""

@@ -10,9 +10,9 @@ from rtee.drivers.allegro.codec import FINGERS, JOINTS, LIMITS_PWM, PER_FINGER, 
 _AT_REST = 0.05
 """Largest speed of a reference that counts as at rest [rad/s]."""
 _STILL = 0.2
-"""Largest speed of a joint that is held by friction, or will soon be [rad/s]."""
+"""Largest speed at which friction holds a joint, or soon will [rad/s]."""
 _GAP = 0.1
-"""Longest time between two sets of frames [s]; after a longer one, frames were lost, and neither
+"""Longest time between two sets of frames [s]. A longer one means that frames were lost, so neither
 velocity nor integral can be computed."""
 _CLOSE = 0.002
 """Error below which the integral does not grow [rad], as it would only make the joint oscillate."""
@@ -60,7 +60,7 @@ class JointControl:
         self.stamp = -math.inf
         self.sets = 0
         self._smoothing = smoothing
-        # Nine tenths, so that a set that is only a little early keeps its time stamp.
+        # Nine tenths of the period, so that a set that is only a little early keeps its time stamp.
         self._least = 0.9 * period
         # The frames of a set arrive together: half a period without a frame separates two sets.
         self._pause = 0.5 * period if period else math.inf
@@ -96,7 +96,7 @@ class JointControl:
         """
         pause, self._heard = stamp - self._heard > self._pause, stamp
         if pause and self._fresh and not self._parted:
-            # After a lost frame a set began in the middle of another one, as would all later ones.
+            # After a lost frame, this set and all later ones would begin in the middle of another.
             self._fresh.clear()
         if not self._fresh:
             self._parted = pause
@@ -116,7 +116,7 @@ class JointControl:
             dt = self._least
         self._period = dt if 0.0 < dt < _GAP else 0.0
         if self._period and self.sets:
-            # With the time that has passed, since sets arrive unevenly and some are lost.
+            # Weighted by the elapsed time, since sets arrive unevenly and some are lost.
             share = dt / (dt + self._smoothing)
             for i, angle in enumerate(measured):
                 rate = (angle - self.position[i]) / dt
@@ -140,7 +140,7 @@ class JointControl:
                     self._integral[i] = min(max(grown, -bound), bound)
                 torque = self.kp * error + self.kd * (rate - velocity)
                 torque += self._integral[i]
-                # At the end, since the limit applies to the sum of all terms.
+                # Limited at the end, since the limit applies to the sum of all terms.
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque
             # Rounded towards zero, so as not to exceed the limit.

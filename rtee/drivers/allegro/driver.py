@@ -39,17 +39,17 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 PATIENCE = 6.0
-"""Longest time for an exchange outside the cycle [deadlines]."""
+"""Longest time for an exchange outside the cycle, as a multiple of the deadline."""
 
 OnPositions = Callable[[int, Sequence[int], float], object]
 """Called with a finger's number, the counts of its four joints and their time of arrival [s]."""
 
 
 class AllegroLink:
-    """Talks to one hand; up to four share the bus by their numbers.
+    """Talks to one hand; up to four hands with different numbers can share a bus.
 
     Attributes:
-        hand: The hand's number on it.
+        hand: The hand's number on the bus.
         deadline: Longest time to wait for an answer [s].
     """
 
@@ -82,7 +82,7 @@ class AllegroLink:
         await self.bus.send(codec.order(command, self.hand))
 
     async def set_periods(self, periods: codec.Periods) -> None:
-        """Set the periods at which the hand sends data by itself; raises `BusError`."""
+        """Set the periods at which the hand sends data unasked; raises `BusError`."""
         await self.bus.send(periods.to_frame(self.hand))
 
     def torques(self, counts: Sequence[Sequence[int]]) -> None:
@@ -172,23 +172,23 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
 
 
 _STALE = 0.25
-"""Age of the positions at which they count as lost [s]: more than eighty of the hand's periods."""
+"""Age at which the positions count as lost [s]: more than eighty of the default periods."""
 
 _SERVO_OFF = 0x100
-"""Code of the fault "motors off": the driver's own, above the eight status bits of the hand."""
+"""Code of the driver's own fault "motors off", above the eight status bits of the hand."""
 
 _PAUSE = 0.0005
-"""Pause after switching the motors [s]; the vendor's driver waits 0.1 ms."""
+"""Pause after switching the motors on or off [s]; the vendor's driver waits 0.1 ms."""
 
 
 class AllegroDriver(Driver):
     """An Allegro Hand, version 4 or 5.
 
-    The hand sends its positions by itself every 2 or 3 ms and applies the torques that it received
+    The hand sends its positions unasked every 2 or 3 ms and applies the torques that it received
     last. So the joint control (PD with an integral) runs here, once per set of position frames, in
     the event loop and independent of the cycle of `sense` and `move`: `move` changes its reference,
     `sense` returns its newest measurement. The hand cannot hold anything by itself; without the
-    control it is switched off.
+    control, its motors are off.
 
     Attributes:
         control: The joint control.
@@ -234,7 +234,7 @@ class AllegroDriver(Driver):
 
     async def configure(self) -> None:
         """Open the bus, identify the hand and start its position frames; no torque is sent."""
-        # Opening closes the bus, too, but only this makes a hand that still receives go limp.
+        # `open` closes an open bus, too, but only this makes a hand that still receives go limp.
         await self.close()
         options = self.options
         link = await self.open(
@@ -308,7 +308,7 @@ class AllegroDriver(Driver):
         self._hold()
 
     async def examine(self) -> str:
-        """Raise the fault that the hand reports."""
+        """Raise `DeviceFault` if the hand reports a fault."""
         self._refuse(await self.connection.link.info(patient=True))
         return ""
 
@@ -334,7 +334,7 @@ class AllegroDriver(Driver):
         """Switch the hand off, stop its position frames and detach from the bus."""
         if self.connection.is_open:
             link = self.connection.link
-            # First, so that no more torques are computed from positions that still arrive.
+            # First, so that positions that still arrive cause no more torques.
             link.deafen()
             with contextlib.suppress(BusError):
                 if self._driving:

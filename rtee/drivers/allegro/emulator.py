@@ -1,6 +1,6 @@
 """Emulates an Allegro Hand on a CAN bus: sixteen torque-controlled joints that send positions.
 
-What the hand does when it receives no more torques is not known; here it is a property.
+How a real hand behaves when it receives no more torques is not known; here a property sets it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _SERIALS = {
     (5, False): "V5AR0001",
     (5, True): "V5AL0001",
 }
-"""Serial numbers by version and side (left or not): with the side and, in version 5, the
+"""Serial numbers by version and side (left or not). They contain the side and, in version 5, the
 type, where the vendor's program looks for them."""
 _CLOSED = 1.6
-"""Angle of the flexing joints of a closed finger, for objects [rad]."""
+"""Angle of the flexing joints of a closed finger [rad], for placing objects."""
 _HOT = 90.0
-"""Temperature at which it switches off [°C]; no source gives it."""
+"""Temperature at which the hand switches off [°C]; no source gives it."""
 
 
 class AllegroProperties(Section, frozen=True):
@@ -114,7 +114,7 @@ class AllegroEmulator(Emulator, Grasps):
 
     Attributes:
         joints: Its joints, in the order of the wire.
-        periods: Periods at which it sends data by itself.
+        periods: Periods at which it sends data unasked.
         servo: Whether its motors are on.
         temperature: Temperature [°C].
         frames: Number of frames received, by command.
@@ -143,7 +143,7 @@ class AllegroEmulator(Emulator, Grasps):
         self._off()
 
     def inject(self, fault: str) -> None:
-        """Put a fault into the hand; over-temperature and communication switch it off."""
+        """Inject a fault; over-temperature and communication faults switch the motors off."""
         super().inject(fault)
         if fault in _FAULTS:
             self._fail(_FAULTS[fault])
@@ -158,7 +158,7 @@ class AllegroEmulator(Emulator, Grasps):
             joint.torque = 0.0
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close: with all joints but the first of each, which spreads it."""
+        """Return the closing motions: all joints but the first of each finger, which spreads it."""
         return [
             Closing(joint, 0.0, _CLOSED, _STRONG)
             for number, joint in enumerate(self.joints)
@@ -173,7 +173,7 @@ class AllegroEmulator(Emulator, Grasps):
         if not self.periods.joints or now < self._next or "silent" in self.faults:
             return []
         period = self.periods.joints / 1000.0
-        # From the last due time, to keep the rate; after a pause, without a burst of old frames.
+        # Counted from the last due time, to keep the rate; a pause causes no burst of old frames.
         self._next = max(self._next + period, now)
         return [self._pose(finger) for finger in range(codec.FINGERS)]
 

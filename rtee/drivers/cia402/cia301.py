@@ -24,7 +24,7 @@ NODES = 127
 FULL = 8
 """Data bytes of a full classic CAN frame, such as all SDO and emergency frames."""
 UPLOAD = 0x40
-"""Command of a request to read a value, and of its answer, in the highest three bits."""
+"""Command that reads a value, in the highest three bits of the request and of its answer."""
 DISABLED = 0x8000_0000
 """Bit of a PDO's COB-ID that disables the PDO."""
 
@@ -61,7 +61,7 @@ def heartbeat(node: int, state: NmtState) -> CanFrame:
 def read_heartbeat(data: bytes) -> NmtState:
     """Return the state in a heartbeat; raises `CodecError`."""
     try:
-        # The top bit is no part of the state: it toggles in the older node guarding.
+        # The top bit is not part of the state: it toggles in the older node guarding.
         return NmtState(data[0] & 0x7F)
     except (IndexError, ValueError) as error:
         raise CodecError("this is not a heartbeat") from error
@@ -72,7 +72,7 @@ class Emergency(Packed):
     """An emergency message.
 
     Attributes:
-        code: The error code; 0: the error is over.
+        code: The error code; 0: the error has ended.
         register: The error register.
         vendor: Five manufacturer-specific bytes.
     """
@@ -89,7 +89,7 @@ class Emergency(Packed):
 
 
 class Abort(IntEnum):
-    """The reason why an SDO transfer is refused."""
+    """Abort codes: reasons why a node refuses an SDO transfer."""
 
     UNSUPPORTED = 0x0601_0000
     READ_ONLY = 0x0601_0002
@@ -160,9 +160,9 @@ _VENDOR = 0xFF00
 
 
 def emergency_name(code: int) -> str:
-    """Return an error code in words."""
+    """Return the meaning of an error code in words."""
     if code >= _VENDOR:
-        return "manufacturer's"
+        return "manufacturer-specific"
     return EMERGENCIES.get(code) or _CLASSES.get(code >> 12, "unknown")
 
 
@@ -185,7 +185,7 @@ _REGISTERS: dict[int, ErrorRegister] = {
 
 
 def error_register(code: int) -> int:
-    """Return the error register for an error code; 0 for none."""
+    """Return the error register for an error code; 0 if the code is 0."""
     if not code:
         return 0
     register = ErrorRegister.GENERIC | _REGISTERS.get(code >> 12, ErrorRegister(0))

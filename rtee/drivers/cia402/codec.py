@@ -58,12 +58,12 @@ class Mode(IntEnum):
 
     @property
     def bit(self) -> int:
-        """Its bit in the supported modes."""
+        """Bit of the mode in the supported modes."""
         return 1 << (self - 1)
 
 
 class State(Enum):
-    """States of a drive: mask and value of the statusword."""
+    """States of a drive, each with the mask and the value of its statusword."""
 
     NOT_READY = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)
@@ -126,7 +126,7 @@ def next_control(state: State) -> Control | None:
         State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
         State.READY: Control.SWITCH_ON,
         State.SWITCHED_ON: Control.ENABLE,
-        # Back to the beginning, since not every drive can continue from a quick stop.
+        # Back to the first state, since not every drive can continue from a quick stop.
         State.QUICK_STOP: Control.DISABLE_VOLTAGE,
     }.get(state)
 
@@ -198,7 +198,7 @@ class DriveScale:
 
     Attributes:
         counts: Signed counts per rad or m of the actuator.
-        zero: The drive's position at 0 of the actuator [counts].
+        zero: The drive's position where the actuator is at 0 [counts].
         rated_torque: The motor's rated torque at the actuator [N·m | N]; ``NaN``: not known.
         rated_current: The motor's rated current [A]; ``NaN``: not known.
         velocity_unit: The drive's unit of velocity [counts/s].
@@ -244,7 +244,7 @@ def counts_per_rad(increments: int, turns: int, motor: int, shaft: int) -> float
 
     Args:
         increments: Encoder increments.
-        turns: Motor turns they are counted in.
+        turns: Motor turns in which the encoder counts them.
         motor: Motor turns of the gear.
         shaft: Shaft turns of the gear.
 

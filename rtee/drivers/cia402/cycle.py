@@ -1,4 +1,4 @@
-"""The cycle of CiA 402 drives on one network: set-points and states by process data on SYNC."""
+"""The cycle of CiA 402 drives on one network: SYNC exchanges set-points and states."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ MODES = {"profile_position": Mode.PROFILE_POSITION, "cyclic_position": Mode.CYCL
 """Mode of operation (object 6060h) by the name of the option."""
 
 SET_UP_WITHIN = 10.0
-"""Longest time for the about forty SDO transfers that set up one drive [s]."""
+"""Longest time to set up one drive, in roughly forty SDO transfers [s]."""
 
 _NOT_ENABLED = 0x10002
 _HOMING_FAILED = 0x10003
-"""Codes of the driver's own faults, above the 16 bits of the drives' error codes."""
+"""Codes of the driver's own faults, above the drives' 16-bit error codes."""
 
 _HOMING_PERIOD = 0.005
 """Pause between two SYNCs while a drive homes [s]; homing takes seconds."""
 
 _OLD_STATUS = 0.05
-"""Time after the start of homing in which a drive may still report an earlier one [s]."""
+"""Time after the start of homing in which a drive may still report the previous homing [s]."""
 
 
 class DriveCycle:
@@ -47,7 +47,7 @@ class DriveCycle:
     Attributes:
         bus: The network.
         drives: The drives, in the order of the actuators.
-        mode: Mode of operation that is commanded.
+        mode: Commanded mode of operation.
         operational: Whether the drives have been started, so that they answer SYNC.
     """
 
@@ -74,8 +74,8 @@ class DriveCycle:
         """Send a SYNC and wait for the state of all drives.
 
         Raises:
-            BusTimeout: if one does not answer.
-            NotConnected: if one has restarted.
+            BusTimeout: if a drive does not answer.
+            NotConnected: if a drive has restarted.
         """
         bus, now = self.bus, monotonic.now()
         self._send_heartbeat(now)
@@ -88,7 +88,7 @@ class DriveCycle:
         while True:
             bus.check()
             late = [d.id for d, stamp in zip(self.drives, before, strict=True) if d.stamp <= stamp]
-            # Checked before missing answers, which a restart explains.
+            # Checked before missing answers, since a restart explains those.
             restarted = [d for d in self.drives if d.booted]
             if restarted:
                 raise NotConnected(
@@ -107,7 +107,7 @@ class DriveCycle:
                 raise BusTimeout(bus.name, f"no process data from node {nodes}") from None
 
     def _send_heartbeat(self, now: float) -> None:
-        """Send this program's heartbeat when it is due, four times within the drives' watchdog."""
+        """Send this program's heartbeat when due, four times within the drives' watchdog time."""
         watchdog = self._options.watchdog
         if watchdog > 0.0 and now - self._beat > watchdog / 4.0:
             self._beat = now
@@ -169,7 +169,7 @@ class DriveCycle:
     async def reset_faults(self) -> None:
         """Reset the drives that are in fault; they stay disabled.
 
-        Raises `DeviceFault` if one stays in fault, and `BusError`.
+        Raises `DeviceFault` if a drive stays in fault, and `BusError`.
         """
         end = monotonic.now() + self._options.enable_timeout
         await self.settle()
@@ -177,11 +177,11 @@ class DriveCycle:
             if monotonic.now() > end:
                 raise self._fault(broken[0])
             for drive in broken:
-                # A fault is reset by the rising edge of its bit.
+                # The rising edge of the reset bit resets a fault.
                 edge = drive.controlword == Control.DISABLE_VOLTAGE
                 drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
                 drive.forget()
-            # A lost frame costs one round; only the end of the time is a failure.
+            # A lost frame costs one round; only a timeout of the whole is a failure.
             with contextlib.suppress(BusTimeout):
                 await self.exchange()
         for drive in self.drives:
@@ -195,7 +195,7 @@ class DriveCycle:
     async def enable(self) -> None:
         """Enable all drives at their positions, one transition of their state machine at a time.
 
-        Raises `DeviceFault` if one is in fault, or is not enabled in time, and `BusError`.
+        Raises `DeviceFault` if a drive is in fault or is not enabled in time, and `BusError`.
         """
         end = monotonic.now() + self._options.enable_timeout
         while True:
@@ -205,7 +205,7 @@ class DriveCycle:
                 control = codec.next_control(drive.state)
                 if control is not None:
                     drive.controlword = control
-                # Once enabled, it moves to its target, which must be its position.
+                # An enabled drive moves to its target, so the target must be its position.
                 drive.assume(drive.position)
             if not disabled:
                 return
@@ -222,10 +222,10 @@ class DriveCycle:
                 await self.exchange()
 
     async def home(self, drive: DriveLink) -> None:
-        """Home one enabled drive; cancelling disables it.
+        """Home one enabled drive; disable it on cancellation or an error.
 
         Raises:
-            DeviceFault: if it reports a fault, a homing error, or takes too long.
+            DeviceFault: if it reports a fault or a homing error, or takes too long.
             BusError: if the network fails.
         """
         mode, method = self.mode, drive.options.homing_method or 0
@@ -254,7 +254,7 @@ class DriveCycle:
         while True:
             if drive.status is not None and drive.status.mode == Mode.HOMING:
                 begun = min(begun, monotonic.now())
-            # Homing begins with the rising edge of its bit, which counts only in homing mode.
+            # The rising edge of the start bit begins homing, but only in homing mode.
             started = math.isfinite(begun)
             drive.controlword = Control.ENABLE | (codec.HOMING_START if started else 0)
             with contextlib.suppress(BusTimeout):
@@ -272,6 +272,6 @@ class DriveCycle:
                     self._device,
                     _HOMING_FAILED,
                     f"homing failed: {drive.name}",
-                    hint="free it; `rtee recover` homes again",
+                    hint="free it, then `rtee recover` homes it again",
                 )
             await asyncio.sleep(_HOMING_PERIOD)

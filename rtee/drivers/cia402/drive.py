@@ -22,7 +22,7 @@ _SYNCHRONOUS = 1
 """Transmission type of a PDO that is sent or applied with every SYNC (CiA 301)."""
 
 _TRIES = 3
-"""Attempts of an SDO transfer: a frame may be lost, or this computer busy for a moment."""
+"""Attempts per SDO transfer: a frame may be lost, or this computer may be busy for a moment."""
 
 _LATE = 0.01
 """Pause before the next attempt [s], in which a late answer still arrives and is dropped."""
@@ -41,11 +41,11 @@ class DriveLink:
         stamp: When the status arrived [s].
         nmt: Its newest NMT state.
         booted: Whether it has restarted since this was last set to ``False``.
-        emergency: Its newest emergency that is not over.
+        emergency: Its newest emergency that has not ended.
         controlword: The controlword to send next.
         target: The target position to send next [counts].
         pending: Whether the drive has not acknowledged the last set-point yet.
-        found_target: Target found at set-up [counts]; ``None``: it cannot be read.
+        found_target: Target before set-up [counts]; ``None``: the drive does not return it.
         limits: The limits that were sent last.
     """
 
@@ -87,9 +87,9 @@ class DriveLink:
     # --- SDO -----------------------------------------------------------------------------------
 
     def attach(self, timeout: float, notify: Callable[[], None]) -> None:
-        """Begin to listen to it; ``notify`` is called when it reports its status or a restart.
+        """Listen to the drive; call ``notify`` when it reports its status or a restart.
 
-        An SDO transfer may take ``timeout`` [s].
+        An SDO transfer may take up to ``timeout`` [s].
         """
         import canopen
 
@@ -117,20 +117,20 @@ class DriveLink:
             self._remote = None
 
     def upload(self, index: int, subindex: int = 0) -> bytes:
-        """Read an object; in the worker thread.
+        """Read an object, in the worker thread.
 
         Raises:
             DriverError: if the drive refuses.
-            BusTimeout: if it does not answer any attempt.
+            BusTimeout: if the drive answers no attempt.
         """
         return bytes(self._transfer(lambda: self._remote.sdo.upload(index, subindex), index))
 
     def download(
         self, index: int, subindex: int, form: str, value: int, *, tries: int = _TRIES
     ) -> None:
-        """Write an object, with at most ``tries`` attempts; in the worker thread.
+        """Write an object with at most ``tries`` attempts, in the worker thread.
 
-        Raises as `upload`.
+        Raises the errors of `upload`.
         """
         data = struct.pack(f"<{form}", value)
         self._transfer(lambda: self._remote.sdo.download(index, subindex, data), index, tries)
@@ -160,7 +160,7 @@ class DriveLink:
             raise BusBroken(self.bus.name, f"cannot send: {error}") from error
 
     def number(self, index: int, subindex: int = 0, *, default: int | None = None) -> int:
-        """Read an object as an unsigned integer; for a missing one return the default, if given."""
+        """Read an object as an unsigned integer; a missing one returns ``default``, if given."""
         try:
             return int.from_bytes(self.upload(index, subindex), "little")
         except DriverError:
@@ -178,7 +178,7 @@ class DriveLink:
     def set_up(
         self, mode: Mode, *, watch: tuple[int, float, int], beat: float, period: float
     ) -> None:
-        """Set up heartbeats and process data, while it is pre-operational; in the worker thread.
+        """Set up heartbeats and process data of a pre-operational drive, in the worker thread.
 
         Args:
             mode: Mode of operation.
@@ -194,7 +194,7 @@ class DriveLink:
         except DriverError:
             self.found_target = None
         self.download(Object.PRODUCER_HEARTBEAT, 0, "H", max(1, round(beat * 1000.0)))
-        # CiA 301, object 1016h: node id and time [ms] in one value; 0 ends the watch.
+        # CiA 301, object 1016h: node id and time [ms] in one value; 0 stops the monitoring.
         limit = host << 16 | round(silence * 1000.0) if silence > 0.0 else 0
         self.download(Object.CONSUMER_HEARTBEAT, 1, "I", limit)
         if silence > 0.0:
@@ -229,10 +229,10 @@ class DriveLink:
             self.limits = limits
 
     def send_command(self, mode: Mode) -> None:
-        """Send controlword, target and mode; in profile mode with the handshake of a set-point.
+        """Send controlword, target and mode; in profile mode, with the set-point handshake.
 
-        The drive accepts a set-point on the rising edge of its bit and acknowledges it; after the
-        bit and the acknowledgement are cleared, the next set-point may follow.
+        The drive accepts a set-point on the rising edge of the new-set-point bit and acknowledges
+        it. The next set-point may follow once bit and acknowledgement are cleared.
         """
         word = self.controlword
         if mode is Mode.PROFILE_POSITION and self.state is State.ENABLED:
@@ -252,7 +252,7 @@ class DriveLink:
         self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
 
     def acknowledged(self, mode: Mode) -> bool:
-        """Return whether the drive has acknowledged the target, where it acknowledges targets."""
+        """Return whether the drive has acknowledged the target; true if it acknowledges none."""
         if mode is not Mode.PROFILE_POSITION or self.state is not State.ENABLED:
             return True
         return not self.pending and self._sent_target == self.target
@@ -264,7 +264,7 @@ class DriveLink:
         self.limits = None
 
     def assume(self, counts: int) -> None:
-        """Set the target to a position that the drive already has, so that it is not sent."""
+        """Set the target to the drive's present position or target, so that it is not sent."""
         self.target = counts
         self._sent_target = counts
         self.pending = False
@@ -307,5 +307,5 @@ class DriveLink:
             emergency = Emergency.from_bytes(frame.data)
         except CodecError:
             return
-        # Code 0 means that the error is over.
+        # Code 0 means that the error has ended.
         self.emergency = emergency if emergency.code else None

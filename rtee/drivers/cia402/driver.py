@@ -1,4 +1,4 @@
-"""Drives grippers with CiA 402 drives: process data on SYNC, one cycle for all drives."""
+"""Drives grippers that consist of CiA 402 drives; one SYNC per cycle serves all drives."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from rtee.types import DeviceSpec, JointKind, Reference
 def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[str, str]:
     """Check a node and read its units; return its name and its serial number.
 
-    In the worker thread; writes nothing. Device and channel are named in messages.
+    Runs in the worker thread and writes nothing. Messages name the device and the channel.
 
     Raises:
-        NotConnected: if it does not answer.
+        NotConnected: if the node does not answer.
         HandshakeError: if it is another device, or does not support the mode of operation.
         BusError: if the bus fails.
     """
@@ -75,7 +75,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
 
 
 def read_scale(drive: DriveLink, device: str) -> DriveScale:
-    """Return a drive's units from its options or its objects; in the worker thread.
+    """Return a drive's units from its options or its objects, in the worker thread.
 
     Raises `HandshakeError` if its objects are inconsistent, and `BusError`.
     """
@@ -106,28 +106,29 @@ def read_scale(drive: DriveLink, device: str) -> DriveScale:
 
 
 _DISARM_WITHIN = 0.5
-"""Longest time to disarm the drives' watch over this program when closing [s]."""
+"""Longest time, when closing, to stop the drives from watching this program [s]."""
 
 _NOT_HOMED = 0x10001
-"""Code of the fault that a drive is not homed; a code of the driver's own."""
+"""Code of the driver's own fault that a drive is not homed."""
 
 _HANDSHAKES = 10
-"""Number of cycles in which a drive acknowledges two set-points, even if frames are lost."""
+"""Number of cycles for a drive to acknowledge two set-points, even if frames are lost."""
 
 _FRAME_BITS = 135.0
 _SYNC_BITS = 52.0
 """Bits on the wire of a frame of eight bytes and of a SYNC, with maximal stuffing (CAN 2.0A)."""
 
 _SPACING = 1.2
-"""Factor for the pauses between frames: drives answer a SYNC one after the other."""
+"""Factor for the pauses between frames, since drives answer a SYNC one after the other."""
 
 
 class Cia402Driver(Driver):
     """CiA 402 drives on one CANopen network.
 
     A cycle is one SYNC: it makes all drives apply the set-points sent before and answer with their
-    state. Heartbeats go in both directions: those of the drives show a restart, ours arms their
-    reaction to a silent host. A drive that is already enabled stays enabled and keeps its target.
+    state. Heartbeats go both ways: those of the drives show a restart, that of this program arms
+    their reaction to a silent host. A drive that is already enabled stays enabled and keeps its
+    target.
     """
 
     Options = Cia402Options
@@ -156,7 +157,7 @@ class Cia402Driver(Driver):
 
     async def configure(self) -> None:
         """Open the network, identify the drives, set up their process data; enables nothing."""
-        # Not left to `open`: the old drives' subscriptions have to end, too.
+        # `open` is not enough: the subscriptions of the old links must end, too.
         await self.close()
         options = self.options
         cycle = await self.open(
@@ -211,7 +212,7 @@ class Cia402Driver(Driver):
             # They have answered SDO, so supply, wiring and bit rate are right.
             raise self.stranger(
                 "process data after each SYNC",
-                f"{error.message}, though SDO is answered",
+                f"{error.message}, although the drives answer SDO",
                 hint="its PDOs must support transmission type 1, and no other master may stop it",
             ) from error
         for drive in cycle.drives:
@@ -235,7 +236,7 @@ class Cia402Driver(Driver):
     # --- enabling ----------------------------------------------------------------------------
 
     async def activate(self) -> None:
-        """Enable the drives at their positions; homes them if that is needed and allowed."""
+        """Enable the drives at their positions, and home them if needed and allowed."""
         cycle = self.connection.link
         await cycle.settle()
         unhomed = self._unhomed(cycle)
@@ -243,7 +244,7 @@ class Cia402Driver(Driver):
             raise self.fault(
                 _NOT_HOMED,
                 f"not homed: {', '.join(d.name for d in unhomed)}",
-                hint="`rtee recover`, or `rtee run --home`, homes it, which moves it",
+                hint="`rtee recover` or `rtee run --home` homes it, which moves it",
             )
         # Before enabling, since drives that are enabled already keep their target.
         holding = [d.state is State.ENABLED for d in cycle.drives]
@@ -271,7 +272,7 @@ class Cia402Driver(Driver):
         ]
 
     async def examine(self) -> str:
-        """Return the drives that are not homed; raises a fault that one reports."""
+        """Return which drives are not homed; raises `DeviceFault` if a drive is in fault."""
         cycle = self.connection.link
         await cycle.settle()
         cycle.check_faults()
@@ -304,14 +305,14 @@ class Cia402Driver(Driver):
             velocity=[d.scale.to_velocity(d.motion.velocity) for d in drives],
             effort=[d.scale.to_effort(d.motion.torque) for d in drives],
             warnings=tuple(
-                f"node {d.id} ({d.name}) warns"
+                f"node {d.id} ({d.name}) reports a warning"
                 for d in drives
                 if d.status is not None and d.status.statusword & StatusBit.WARNING
             ),
         )
 
     async def move(self, reference: Reference) -> None:
-        """Send limits that have changed, then set-points; they apply from the next SYNC on."""
+        """Send changed limits, then set-points; they take effect with the next SYNC."""
         cycle = self.connection.link
         left: Collection[int] = ()
         if self._attached:
@@ -326,7 +327,7 @@ class Cia402Driver(Driver):
             drive.send_command(cycle.mode)
 
     def _limits(self, i: int, drive: DriveLink, reference: Reference) -> Limits:
-        """Return the limits of a reference for a drive, in its units."""
+        """Return the limits of a reference in a drive's units."""
         effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
         torque = self.options.max_torque
         if math.isfinite(effort) and math.isfinite(drive.scale.rated_torque):
@@ -342,7 +343,7 @@ class Cia402Driver(Driver):
         """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
-            # A SYNC first, which brings the positions to hold up to date.
+            # A SYNC first, so that the positions to hold are up to date.
             await patiently(cycle.synchronise)
             self._attached.begin()
             for drive in cycle.drives:
@@ -357,7 +358,7 @@ class Cia402Driver(Driver):
                     break
 
     async def disable(self) -> None:
-        """Disable the motors' voltage; they go limp if their gears allow it."""
+        """Disable the motors' voltage; they go limp if their gears can be back-driven."""
         self._active = False
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
@@ -369,19 +370,19 @@ class Cia402Driver(Driver):
         """Reset faults; the drives stay disabled until `activate`."""
         self._active = False
         await self.connection.link.reset_faults()
-        # By asking for recovery the user agrees to the motion of homing.
+        # By asking for recovery, the user agrees to the motion of homing.
         self._home_asked = True
 
 
 def _disarm(cycle: DriveCycle) -> None:
-    """Stop the drives from watching this program's heartbeat; in the worker thread."""
+    """Stop the drives from watching this program's heartbeat, in the worker thread."""
     for drive in cycle.drives:
         # One attempt: closing must not wait long for a drive that is gone.
         drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0, tries=1)
 
 
 def _check_prismatic(spec: DeviceSpec, options: Cia402Options) -> None:
-    """Raise `ConfigError` where a prismatic actuator's node has no counts per metre."""
+    """Raise `ConfigError` if the node of a prismatic actuator has no counts per metre."""
     for actuator in spec.actuators:
         prismatic = actuator.kind is JointKind.PRISMATIC
         if prismatic and options.nodes[actuator.name].counts is None:

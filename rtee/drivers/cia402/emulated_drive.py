@@ -1,7 +1,7 @@
 """One emulated CiA 402 drive: its objects, its states, its motor.
 
-How a real drive reacts to lost heartbeats, halts and faults depends on its make; here the reactions
-are those selected by its objects (6007, 605E), as far as they are modelled.
+How a real drive reacts to a lost heartbeat, a halt or a fault depends on its make. Here object 6007
+selects the reaction to a lost heartbeat; a halt holds the position, and a fault disables the motor.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
 """Emulated homing methods (object 6098h)."""
 
 
-# The next state by the present one and the low four bits of the controlword.
+# The next state, by the present state and the low four bits of the controlword.
 _TRANSITIONS = {
     (codec.State.SWITCH_ON_DISABLED, 0x06): codec.State.READY,
     (codec.State.READY, 0x07): codec.State.SWITCHED_ON,
@@ -38,9 +38,9 @@ _TRANSITIONS = {
 _LOST_HOST = 0x8130
 """Error code of a missing host heartbeat."""
 _VENDOR = 0xFF
-"""Vendor id, of nobody in particular."""
+"""Vendor id; arbitrary."""
 _RATED_CURRENT = 1000
-"""Rated current [mA], of no motor in particular."""
+"""Rated current [mA]; arbitrary."""
 RATED = 1000.0
 """The rated torque in the drives' unit of torque [0.1 %]."""
 
@@ -102,7 +102,7 @@ class Drive:
         node: Its CANopen side.
         axis: Its motor [counts]; effort in 0.1 % of the rated torque.
         zero: Position at which its counter is 0 [counts of the axis]; set by homing.
-        cause: Error code whose cause persists, so that it comes back after a reset; 0: none.
+        cause: Error code whose cause persists, so that the fault returns after a reset; 0: none.
     """
 
     def __init__(self, number: int, properties: DriveProperties) -> None:
@@ -249,7 +249,7 @@ class Drive:
         self._aim(self.axis.position)
 
     def _aim(self, goal: float) -> None:
-        """Set the goal [counts of the axis], which is followed unless halted."""
+        """Set the goal [counts of the axis], which the axis follows unless halted."""
         self._goal = goal
         if not self._halted:
             self.axis.target = goal
@@ -266,7 +266,7 @@ class Drive:
         if mode == codec.Mode.PROFILE_POSITION:
             if rising:
                 target = float(self.node.get(Object.TARGET_POSITION, signed=True))
-                # A relative target is relative to the previous target, not to the position.
+                # A relative target adds to the previous target, not to the position.
                 self._aim(target + (self._goal if word & codec.RELATIVE else self.zero))
                 self._acknowledged = True
             elif not word & codec.NEW_SET_POINT:
@@ -314,7 +314,7 @@ class Drive:
             self._aim(leg.end)
 
     def fail(self, code: int) -> None:
-        """Go into fault, with an emergency message."""
+        """Enter the fault state and send an emergency message."""
         register = cia301.error_register(code)
         self.node.set(Object.ERROR_CODE, code)
         self.node.set(Object.ERROR_REGISTER, register)

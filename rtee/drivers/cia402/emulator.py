@@ -17,7 +17,7 @@ from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
 from rtee.drivers.objects import Closing, Grasps
 
 _CODES = {"overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611}
-"""Error codes of the faults of the first drive."""
+"""Error codes of the faults that the first drive can have."""
 
 
 class Cia402Emulator(Emulator, Grasps):
@@ -28,7 +28,7 @@ class Cia402Emulator(Emulator, Grasps):
     """
 
     PROPERTIES = DriveProperties
-    # The encoder of a drive sits on its motor and is homed: it sees neither play nor an offset.
+    # The encoder of a drive is on its motor and is homed: it sees neither backlash nor an offset.
     WEAR = structs.replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
     FAULTS = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
@@ -54,7 +54,7 @@ class Cia402Emulator(Emulator, Grasps):
                 drive.zero = 0.0
 
     def inject(self, fault: str) -> None:
-        """Put a fault into the first drive (drive faults) or all (the rest)."""
+        """Inject a fault: a drive fault into the first drive, any other into all drives."""
         super().inject(fault)
         code = _CODES.get(fault)
         if code is not None:
@@ -69,7 +69,7 @@ class Cia402Emulator(Emulator, Grasps):
             drive.cause = 0
 
     def on_faults(self) -> None:
-        """Block drives that are stuck, silence them if injected, and set their type."""
+        """Apply the injected faults: block or silence the drives, and set their device type."""
         for drive in self.drives.values():
             drive.axis.stuck = "stuck" in self.faults
             drive.node.inhibited = "silent" in self.faults
@@ -82,7 +82,7 @@ class Cia402Emulator(Emulator, Grasps):
         return [drive.axis for drive in self.drives.values()]
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the drives close."""
+        """Return the closing motions of the drives."""
         closed = self.properties.closed
         return [Closing(d.axis, 0.0, closed, RATED) for d in self.drives.values()]
 
@@ -102,7 +102,7 @@ class Cia402Emulator(Emulator, Grasps):
         frames = self.step(now)
         if frame.id == cia301.SYNC and not frame.data and not frame.remote:
             for drive in self.drives.values():
-                # Makers differ: an answer shows the state before or after the set-point.
+                # Makes differ: an answer shows the state before or after the set-point.
                 before = drive.node.transmit()
                 drive.node.sync()
                 drive.cycle()

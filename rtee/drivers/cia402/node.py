@@ -35,16 +35,16 @@ class ObjectEntry:
 
 
 class _SdoServer(SdoServer):
-    """The server of a node's objects: one answer to each request."""
+    """The SDO server of a node's objects, with one answer to each request."""
 
     def __init__(self, node: EmulatedNode) -> None:
         super().__init__(cia301.SDO_REQUEST, cia301.SDO_ANSWER, node)  # type: ignore[no-untyped-call]
-        # State after a transfer, so that a segment request without a transfer is answered.
+        # As after a transfer, so that a segment request without a transfer gets an answer.
         self._index = self._subindex = 0
         self._buffer = bytearray()
 
     def answered(self, request: bytes) -> bytes:
-        """Return the answer to a request; empty if it has none."""
+        """Return the answer to a request; empty if there is none."""
         self._answer = b""
         self.on_request(self.rx_cobid, request, None)  # type: ignore[no-untyped-call]
         return self._answer
@@ -83,7 +83,7 @@ class EmulatedNode:
         self._server = _SdoServer(self)
 
     def add(self, index: int, subindex: int, form: str, value: int, **access: object) -> None:
-        """Add a value of a struct format."""
+        """Add an object with a value, packed in the struct format ``form``."""
         self.objects[index, subindex] = ObjectEntry(struct.pack(f"<{form}", value), **access)  # type: ignore[arg-type]
 
     def get(self, index: int, subindex: int = 0, *, signed: bool = False) -> int:
@@ -123,13 +123,13 @@ class EmulatedNode:
 
     def _while_empty(self, index: int) -> Callable[[int], cia301.Abort | None]:
         def check(mapped: int) -> cia301.Abort | None:
-            # An active mapping was checked when its count was set (CiA 301, 7.5.2.36).
+            # An active mapping must not change: it was checked with its count (CiA 301, 7.5.2.36).
             return cia301.Abort.UNSUPPORTED if self.get(index, 0) else None
 
         return check
 
     def watch_anew(self, value: int) -> cia301.Abort | None:
-        """Watch the host from its next heartbeat on; called when the watch is configured."""
+        """Watch the host from its next heartbeat on; runs when a host configures the watch."""
         self._host_at = None
         return None
 
@@ -197,7 +197,7 @@ class EmulatedNode:
     # --- SDO -----------------------------------------------------------------------------------
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
-        """Return the bytes of a value to the SDO server; raises `SdoAbortedError`."""
+        """Return the bytes of a value for the SDO server; raises `SdoAbortedError`."""
         return self._entry(index, subindex).value
 
     def set_data(

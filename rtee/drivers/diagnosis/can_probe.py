@@ -1,4 +1,4 @@
-"""The probe for the nodes of a CAN bus; it moves nothing."""
+"""Probes a CAN bus for nodes; moves nothing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HAND_INFO = 7
 _DEVICE_TYPE = 0x1000, 0
 """Object and subindex of the device type, which every CANopen node has (CiA 301)."""
 _DRIVES = 402
-"""Number of the device profile of drives (CiA 402)."""
+"""Device profile number of drives (CiA 402)."""
 
 
 def can(interface: str, bitrate: int) -> Probe:
@@ -37,7 +37,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     device_type = cia301.Sdo.upload(*_DEVICE_TYPE).to_bytes()
 
     def hear(frame: CanFrame) -> None:
-        if not frame.remote:  # some interfaces echo what was sent
+        if not frame.remote:  # some interfaces echo sent frames
             heard.setdefault(frame.id, frame.data)
             # All answers of a LinkerHand have the same id, so only code and length differ.
             forms.add((frame.id, frame.data[:1], len(frame.data)))
@@ -53,7 +53,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
             await bus.send(CanFrame(cia301.SDO_REQUEST + node, device_type))
             # One request per millisecond, so that buffers do not overflow on a slow bus.
             await asyncio.sleep(0.001)
-        # Long enough for a heartbeat of nodes that send nothing else.
+        # Long enough to receive a heartbeat of nodes that send nothing else.
         await asyncio.sleep(0.6)
     finally:
         undo()

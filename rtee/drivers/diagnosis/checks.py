@@ -1,4 +1,4 @@
-"""One line of a diagnosis."""
+"""The checks of a diagnosis and their results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check: its subject, its result, and the remedy.
+    """A check with its result and the remedy: one line of a diagnosis.
 
     Attributes:
         subject: The subject of the check.
@@ -32,15 +32,15 @@ class Check:
 
 
 def ok(subject: str, text: str) -> Check:
-    """Return a check that ended well."""
+    """Return a check that passed."""
     return Check(subject, Verdict.OK, text)
 
 
 def warning(subject: str, text: str, remedy: str) -> Check:
-    """Return a check that found something to improve."""
+    """Return a check that found something to improve, with the remedy."""
     return Check(subject, Verdict.WARNING, text, remedy)
 
 
 def wrong(subject: str, text: str, remedy: str) -> Check:
-    """Return a check that found why the device cannot work."""
+    """Return a check that failed, with the remedy: the device cannot work."""
     return Check(subject, Verdict.WRONG, text, remedy)

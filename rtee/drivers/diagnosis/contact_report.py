@@ -24,7 +24,7 @@ class ContactQuestion:
     Attributes:
         topic: Its subject.
         text: The question.
-        kind: ``yes`` (y or n), ``number`` or ``enter``; a number may be left out by Enter.
+        kind: ``yes`` (y or n), ``number`` (Enter skips it) or ``enter``.
         actuator: The actuator concerned; empty: the device.
         unit: Unit of a number.
     """
@@ -38,10 +38,10 @@ class ContactQuestion:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Findings of one step.
+    """A finding of one step.
 
     Attributes:
-        topic: The topic of the assumptions that it speaks of.
+        topic: Topic of the assumptions that it concerns.
         verdict: Whether it confirms or refutes them.
         text: What was found, in words.
         actuator: The actuator; empty: the device.
@@ -59,7 +59,7 @@ class Sample:
 
     Attributes:
         stamp: Time, CLOCK_MONOTONIC [s].
-        step: The step that was under way.
+        step: The step in progress.
         state: What was measured.
         reference: Positions commanded; empty: none.
     """

@@ -31,9 +31,9 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec
 
 _HOT = 60.0
-"""Temperature from which a hand should rest [°C]: most devices switch off at 70 to 80."""
+"""Temperature above which a hand should rest [°C]: most devices switch off at 70 to 80."""
 _CAN_RATE = 1_000_000
-"""Bit rate of the CAN bus of devices without an option for it [bit/s]."""
+"""CAN bit rate of devices that have no option for it [bit/s]."""
 
 
 def address_of(options: Mapping[str, Any]) -> str | None:
@@ -48,7 +48,7 @@ def address_of(options: Mapping[str, Any]) -> str | None:
 
 
 def _search(options: Mapping[str, Any]) -> ScanPlan | None:
-    """Return how to search for another device there, ``None`` if that is impossible."""
+    """Return the plan of a search at the device's address; ``None`` if a search is impossible."""
     address = address_of(options)
     if address is not None:
         network = address.startswith("tcp://")
@@ -117,7 +117,7 @@ async def _connected(driver: Driver, pool: BusPool, plan: ScanPlan | None) -> li
     except DriverError as error:
         return [wrong("answer", error.message, error.hint or "see the driver's page")]
     except RteeError as error:
-        return [wrong("bus", str(error), "is it plugged in, and the address right?")]
+        return [wrong("bus", str(error), "is it plugged in, and is the address right?")]
     found = [ok("answer", "it answers"), _identity(driver)]
     try:
         state = await patiently(driver.sense)
@@ -146,7 +146,7 @@ async def _fit(driver: Driver) -> Check:
 
 
 async def _elsewhere(driver: Driver, pool: BusPool, plan: ScanPlan) -> str:
-    """Search for other devices at the address, and return how to reach them, in words."""
+    """Search for other devices at the address; return in words how to reach them."""
     # The scan has to open the same port.
     await driver.close()
     [result] = await scan([plan], pool)
@@ -155,13 +155,13 @@ async def _elsewhere(driver: Driver, pool: BusPool, plan: ScanPlan) -> str:
     if not result.found:
         where = " at this bit rate" if plan.probes[0].name == "CAN" else ""
         where = where or ("" if "://" in plan.address else " at any rate")
-        return f"nobody answers there{where}: check the supply and the wiring"
+        return f"no device answers there{where}: check the supply and the wiring"
     names = ", ".join(device.what for device in result.found)
     first = result.found[0]
     settings = ", ".join(
         f"{k}: {v}" for k, v in first.options.items() if k not in ("port", "channel", "interface")
     )
-    return f"there is {names}; set driver: {first.driver or '?'}, {settings or 'as it is'}"
+    return f"found {names} there; set driver: {first.driver or '?'}, {settings or 'nothing else'}"
 
 
 def _identity(driver: Driver) -> Check:
@@ -201,7 +201,7 @@ def _rate(driver: Driver) -> Check:
     if math.isinf(best):
         return ok("rate", "as fast as the loop")
     asked = driver.spec.rate / every if every else 0.0
-    # A thousandth more, as rounding is not a reason for a warning.
+    # With a margin of 0.1 %, so that rounding does not cause a warning.
     if asked > best * 1.001:
         return warning(
             "rate",
@@ -224,6 +224,6 @@ def _wire(driver: Driver) -> Check:
         return warning(
             "wire",
             f"{errors} of {counters.get('transactions', 0)} transactions had to be repeated",
-            "check cable, shield, termination and distance to motors' cables",
+            "check cable, shield, termination and the distance to motor cables",
         )
     return ok("wire", f"{counters.get('transactions', 0)} transactions without an error")

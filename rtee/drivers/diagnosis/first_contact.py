@@ -1,7 +1,7 @@
 """The first hour with a real device: compare what a person sees with what the driver reports.
 
-Each step is small and announces what it does. Its findings confirm or refute assumptions on the
-device's page; the report can be sent to the project.
+Each step is small and announces its action. Its findings confirm or refute assumptions on the
+device's page; the person can send the report to the project.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from rtee.types import ActuatorSpec, JointKind, Reference
 _PERIOD = 0.05
 """Time between two references [s]: long enough for every bus, short enough to be smooth."""
 _REST = 2.0
-"""Time for which the hand is observed at rest [s]: long enough for a hundred readings."""
+"""Time for which the hand is observed at rest [s]: long enough for about forty readings."""
 _SLOW = 0.1
-"""Share of its travel that an actuator is moved in a second: a hand can be taken away in time."""
+"""Speed of an actuator [share of its travel per second]: slow enough to get out of its way."""
 _ARRIVES = 8.0
 """Longest time from the last reference until the hand is at rest [s]; some devices grip slowly."""
 _PLACES = (0.25, 0.75)
 """Fractions of the travel at which a person measures."""
 _NEAR = 0.15
-"""Error of a scale that a ruler and a person explain [share]: 2 mm of 13."""
+"""Error of a scale that measuring by hand explains [share]: 2 mm of 13 mm."""
 _ZERO = 0.08
-"""Error of a zero that a ruler and a person explain [share of the travel]."""
+"""Error of a zero that measuring by hand explains [share of the travel]."""
 _HARDLY = (0.005, 0.01, 0.02, 0.04, 0.08)
-"""Steps with which the smallest motion is looked for [share of the travel]."""
+"""Steps of the search for the smallest motion [share of the travel]."""
 _STOPS = 0.05
-"""Travel after a stop that counts as standing [share]: 0.3 s of lag at the speed of this test."""
+"""Largest motion after a stop that confirms it [share of the travel]: 0.5 s at the test's speed."""
 _LEAST_FORCE, _MOST_FORCE = 0.4, 2.5
-"""Range of the measured by the reported force within which a rough gauge confirms it."""
+"""Range of the ratio of measured to reported force in which a rough gauge confirms the force."""
 
 
 Ask = Callable[[ContactQuestion], Awaitable[str]]
@@ -70,8 +70,7 @@ class ContactGuide:
     Args:
         driver: The device's driver, not yet connected; it is closed afterwards.
         ask: Puts a question to the person.
-        unplug: Cuts the link and restores it, for a device that no person can unplug: an emulator;
-            ``None``: the person does.
+        unplug: Cuts (true) or restores (false) the link of an emulator; ``None``: the person does.
     """
 
     def __init__(
@@ -85,7 +84,7 @@ class ContactGuide:
         self.report = ContactReport(driver.spec.name, driver.spec.driver)
 
     async def run(self) -> ContactReport:
-        """Go through all steps; if it ends early, the report covers the steps done."""
+        """Go through all steps; a report that ends early covers the steps done so far."""
         steps: Sequence[tuple[str, Callable[[], Awaitable[None]]]] = (
             ("identify", self._identify),
             ("rest", self._rest),
@@ -144,7 +143,7 @@ class ContactGuide:
                 number = float(answer.replace(",", "."))
                 if math.isfinite(number):
                     return number
-            text = f"'{answer}' is not a number; give a number in {unit}, or Enter to leave it out"
+            text = f"'{answer}' is not a number; give a number in {unit}, or Enter to skip"
 
     def _find(self, topic: Topic, confirmed: bool | None, text: str, actuator: str = "") -> None:
         verdict = {True: Conclusion.CONFIRMED, False: Conclusion.REFUTED, None: Conclusion.OPEN}[
@@ -181,7 +180,7 @@ class ContactGuide:
             target = np.nan_to_num(np.array(state.position, dtype=np.float64))
             target[index] = start + part * (goal - start)
             with contextlib.suppress(BusError):
-                # Its own limit of speed may be lower than the least that the device takes.
+                # A loose limit: the exact speed may be less than the device accepts.
                 await self._driver.move(Reference.at(target, mask=mask, max_velocity=fastest))
             with contextlib.suppress(BusError):
                 state = await self._sense(target)
@@ -203,15 +202,15 @@ class ContactGuide:
         identity = self.report.identity = dict(self._driver.capabilities.identity)
         reported = ", ".join(f"{name} {value}" for name, value in identity.items()) or "nothing"
         said = await self._yes(
-            Topic.IDENTITY, f"It says of itself: {reported}. Is that the device in front of you?"
+            Topic.IDENTITY, f"It reports: {reported}. Is that the device in front of you?"
         )
-        self._find(Topic.IDENTITY, said, f"it says: {reported}")
+        self._find(Topic.IDENTITY, said, f"it reports: {reported}")
 
     async def _rest(self) -> None:
         await self._enter(
             Topic.REST,
-            "Nothing may touch it now, and it must stand still. Press Enter; it is read for "
-            f"{_REST:g} s and does not move.",
+            "Let nothing touch it, and do not move it. Press Enter; the program reads it for "
+            f"{_REST:g} s and moves nothing.",
         )
         end, states = monotonic.now() + _REST, []
         while monotonic.now() < end:
@@ -265,8 +264,8 @@ class ContactGuide:
         else:
             await self._enter(
                 Topic.POWER_UP,
-                "It is powered next and moved slowly, one actuator after the other. Keep "
-                "clear and press Enter; q ends it.",
+                "The program now powers it and moves it slowly, one actuator after the other. "
+                "Keep clear and press Enter; q quits.",
             )
         await patiently(self._driver.activate)
 
@@ -305,7 +304,7 @@ class ContactGuide:
                 number = await self._number(
                     Topic.SCALE,
                     f"Measure {one.name} with a {tool}: how far is the {part_of} itself from its "
-                    f"open end? [{unit}, Enter to leave it out]",
+                    f"open end? [{unit}, Enter to skip]",
                     one.name,
                     unit,
                 )
@@ -317,7 +316,7 @@ class ContactGuide:
             if len(measured) == len(_PLACES):
                 self._compare(one, reported, measured, (one.upper - one.lower) * per, unit)
             else:
-                self._find(Topic.SCALE, None, "nobody measured", one.name)
+                self._find(Topic.SCALE, None, "not measured", one.name)
 
     def _compare(
         self,
@@ -342,13 +341,13 @@ class ContactGuide:
             f"{size:.2f} times",
             one.name,
         )
-        # The zero by the scale that was found, so that a wrong scale is not reported as both.
+        # By the measured scale, so that a wrong scale is not reported as a wrong zero, too.
         zero = measured[0] - ratio * reported[0] if ratio > 0.0 else math.nan
         if math.isfinite(zero):
             self._find(
                 Topic.OFFSET,
                 abs(zero) <= _ZERO * travel,
-                f"it is {zero:+.1f} {unit} from its open end where it reports to be there",
+                f"where it reports its open end, it is {zero:+.1f} {unit} from that end",
                 one.name,
             )
 
@@ -362,12 +361,12 @@ class ContactGuide:
             answer = await self._enter(
                 Topic.FORCE,
                 "Hold a force gauge (a kitchen scale, a spring) between the fingertips. "
-                f"{one.name} closes with its least force, {weakest:.1f} N. Press Enter when it "
-                "is there, n to leave it out.",
+                f"{one.name} will close with its smallest force, {weakest:.1f} N. Press Enter "
+                "when the gauge is in place, or type n to skip.",
                 one.name,
             )
             if answer.startswith("n"):
-                self._find(Topic.FORCE, None, "nobody measured", one.name)
+                self._find(Topic.FORCE, None, "not measured", one.name)
                 continue
             mask = [i == index for i in range(len(self._actuators))]
             effort = [grip.effort[0] if i == index else math.inf for i in range(len(mask))]
@@ -381,11 +380,11 @@ class ContactGuide:
                     await self._sense(target)
                 await asyncio.sleep(_PERIOD)
             measured = await self._number(
-                Topic.FORCE, "What does the gauge show? [N, Enter to leave it out]", one.name, "N"
+                Topic.FORCE, "What does the gauge show? [N, Enter to skip]", one.name, "N"
             )
             text = f"{weakest:.1f} N reported"
             if measured is None:
-                self._find(Topic.FORCE, None, f"{text}, nobody measured", one.name)
+                self._find(Topic.FORCE, None, f"{text}, not measured", one.name)
             else:
                 right = _LEAST_FORCE <= measured / weakest <= _MOST_FORCE
                 self._find(Topic.FORCE, right, f"{text}, {measured:.1f} N measured", one.name)
@@ -401,7 +400,7 @@ class ContactGuide:
         far = one.upper if start < 0.5 * (one.lower + one.upper) else one.lower
         await self._enter(
             Topic.STOP,
-            f"{one.name} moves slowly, and is stopped on its way. Press Enter and watch.",
+            f"{one.name} will move slowly and stop on its way. Press Enter and watch.",
             one.name,
         )
         begun = monotonic.now()

@@ -14,15 +14,15 @@ from rtee.types import Reference
 _MISSES = 5
 """Number of exchanges that may fail in a row, so that a lost frame does not stop the motion."""
 _STEP = 0.02
-"""Time between two references while it twitches [s], long enough for every bus."""
+"""Time between two references during a twitch [s], long enough for every bus."""
 
 
 async def twitch(
     driver: Driver, *, share: float = 0.06, times: int = 3, period: float = 0.6
 ) -> ActuatorState:
-    """Move every actuator slowly by a little, and back to its position.
+    """Move every actuator slowly by a small amount and back.
 
-    This activates the device; the driver refuses one that has to be homed first.
+    This activates the device; the driver refuses a device that must be homed first.
 
     Args:
         driver: The device's driver, not yet connected; it is closed afterwards.
@@ -54,7 +54,7 @@ async def twitch(
 
 
 def _away(driver: Driver, index: int, position: float, share: float) -> float:
-    """Return the position to which an actuator twitches, towards the middle of its range."""
+    """Return the far end of an actuator's twitch, towards the middle of its range."""
     spec = driver.spec.actuators[index]
     if not (math.isfinite(spec.lower) and math.isfinite(spec.upper)):
         return position + share

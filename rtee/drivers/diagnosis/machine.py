@@ -12,14 +12,14 @@ from rtee.drivers.diagnosis.checks import Check, ok, warning
 from rtee.hand.config_schema import RealtimeSettings
 
 _PRIORITY = RealtimeSettings().priority
-"""Default priority of a hand's loop."""
+"""Default real-time priority of a hand's loop."""
 
 _LIMITS = "/etc/security/limits.d/rtee.conf"
-"""File that raises the limits of the user (pam_limits)."""
+"""File that raises the user's limits (pam_limits)."""
 
 
 def check_machine(root: Path = Path("/")) -> list[Check]:
-    """Check the computer, whose ``sys`` and ``proc`` are below ``root``."""
+    """Check this computer's settings; its ``sys`` is below ``root``."""
     return [
         ok("Python", platform.python_version()),
         _kernel(root),
@@ -33,7 +33,7 @@ def check_machine(root: Path = Path("/")) -> list[Check]:
 
 def _kernel(root: Path) -> Check:
     release, version = platform.release(), platform.version()
-    # Older real-time kernels are recognised only by this file.
+    # Only this file identifies older real-time kernels.
     realtime = root / "sys/kernel/realtime"
     if "PREEMPT_RT" in version or _read(realtime) == "1":
         return ok("kernel", f"{release}, real-time")

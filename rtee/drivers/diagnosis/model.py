@@ -25,14 +25,14 @@ def check_model(name: str) -> list[Check]:
         name: The hand's name, or its folder.
 
     Raises:
-        UserError: for every mistake in its files.
+        UserError: if its files contain a mistake.
     """
     hand = load_hand(name)
     found = _by_geometry(hand) if _has_geometry() else _by_primitives(hand, hand_folder(name)[0])
     if has_devices(name):
         return [found]
     remedy = "describe them under 'devices:' in hand.yaml"
-    return [found, warning("devices", "there are none; the hand only moves on the screen", remedy)]
+    return [found, warning("devices", "none; the hand only moves on the screen", remedy)]
 
 
 def has_devices(name: str) -> bool:
@@ -54,7 +54,7 @@ def _by_geometry(hand: Hand) -> Check:
     try:
         closed = closed_rest_of(hand)
     except UserError as error:  # a mesh; the loop needs none
-        return warning(_REST, f"cannot be examined: {error}", "mend the model")
+        return warning(_REST, f"cannot be checked: {error}", "correct the model")
     if closed is None:
         return ok(_REST, "no two fingertips pinch there")
     remedy = f"type into hand.yaml: {closed.line}; then: rtee extract {hand.name} --save"

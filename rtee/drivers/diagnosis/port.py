@@ -16,11 +16,11 @@ from rtee.buses.link import split_address
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 
 _MASTERS = frozenset({"/dev/ptmx", "/dev/pts/ptmx"})
-"""Files that a program has open if it creates pseudo-terminals."""
+"""Files that a program which creates pseudo-terminals keeps open."""
 
 
 async def check_address(address: str, root: Path = Path("/")) -> list[Check]:
-    """Check a tty or a network address, as in the options of a driver, up to the first obstacle.
+    """Check the tty or network address of a driver's options, up to the first obstacle.
 
     The folders ``sys`` and ``proc`` are below ``root``.
     """
@@ -39,14 +39,14 @@ async def _network(address: str) -> Check:
     except TimeoutError:
         return wrong("address", f"{host} does not answer", f"ping {host}   # cable, power, IP?")
     except socket.gaierror:
-        return wrong("address", f"nobody knows the name '{host}'", "use its IP address")
+        return wrong("address", f"the name '{host}' cannot be resolved", "use its IP address")
     except UnicodeError:  # a part of the name is empty or too long
         return wrong("address", f"'{host}' is not a host name", "correct the address")
     except OSError as error:
         refused = error.errno == errno.ECONNREFUSED
         text = f"{host} refuses port {port}" if refused else f"{host} cannot be reached: {error}"
         return wrong("address", text, f"ping {host}   # and is it the right port?")
-    # At once: many devices serve only one connection.
+    # Closed at once, since many devices serve only one connection.
     writer.close()
     with contextlib.suppress(OSError):
         await writer.wait_closed()
@@ -92,7 +92,7 @@ def _permission(path: Path) -> Check:
     except (KeyError, OSError):
         pass
     try:
-        # In a container a process may run under a number that has no name.
+        # In a container, a process may run under a user id that has no name.
         user = getpass.getuser()
     except (KeyError, OSError):
         user = "$USER"
@@ -106,7 +106,7 @@ def _permission(path: Path) -> Check:
 def _owner(path: Path, root: Path) -> Check:
     users = [f"{name} ({pid})" for pid, name in port_users(path, root) if pid != os.getpid()]
     if not users:
-        return ok("use", "nobody else has it open")
+        return ok("use", "no other program has it open")
     return wrong(
         "use", f"it is in use by {', '.join(users)}", f"end it: kill {users[0].split('(')[-1][:-1]}"
     )

@@ -16,23 +16,23 @@ from rtee.drivers.diagnosis.slaves import ANSWER, Found, slave
 from rtee.errors import BusBroken, BusClosed, BusError, BusTimeout, FrameError
 
 _NOBODYS_UNIT = 213
-"""A Modbus number that no known device has: a device that answers to it answers to all."""
+"""Modbus number that no known device has: a device that answers to it answers to all numbers."""
 T = TypeVar("T")
 B = TypeVar("B", bound=Bus)
 OWNER = "scan"
-"""The owner of the buses during a scan."""
+"""Owner of the buses during a scan."""
 _SERVO = 0.5
-"""Share of `ANSWER` in which a servo answers; an adapter keeps bytes back for up to 16 ms."""
+"""Share of `ANSWER` in which a servo answers; an adapter holds bytes back for up to 16 ms."""
 _LINKER_ANSWER = 0.15  # longest time for an answer in the LinkerHands' SDK [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A request for one kind of device, with one setting of the line.
+    """A request for one kind of device, at one setting of the line.
 
     Attributes:
         name: The kind of device.
-        ask: Makes the request, given the pool and the address; returns the devices found.
+        ask: Sends the request, given the pool and the address, and returns the devices found.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Probe:
 
 
 async def heard(answer: Awaitable[T]) -> T | None:
-    """Return an answer; ``None`` if none arrives or it cannot be decoded."""
+    """Return the answer; ``None`` if none arrives or it cannot be decoded."""
     try:
         return await answer
     except (BusBroken, BusClosed):
@@ -63,7 +63,7 @@ def probe(
     acquire: Callable[[BusPool, str], Awaitable[B]],
     listen: Callable[[B, str], Awaitable[list[Found]]],
 ) -> Probe:
-    """Return a probe on the bus that is acquired; ``listen`` gets the bus and its address."""
+    """Return a probe on the bus from ``acquire``; ``listen`` gets that bus and its address."""
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
         bus = await acquire(pool, address)
@@ -91,7 +91,7 @@ def _on_line(
 
 
 def modbus(baudrate: int, parity: str, units: Sequence[int], *, name: str = "Modbus") -> Probe:
-    """Return a probe for Modbus slaves, known ones by name."""
+    """Return a probe for Modbus slaves, which names those that it recognises."""
     return probe(
         name,
         lambda pool, at: pool.modbus(at, owner=OWNER, baudrate=baudrate, parity=parity),
@@ -111,7 +111,7 @@ async def _slaves(
             found.append(Found(device.driver, f"{device.what}, {line}", options))
         elif device is not None:
             found.append(device)
-    # Over TCP many devices answer to every unit and would be listed once for each.
+    # Over TCP, many devices answer to every unit and would be listed once for each.
     if bus.rtu or len(found) < 2 or await slave(bus, address, _NOBODYS_UNIT) is None:
         return found
     return [_any_unit(found)]
@@ -170,7 +170,7 @@ def svh() -> Probe:
 
 
 def softhand(devices: Sequence[int]) -> Probe:
-    """Return a probe for qb SoftHands with these numbers."""
+    """Return a probe for qb SoftHands with the given numbers."""
     from rtee.drivers.qb_softhand.codec import BAUDRATE
     from rtee.drivers.qb_softhand.link import QbLink
 
@@ -188,7 +188,7 @@ def softhand(devices: Sequence[int]) -> Probe:
 
 
 def ability_hand() -> Probe:
-    """Return a probe for the Ability Hand with the address and the rate from the factory."""
+    """Return a probe for the Ability Hand at its factory address and baud rate."""
     from rtee.drivers.ability_hand.codec import ADDRESS, BAUDRATES, Command, Header, ReplyParser
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
@@ -201,7 +201,7 @@ def ability_hand() -> Probe:
 
 
 def rh56(units: Sequence[int]) -> Probe:
-    """Return a probe for the RH56's own frames, with these numbers."""
+    """Return a probe for RH56 hands with the given numbers, by their own frames."""
     from rtee.drivers.inspire_rh56.codec import BAUDRATES, Register
     from rtee.drivers.inspire_rh56.link import FrameLink
 
@@ -218,7 +218,7 @@ def rh56(units: Sequence[int]) -> Probe:
 
 
 def wsg50() -> Probe:
-    """Return a probe for the WSG 50, at its own port of a host or behind a socket."""
+    """Return a probe for the WSG 50, at its own TCP port or behind a socket."""
     from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info
     from rtee.drivers.wsg50.link import WsgLink
 
@@ -246,7 +246,7 @@ def wsg50() -> Probe:
 
 
 def orca_touch() -> Probe:
-    """Return a probe for the ORCA hand's touch board, at the rate of either of its lines."""
+    """Return a probe for the ORCA hand's touch board, at the baud rate of each of its lines."""
     from rtee.drivers.orca_touch import codec
 
     asked = codec.Request(codec.Function.READ, codec.Register.CONNECTED, codec.CONNECTED_SIZE)
@@ -278,7 +278,7 @@ def orca_touch() -> Probe:
 
 
 def dynamixel(baudrate: int) -> Probe:
-    """Return a probe for Dynamixel servos at one rate.
+    """Return a probe for Dynamixel servos at one baud rate.
 
     On a line that carries every rate, such as an emulated one, servos answer at all of them; they
     are then listed with the rate that they report.
@@ -292,7 +292,7 @@ def dynamixel(baudrate: int) -> Probe:
         return BAUD_RATES[value] if heard else baudrate
 
     def everybody(bus: DynamixelBus) -> list[tuple[int, int, int, int]]:
-        # It takes as long as answers of all possible ids would take on the line.
+        # The ping waits as long as the answers of all possible ids would take on the line.
         data, _ = bus.packets.broadcastPing(bus.port)
         return [(n, *data[n], reported_rate(bus, n)) for n in sorted(data)]
 
@@ -312,11 +312,11 @@ def dynamixel(baudrate: int) -> Probe:
 
 
 def feetech(baudrate: int) -> Probe:
-    """Return a probe for Feetech servos at one rate.
+    """Return a probe for Feetech servos at one baud rate.
 
-    All servos answer a broadcast ping at once, which shows only whether there are any; then every
-    id is read. On a line that carries every rate, servos answer at all of them; they are then
-    listed with the rate that they report.
+    All servos answer a broadcast ping at the same time, which shows only whether there are any;
+    then the probe reads every id. On a line that carries every rate, servos answer at all of them;
+    they are then listed with the rate that they report.
     """
     from rtee.drivers.feetech.codec import BROADCAST, LARGEST_ID, Frame, Instruction, ReplyParser
     from rtee.drivers.feetech.identity import recognise
@@ -328,7 +328,7 @@ def feetech(baudrate: int) -> Probe:
         try:
             await bus.transact(ping, ReplyParser(), ANSWER.get(), 0)
         except FrameError:
-            return True  # the answers of several collide
+            return True  # the answers of several servos collide
         except BusTimeout:
             return False
         return True
@@ -336,7 +336,7 @@ def feetech(baudrate: int) -> Probe:
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         if not await anybody(bus):
             return []
-        # Any family will do: only the model's raw bytes are used, and their order identifies the
+        # Any family will do: only the raw bytes of the model count, and their order identifies the
         # family.
         link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO * ANSWER.get(), 0), []
         for number in range(LARGEST_ID + 1):

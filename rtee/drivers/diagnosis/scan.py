@@ -12,10 +12,10 @@ from rtee.drivers.diagnosis.slaves import Found
 from rtee.errors import BusBusy, BusError
 
 DYNAMIXEL_RATES = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
-"""Rates at which to search for Dynamixels [baud]: that from the factory, then the usual ones."""
+"""Rates at which to search for Dynamixels [baud]: the factory rate, then the usual ones."""
 
 FEETECH_RATES = (1_000_000, 115_200, 500_000)
-"""Rates at which to search for Feetech servos [baud]: those from the factory (TTL and RS-485)."""
+"""Rates at which to search for Feetech servos [baud]: the factory rates (TTL and RS-485)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ def serial_ports() -> list[tuple[str, str]]:
 
 
 def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
-    """Return the probes for a serial port, fastest first; by default with usual Modbus numbers."""
+    """Return the probes for a serial port, fastest first; by default at usual Modbus numbers."""
     return (
         probes.wsg50(),
         probes.svh(),
@@ -89,9 +89,8 @@ async def scan(
 ) -> list[Address]:
     """Probe all addresses, one after the other; moves nothing.
 
-    A port that another program has open is left alone. On a line with an answer to one protocol,
-    only other rates of that protocol are probed. A device that answers several probes is listed
-    once.
+    A port that another program has open is left alone. Once a line has answered one protocol, only
+    other rates of that protocol are probed. A device that answers several probes is listed once.
 
     Args:
         plans: The addresses and their probes.
@@ -117,7 +116,7 @@ async def _ask(plan: ScanPlan, pool: BusPool, tell: Callable[[str], None]) -> Ad
             if not found:
                 return Address(plan.address, plan.about, problem=error.message)
             continue
-        # The line speaks this protocol, so probes of others would only disturb it.
+        # The line speaks this protocol, so probes of other protocols would only disturb it.
         if answers:
             protocol = probe.name
             found += [one for one in answers if one not in found]

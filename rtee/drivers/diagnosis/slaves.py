@@ -13,9 +13,9 @@ from rtee.buses.parser import CodecError
 from rtee.errors import BusTimeout, FrameError
 
 _ROBOTIQ = 9
-"""Modbus number of Robotiq's grippers from the factory."""
+"""Factory Modbus number of Robotiq's grippers."""
 _HANDS = (1, 2)
-"""Modbus numbers of an RH56 from the factory, and of the second of a pair."""
+"""Factory Modbus number of an RH56, and the number of the second hand of a pair."""
 ANSWER = ContextVar("ANSWER", default=0.04)
 """Longest time for an answer [s]: slaves need about 10 ms, a busy computer or a network more."""
 
@@ -27,7 +27,7 @@ class Found:
     Attributes:
         driver: Name of its driver; empty if there is none.
         what: Its name and identity, in words.
-        options: Options for hand.yaml with which to connect to it.
+        options: Options for hand.yaml to connect to it.
     """
 
     driver: str
@@ -89,7 +89,7 @@ async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Fou
 
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return an RH56 if the slave has its angles, states and temperatures."""
+    """Return an RH56 if the slave returns plausible angles, states and temperatures."""
     from rtee.drivers.inspire_rh56.codec import GAP, REPORT, WORDS, Register, Report
     from rtee.drivers.inspire_rh56.link import ModbusLink
 
@@ -129,7 +129,7 @@ async def _registers(
         return await bus.read(
             unit, address, count, deadline=ANSWER.get(), retries=0, function=function
         )
-    # A refusal is an answer, which says that there is a slave.
+    # A refusal is an answer, too: there is a slave.
     except ModbusRefusal as refusal:
         return refusal
     except (BusTimeout, FrameError):

@@ -17,7 +17,7 @@ HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE  # the id that all servos listen to
 STATUS = 0x55  # in an answer, where a request has its instruction
 LONGEST = 1024
-"""Largest accepted length field [byte]: more than any table has, less than most garbage."""
+"""Largest accepted length field [byte]: more than any table needs, less than most garbage."""
 _STUFFED = b"\xff\xff\xfd"
 _POLYNOMIAL = 0x8005
 """Polynomial of the CRC-16 (Robotis e-manual, protocol 2.0, CRC)."""
@@ -56,7 +56,7 @@ class Error(IntEnum):
 
 
 ALERT = 0x80
-"""Bit of a status packet's error: the register of the hardware error status is not 0."""
+"""Bit of a status packet's error: the hardware error status is not 0."""
 
 
 class Hardware(IntFlag):
@@ -84,7 +84,7 @@ _CRC = _crc_table()
 
 
 def crc16(data: Iterable[int]) -> int:
-    """Return the CRC of bytes: polynomial 0x8005, neither reflected nor inverted."""
+    """Return the CRC-16 of bytes: polynomial 0x8005, neither reflected nor inverted."""
     value = 0
     for byte in data:
         value = (value << 8 & 0xFFFF) ^ _CRC[(value >> 8 ^ byte) & 0xFF]
@@ -92,7 +92,7 @@ def crc16(data: Iterable[int]) -> int:
 
 
 def stuff(data: bytes) -> bytes:
-    """Return the body of a packet with every ``FF FF FD`` made distinct from a header."""
+    """Return a packet's body with a byte stuffed after every ``FF FF FD``, as in a header."""
     return data.replace(_STUFFED, _STUFFED + b"\xfd")
 
 
@@ -104,7 +104,7 @@ def unstuff(data: bytes) -> bytes:
 _FRAMING = Framing(
     HEADER, 1, lambda raw: crc16(raw).to_bytes(2, "little"), LONGEST, 3, 2, size=2, tail=2,
 )  # fmt: skip
-"""The id, and a length of the body and its CRC."""
+"""Framing of packets: the id, then the length of the body and its CRC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +127,9 @@ class InstructionPacket:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is; raises `CodecError`."""
+        """Return the packet in ``raw``; raises `CodecError`."""
         [device], body = _FRAMING.opened(raw)
-        # On a half-duplex line, a servo receives the answers of the others, too.
+        # On a half-duplex line, a servo also receives the answers of the others.
         if body[0] == STATUS:
             raise CodecError("this is a status packet")
         body = unstuff(body)
@@ -158,8 +158,8 @@ class StatusPacket:
 def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = None) -> bytes:
     """Return the single packet in which several servos answer a fast sync or bulk read.
 
-    Each servo's part is its error, its id, its data and the CRC of all bytes before. With ``sizes``
-    of more servos than answer, the packet ends at the first missing servo.
+    Each servo's part is its error, its id, its data and the CRC of all bytes before. If ``sizes``
+    names more servos than ``answers``, the packet ends at the first missing servo.
     """
     if sizes is None:
         sizes = [len(a.params) for a in answers]
@@ -167,7 +167,7 @@ def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = N
     length = 1 + sum(size + 4 for size in sizes)
     packet = HEADER + struct.pack("<BHB", BROADCAST, length, STATUS)
     for answer in answers:
-        # Not stuffed, since the SDK does not undo it in fast reads.
+        # Not stuffed, since the SDK does not unstuff fast reads.
         packet += bytes([answer.error, answer.device]) + answer.params
         packet += struct.pack("<H", crc16(packet))
     return packet

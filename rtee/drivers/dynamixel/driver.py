@@ -88,7 +88,7 @@ _STATE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")]
 """The state registers, side by side in the control table."""
 
 _HEALTH = np.dtype([("voltage", "<u2"), ("temperature", "u1")])
-"""The health registers, likewise."""
+"""The health registers, side by side in the control table."""
 
 
 class DynamixelDriver(ServoDriver[DynamixelLink]):
@@ -98,8 +98,8 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     positions. Current limits (from the effort limit) and profile velocities are written before the
     positions when they change. Hardware errors set the alert bit of every answer.
 
-    Servos lose their turn count with their supply: for a joint whose range crosses the wrap, the
-    turn is assumed in which it is within its limits.
+    Servos lose their turn count when their supply is cut: a joint whose range crosses the wrap is
+    assumed to be in the turn that lies within its limits.
     """
 
     Options = DynamixelOptions
@@ -112,8 +112,8 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     }
     MOST_GAIN = table.MOST_GAIN
     STORED = table.RAM
-    # No source says whether the goal of a servo without torque follows the shaft; 16 pulses are
-    # 1.4°, too small for a jump.
+    # No source says whether the goal of a servo without torque follows the shaft. 16 pulses are
+    # 1.4°, too little for a harmful jump.
     NEAR = 16
     HINT = "free the hand and check its supply, then `rtee recover` reboots the servo"
 
@@ -142,7 +142,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         )
 
     def _best_rate(self, *, fast: bool) -> float:
-        """Return the fastest rate of cycles that the line allows [Hz]."""
+        """Return the highest cycle rate that the line allows [Hz]."""
         n, size = len(self.spec.actuators), table.STATE_SIZE
         # Bytes of the read request, the answers (one packet, or one per servo), the write request.
         answer = 8 + n * (size + 4) if fast else n * (size + 11)
@@ -229,7 +229,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         ):
             scale.unwrap(position, actuator.lower, actuator.upper)
         self._use_scales()
-        # Here already, since a turn follows from the limits.
+        # Already here, since the turn was derived from the limits.
         self._check_places(readings)
 
     def _check_range(self, number: int, ends: Sequence[float]) -> None:
@@ -257,7 +257,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             if servo.mode != self._mode:
                 # Only if it differs, since EEPROM wears out.
                 await link.run(partial(link.write, number, table.OPERATING_MODE, self._mode))
-            # From the factory it is 0.5 ms, so 16 servos would delay every read by 8 ms.
+            # The factory setting is 0.5 ms, with which 16 servos delay every read by 8 ms.
             if delay is not None and servo.return_delay != delay:
                 await link.run(partial(link.write, number, table.RETURN_DELAY, delay))
         await self._set_gains(off)
@@ -266,7 +266,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             await self._set(table.GOAL_CURRENT, most)
 
     async def _arm(self) -> Collection[int]:
-        """Set all bus watchdogs; return the servos whose watchdog had tripped and is cleared."""
+        """Set all bus watchdogs; return the servos whose tripped watchdog was cleared."""
         guards = await self.connection.link.values(table.BUS_WATCHDOG, self.ids)
         # 0 clears a watchdog that has tripped; any other value is refused until then.
         await self._set(table.BUS_WATCHDOG, dict.fromkeys(self.ids, 0))
@@ -291,7 +291,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         return Readings(columns, errors)
 
     async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
-        # The alert bit says that there is an error; this register says which.
+        # The alert bit shows that there is an error; this register shows which.
         alerted = [number for number, error in errors.items() if error & ALERT]
         link = self.connection.link
         return {
@@ -312,7 +312,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         self._health = np.array([health["temperature"], health["voltage"]], dtype=np.float64)
         if not self.active:
             return
-        # Servos do not answer a group write, so limits are written again now and then.
+        # Servos do not answer a group write, so limits are written again from time to time.
         self._sent, self._limits_sent = {}, None
         # The watchdog first, as it explains why a servo does not follow.
         if self.options.watchdog > 0.0:
@@ -327,7 +327,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             raise self._lost(lost)
 
     def _most(self, i: int) -> int:
-        """Return the largest current of a servo [counts]: its limit, or a smaller option."""
+        """Return the largest current of a servo [counts]: its own limit, or that of the options."""
         number, unit = self.ids[i], self.scales[i].current_unit
         limit = self.found[number].most
         wanted = self.options.servos[self.names[number]].current or self.options.current
@@ -344,7 +344,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         def write() -> None:
             for register, values in changed.items():
                 link.write_group(register, values)
-                # Not before the write, so that a failed one is repeated.
+                # Stored after the write, so that a failed write is repeated.
                 self._sent.setdefault(register, {}).update(values)
             link.write_group(table.GOAL_POSITION, positions)
 
@@ -353,7 +353,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         self._limits_sent = limits
 
     def _changed_limits(self, goals: Goals) -> dict[table.Register, dict[int, int]]:
-        """Return the current and speed limits that servos do not have yet."""
+        """Return the current and speed limits that differ from those sent last."""
         wanted: dict[table.Register, dict[int, int]] = {}
         if not self._refuses_effort():
             wanted[table.GOAL_CURRENT] = {

@@ -18,12 +18,12 @@ from rtee.drivers.servo_lines import LATENCY
 from rtee.hand.validation import Section
 
 _SPAN = 4
-"""Bytes of address and length at the beginning of most instructions' parameters."""
+"""Size of address and length, with which the parameters of most instructions begin [byte]."""
 _ALWAYS = 2
 """Status return level at which a servo answers every instruction (address 68)."""
 _CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
 _LEVELS = {int(codec.Instruction.PING): 0, int(codec.Instruction.READ): 1}
-"""Status return level from which an instruction is answered; other instructions from 2."""
+"""Status return level from which an instruction is answered; 2 for all other instructions."""
 _HARDWARE = {
     "voltage": codec.Hardware.INPUT_VOLTAGE,
     "overheating": codec.Hardware.OVERHEATING,
@@ -121,7 +121,7 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
                 fast = frame.instruction == codec.Instruction.FAST_SYNC_READ
                 return self._read_many(wanted, fast, now)
             case codec.Instruction.BULK_READ | codec.Instruction.FAST_BULK_READ:
-                # A request cut off on the way may end within an entry.
+                # A truncated request may end within an entry.
                 wanted = list(struct.iter_unpack("<BHH", params[: len(params) // 5 * 5]))
                 fast = frame.instruction == codec.Instruction.FAST_BULK_READ
                 return self._read_many(wanted, fast, now)
@@ -204,7 +204,7 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
     def _read_many(self, wanted: list[tuple[int, int, int]], fast: bool, now: float) -> list[bytes]:
         answers, servos = [], []
         for number, address, length in wanted:
-            # Each servo waits for the answer of the previous one: a missing one silences the rest.
+            # Each servo waits for the previous answer, so a missing servo silences the rest.
             found = self.listening([number], now)
             if not found:
                 break

@@ -16,7 +16,7 @@ from rtee.errors import DriverError
 
 _OWNER = "set-id"
 _DEADLINE = 0.1
-"""Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
+"""Longest time for the answer of a servo [s]: an adapter holds bytes back for up to 16 ms."""
 
 
 async def model_at(pool: BusPool, port: str, baudrate: int, number: int) -> Model | None:
@@ -46,7 +46,7 @@ async def set_id(
     try:
         link = _link(bus, old)
         model = model_of(await claim(link, port, old, new))
-        # With torque, a servo refuses to write its EEPROM.
+        # With its torque on, a servo refuses writes to its EEPROM.
         await patiently(partial(link.run, partial(link.write, old, table.TORQUE, 0)))
         if new != old:
             await renumber(link, port, old, new, partial(_store, link, old, table.ID, new))
@@ -74,7 +74,7 @@ async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -
 
 
 async def _store(link: DynamixelLink, number: int, register: table.Register, value: int) -> None:
-    """Write a register without expecting an answer: it may come with the new id or rate."""
+    """Write a register and expect no answer: an answer may have the new id or rate."""
     await link.run(partial(link.write_group, register, {number: value}))
 
 

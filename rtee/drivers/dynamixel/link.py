@@ -1,4 +1,4 @@
-"""dynamixel-sdk's group reads and writes in the worker thread, with deadlines and retries."""
+"""Group reads and writes by dynamixel-sdk in the worker thread, with deadlines and retries."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
 T = TypeVar("T")
 
 _ERROR_NUMBER = 0x7F
-"""Bits of a status packet's error byte beside the hardware alert (protocol 2.0)."""
+"""Bits of a status packet's error byte except for the hardware alert (protocol 2.0)."""
 
 _LATENCY = 0.008
-"""Time allowed for an answer beside that of its bytes, in a cycle [s]: several polls of an adapter
-with a latency timer of 1 ms."""
+"""Time allowed for an answer in a cycle, in addition to that of its bytes [s]: several polls of an
+adapter with a latency timer of 1 ms."""
 
 _PATIENT_LATENCY = 0.03
-"""Time allowed beside that of the bytes during set-up [s]; the SDK allows 34 ms."""
+"""The same time during set-up [s]; the SDK allows 34 ms."""
 
 
 _UNHURRIED = 5.0
-"""Longest time for an exchange outside the cycle, with all its repetitions [s]."""
+"""Longest time for an exchange outside the cycle, retries included [s]."""
 
 
 def _heard(result: int, error: int) -> int:
-    """Return the SDK's result; a request that reached the servo damaged counts as corrupt."""
+    """Return the SDK's result; if the servo received a damaged request, the result is "corrupt"."""
     if result == sdk.COMM_SUCCESS and error & _ERROR_NUMBER == Error.CRC:
         return int(sdk.COMM_RX_CORRUPT)
     return int(result)
 
 
 class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
-    """A group read that also stores the error bytes of the answers, with the hardware alert.
+    """A group read that also stores the error bytes of the answers, hardware alert included.
 
     Attributes:
         errors: Error byte of each servo's last answer, by id.
@@ -62,7 +62,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
             data, result, error = self.ph.readRx(self.port, number, self.data_length)
             if result != sdk.COMM_SUCCESS:
                 return int(result)
-            # The SDK passes on an answer of any length whose checksum is right.
+            # The SDK accepts an answer of any length if its checksum is right.
             if len(data) < self.data_length:
                 return int(sdk.COMM_RX_CORRUPT)
             self.data_dict[number], self.errors[number] = data, error
@@ -70,7 +70,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         return int(sdk.COMM_SUCCESS)
 
     def fastSyncReadRxPacket(self) -> int:  # noqa: N802 - the SDK's name
-        """Receive the common answer of all servos."""
+        """Receive the single answer of all servos."""
         self.last_result = False
         # Each servo's part: error, id, data and checksum.
         part = self.data_length + 4
@@ -101,7 +101,7 @@ class DynamixelLink(ServoLink):
         ids: The device's servos, in the order of its actuators.
         fast: Whether groups are read with the fast sync read; ``None``: not decided yet.
         patient: Whether answers may take longer: during set-up there is no cycle to keep, and a
-            computer that is busy for a moment must not be a failure.
+            computer that is busy for a moment must not cause a failure.
         delay: Sum of the servos' return delays [s], allowed in addition to the time on the wire.
     """
 
@@ -133,7 +133,7 @@ class DynamixelLink(ServoLink):
             self.patient = before
 
     async def run(self, function: Callable[[], T]) -> T:
-        """Call a function that makes exchanges in the worker thread; raises `BusError`."""
+        """Run a function in the worker thread, where it may make exchanges; raises `BusError`."""
         usual = 2.0 * (self._deadline + self.delay)
         return await self.bus.run(function, _UNHURRIED if self.patient else usual)
 
@@ -155,7 +155,7 @@ class DynamixelLink(ServoLink):
         await self.run(partial(self.write_group, register, values))
 
     def repeated(self, attempt: Callable[[], int]) -> None:
-        """Repeat an attempt until it succeeds, within deadline and retries; in the worker thread.
+        """Repeat an attempt until it succeeds, within deadline and retries, in the worker thread.
 
         The attempt makes one exchange and returns the SDK's result.
 
@@ -186,7 +186,7 @@ class DynamixelLink(ServoLink):
 
     def _error(self, result: int) -> BusError:
         if result == sdk.COMM_RX_CORRUPT:
-            return FrameError(self.bus.name, "an answer came, but damaged")
+            return FrameError(self.bus.name, "the answer was damaged")
         if result in (sdk.COMM_TX_FAIL, sdk.COMM_PORT_BUSY):
             return BusBroken(self.bus.name, "the request could not be sent")
         return BusTimeout(self.bus.name, "no answer")
@@ -204,7 +204,7 @@ class DynamixelLink(ServoLink):
 
         try:
             self.repeated(attempt)
-        # A broken line is passed on: it says nothing about this servo.
+        # The error of a broken line propagates: it says nothing about this servo.
         except (BusTimeout, FrameError):
             return None
         return found[-1]
@@ -237,7 +237,7 @@ class DynamixelLink(ServoLink):
             self.repeated(lambda: int(write(port, address, size, params, len(params))))
 
     def _values(self, register: Register, numbers: Sequence[int]) -> dict[int, int]:
-        # Without ids for all servos: that group is kept between calls.
+        # Without ids if all servos are meant: that group is kept between calls.
         ids = None if set(numbers) == set(self.ids) else numbers
         there, _ = self.read_group(register.address, register.size, ids)
         return {number: register.unpack(there[number]) for number in numbers}

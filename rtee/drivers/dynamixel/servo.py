@@ -14,7 +14,7 @@ from rtee.hand.validation import Section
 
 
 class DynamixelMemory:
-    """The bytes of one servo, all registers at their defaults."""
+    """The control table of one servo; it begins with all registers at their defaults."""
 
     def __init__(self) -> None:
         self._bytes = bytearray(table.END)
@@ -28,7 +28,7 @@ class DynamixelMemory:
             self.set(register, register.default)
 
     def reset_windows(self) -> None:
-        """Let every window point to itself."""
+        """Let every indirect address point to its own byte of the indirect data."""
         self._indirect = list(table.INDIRECT_DATA)
         for at, target in zip(table.INDIRECT, table.INDIRECT_DATA, strict=True):
             self._bytes[at : at + 2] = target.to_bytes(2, "little")
@@ -43,18 +43,18 @@ class DynamixelMemory:
         self._bytes[register.address : end] = register.pack(value)
 
     def read(self, address: int, length: int) -> bytes:
-        """Return bytes of the table; windows return the bytes that they point to."""
+        """Return bytes of the table; for indirect data, those at the indirect addresses."""
         out = self._bytes[address : address + length]
         for at in range(max(address, table.INDIRECT_DATA.start), address + length):
             out[at - address] = self._bytes[self._points_to(at)]
         return bytes(out)
 
     def after(self, address: int, data: bytes) -> bytes:
-        """Return the whole table as if these bytes were written, without following windows."""
+        """Return the table as if these bytes were written, without following indirect addresses."""
         return bytes(self._bytes[:address] + data + self._bytes[address + len(data) :])
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes; those written to indirect data go to the addresses that it refers to."""
+        """Write bytes; those for indirect data go to the indirect addresses."""
         if address >= table.INDIRECT_DATA.start:
             for offset, byte in enumerate(data):
                 self._bytes[self._points_to(address + offset)] = byte
@@ -76,7 +76,7 @@ class DynamixelMemory:
 
 QUARTER_TURN = table.PULSES / 4.0  # [pulse]
 _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
-"""Speed per count of a velocity [pulse/s]."""
+"""Speed per velocity count [pulse/s]."""
 _FRICTION = 25.0  # current to move the free shaft [mA]; no datasheet gives it
 _GAIN = 4.0  # current per position error at standstill [mA/pulse], an assumption
 _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
@@ -85,7 +85,7 @@ _BOUNDS = {
     table.GOAL_VELOCITY: table.VELOCITY_LIMIT,
     table.GOAL_PWM: table.PWM_LIMIT,
 }
-"""Registers that limit the amount of others."""
+"""For each goal, the register that limits its magnitude."""
 
 
 class DynamixelServoProperties(Section, frozen=True):
@@ -190,7 +190,7 @@ class EmulatedDynamixel(EmulatedServo):
         self._memory.write(address, data)
         if self.get(table.OPERATING_MODE) != mode:
             self._enter_mode()
-        # A servo that is powered stays where it is.
+        # A servo whose torque is switched on stays where it is.
         begins = self.get(table.TORQUE) and not powered
         if begins and self.get(table.OPERATING_MODE) in _POSITION_MODES:
             self.set(table.GOAL_POSITION, self.position)
@@ -204,7 +204,7 @@ class EmulatedDynamixel(EmulatedServo):
             if not register.writable or (register.eeprom and torque):
                 return Error.ACCESS
             if not address <= register.address <= end - register.size:
-                return Error.DATA_LENGTH  # a part of it
+                return Error.DATA_LENGTH  # only a part of a register
             value = register.unpack(after[register.address :])
             low, high = register.minimum, register.maximum
             if (low is not None and value < low) or (high is not None and value > high):
@@ -250,7 +250,7 @@ class EmulatedDynamixel(EmulatedServo):
     def factory_reset(self, now: float, option: int) -> None:
         """Reset the EEPROM, too; option 1 keeps the id, 2 also the baud rate."""
         kept = {0x01: (table.ID,), 0x02: (table.ID, table.BAUD_RATE)}.get(option, ())
-        # The model number is the servo's identity and no setting.
+        # The model number is the servo's identity, not a setting.
         values = [(register, self.get(register)) for register in (*kept, table.MODEL)]
         self._memory.reset(table.REGISTERS)
         for register, value in values:
@@ -311,7 +311,7 @@ class EmulatedDynamixel(EmulatedServo):
         torque = self.get(table.TORQUE)
         period = self.get(table.BUS_WATCHDOG) * table.WATCHDOG_UNIT
         if torque and period > 0.0 and now - self._heard > period:
-            # A trip as in the manual: the servo stops, and its profile registers become 0.
+            # As in the manual: the servo stops, and its profile registers become 0.
             self.set(table.BUS_WATCHDOG, -1)
             self.set(table.PROFILE_VELOCITY, 0)
             self.set(table.PROFILE_ACCELERATION, 0)
@@ -350,7 +350,7 @@ class EmulatedDynamixel(EmulatedServo):
                 axis.max_effort = float(min(abs(current), limit))
             elif mode == Mode.VELOCITY:
                 axis.max_velocity = abs(push) * _PULSES_PER_COUNT
-        # A current below that of friction does not move the shaft.
+        # A current too small to overcome friction does not move the shaft.
         strong = axis.max_effort >= _FRICTION
         axis.enabled = bool(self.get(table.TORQUE)) and strong and self.get(table.BUS_WATCHDOG) >= 0
 

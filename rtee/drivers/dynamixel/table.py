@@ -17,7 +17,7 @@ WATCHDOG_UNIT = 0.02
 MOST_GAIN = 16383
 """Largest gain of the position controllers (addresses 80 to 84)."""
 END = 228
-"""First address behind the table."""
+"""First address after the table."""
 
 RAM = 64
 """First address of the RAM area; the addresses below are EEPROM."""
@@ -47,15 +47,15 @@ class Register:
 
     @property
     def eeprom(self) -> bool:
-        """Whether it keeps its value without power, and can be written only without torque."""
+        """Whether it keeps its value without power and can be written only with the torque off."""
         return self.address < RAM
 
     def pack(self, value: int) -> bytes:
-        """Return a value as bytes."""
+        """Convert a value to bytes."""
         return int(value).to_bytes(self.size, "little", signed=value < 0)
 
     def unpack(self, raw: bytes) -> int:
-        """Return the value in bytes."""
+        """Convert bytes to the value."""
         return int.from_bytes(raw[: self.size], "little", signed=self.signed)
 
 
@@ -117,11 +117,11 @@ REGISTERS: tuple[Register, ...] = tuple(
     value for value in list(globals().values()) if isinstance(value, Register)
 )
 INDIRECT = range(168, 208, 2)
-"""Addresses of the twenty indirect addresses."""
+"""Locations of the twenty indirect addresses."""
 INDIRECT_DATA = range(208, 228)
-"""Addresses of the bytes that they point to; by default each points to itself."""
+"""Locations of the indirect data; by default each indirect address points to its own byte here."""
 POINTABLE = range(64, END)
-"""Addresses that they may point to."""
+"""Addresses to which indirect addresses may point."""
 
 STATE = PRESENT_CURRENT.address
 """First address of current, velocity and position, which are adjacent."""
@@ -153,7 +153,7 @@ REVERSE = 0x01
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """The differences between models.
+    """A servo model: its name and the units that differ between models.
 
     Attributes:
         current_unit: Current per count [A]; ``NaN`` if it measures load instead.

@@ -18,7 +18,7 @@ HEADER = b"\xff\xff"
 BROADCAST = 0xFE  # the id that all servos listen to
 LARGEST_ID = 0xFD
 OVERHEAD = 6
-"""Bytes of a frame beside its parameters: header, id, length, instruction or status, checksum."""
+"""Bytes of a frame without its parameters: header, id, length, instruction or status, checksum."""
 LONGEST = 250
 """Largest length field that the vendor's clients accept [byte]."""
 _LARGEST_STATUS = 0x7F  # clients reject replies with a larger status
@@ -42,7 +42,7 @@ class Instruction(IntEnum):
 
 
 class Status(IntFlag):
-    """The bits of a reply's status, which are set as long as their cause persists."""
+    """The bits of a reply's status; each is set as long as its cause persists."""
 
     VOLTAGE = 0x01
     ANGLE = 0x02
@@ -54,7 +54,7 @@ class Status(IntFlag):
 
 
 _FRAMING = Framing(HEADER, 1, lambda raw: bytes([~sum(raw[2:]) & 0xFF]), LONGEST, 2, 1)
-"""The servo's id, and a length of code, parameters and checksum."""
+"""Framing: the servo's id, then the length of code, parameters and checksum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` is; raises `CodecError`."""
+        """Return the frame in ``raw``; raises `CodecError`."""
         if raw[2:3] > bytes([BROADCAST]):
             raise CodecError("a frame must begin with FF FF and an id")
         [device], body = _FRAMING.opened(raw)
@@ -85,7 +85,7 @@ class Frame:
 
 
 def sync_read(address: int, size: int, ids: Collection[int]) -> bytes:
-    """Return the request for the same registers of several servos."""
+    """Return the request that reads the same registers of several servos."""
     params = bytes([address, size, *ids])
     return Frame(BROADCAST, Instruction.SYNC_READ, params).to_bytes()
 
@@ -93,13 +93,13 @@ def sync_read(address: int, size: int, ids: Collection[int]) -> bytes:
 def sync_write(address: int, data: Mapping[int, bytes]) -> list[bytes]:
     """Return the requests that set registers of several servos: one, unless it is too long.
 
-    The bytes to write are given by id, the same number for each servo.
+    ``data`` has the bytes to write by id, equally many for each servo.
     """
     if not data:
         return []
     size = len(next(iter(data.values())))
     entries = [bytes([number]) + values for number, values in data.items()]
-    # The length counts instruction, address, size and checksum; a servo adds its id and values.
+    # The length counts instruction, address, size and checksum; each servo adds its id and values.
     most = (LONGEST - 4) // (size + 1)
     return [
         Frame(

@@ -1,4 +1,4 @@
-"""Drives hands of Feetech servos on one line; each drives a joint, or two drive two joints."""
+"""Drives hands of Feetech servos on one line: a servo drives a joint, or two drive two joints."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from rtee.types import DeviceSpec
 RESTARTED = 0x200
 """Code of the driver's own fault, above the bits of the status."""
 _MARK = 0x80
-"""Unused bit of the register of errors that the LED shows. It is written but not stored, so a servo
-without it has had a power cycle."""
+"""Unused bit of the register that selects the errors for the LED. The driver writes it without
+storing it, so a servo that has lost it has had a power cycle."""
 _FASTER = 1.5
 """Speed limit of references without one [velocity limit of the actuators]: a servo that lags behind
 its set-points has to be faster than they are."""
 _QUICK = 30.0
-"""Largest plausible speed of a servo [rad/s]: several times that of a free one."""
+"""Largest plausible speed of a servo [rad/s]: several times its no-load speed."""
 _JUMP = 0.1
-"""Change of a servo's angle that is plausible at any speed [rad]: backlash, and a push."""
+"""Change of a servo's angle that is plausible at any speed [rad], from backlash or a push."""
 _REFUSES: Mapping[str, str] = {
     "": "SCS servos take no torque limit while they run; 'torque' in the options sets one for all",
     "share": "with 'stall_torque' in its options it takes one",
@@ -45,10 +45,11 @@ _REFUSES: Mapping[str, str] = {
 class FeetechDriver(ServoDriver[FeetechLink]):
     """SCS, STS, SMS or HLS servos on one line.
 
-    A cycle reads position, speed, load, voltage, temperature and current, by one request for all
-    servos or, if the family does not support that, by one for each; and it sets position, speed and
-    torque limit of all by one frame without answers. This frame always carries all values, so that
-    the next one makes up for a lost one. The driver stores nothing in the servos.
+    A cycle reads position, speed, load, voltage, temperature and current, with one request for all
+    servos or, if the family does not support that, with one for each. It then sets position, speed
+    and torque limit of all servos with one frame, which they do not answer. This frame always
+    carries all values, so that the next one makes up for a lost one. The driver stores nothing in
+    the servos.
 
     Attributes:
         family: The servos' family.
@@ -129,7 +130,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             0 if scs else get(table.PHASE),
             0 if family.offset is None else get(family.offset),
             0 if scs else get(table.MODE),
-            # To HLS servos the register is a second id, which cannot be read.
+            # In HLS servos, this register is a second id, which cannot be read.
             0 if by_current else get(table.RETURN_DELAY),
             (get(table.MIN_ANGLE), get(table.MAX_ANGLE)),
             get(table.PROTECTION_CURRENT if by_current else table.MAX_TORQUE),
@@ -143,20 +144,20 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             raise self.stranger(
                 f"servo {found.id} ({name}) with position limits",
                 "limits of 0 and 0, with which it turns endlessly",
-                hint="restore its limits; those of the factory are 20 and 1003",
+                hint="restore its limits; the factory limits are 20 and 1003",
             )
 
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
         options, family = self.options, self.family
-        # That of the slowest servo, since the deadline is the same for all.
+        # The delay of the slowest servo, since the deadline is the same for all.
         self.connection.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())
         model = MODELS.get(found.model)
         known = math.nan if model is None else model.stall_torque
         stall = options.servos[self.names[servo.id]].stall_torque or options.stall_torque or known
         per_ampere = servo.torque_per_ampere or options.torque_per_ampere or math.nan
         by_load, by_current = stall / FULL, per_ampere * CURRENT_UNIT
-        # By the current if it is measured and its torque known, else by the load; both are good
-        # approximations only at standstill.
+        # From the current if it is measured and its torque is known, otherwise from the load; both
+        # are good approximations only at standstill.
         measured = family.has_current and math.isfinite(per_ampere)
         self._by_current[self.ids.index(servo.id)] = measured
         scale.effort_unit = scale.gear * (by_current if measured else by_load)
@@ -202,7 +203,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         await self._set_gains(off)
         found = [self.found[number] for number in off]
         if family.offset is not None:
-            # SCS servos have no such register; their limits choose between position and turning.
+            # SCS servos have no such register: their limits select position or wheel mode.
             await self._set(table.MODE, {s.id: 0 for s in found if s.mode})
         if options.torque is not None and not family.limits_torque:
             most = round(options.torque * FULL)
@@ -215,7 +216,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             slow = [s.id for s in found if s.return_delay != delay]
             # Not an error if a servo keeps its delay: it is only slower.
             await link.set_all(table.RETURN_DELAY, dict.fromkeys(slow, delay))
-        # A servo that does not accept the mark is driven, too, but its power cycles go unnoticed.
+        # A servo that does not accept the mark still works, but its power cycles go unnoticed.
         new = [s.id for s in found if not s.marked]
         alarms = await link.values(table.ALARM, new)
         await link.set_all(table.ALARM, {n: alarm | _MARK for n, alarm in alarms.items()})
@@ -227,7 +228,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         try:
             answers = await self.connection.link.read_all(first, size, self.ids)
         except BusTimeout:
-            # Remembered for the next cycle, which looks for a power cycle.
+            # Stored for the next cycle, which checks for a power cycle.
             self._silent = True
             raise
         measured = [self.family.measured(answers[n].params) for n in self.ids]
@@ -236,14 +237,14 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         return Readings(columns, {n: answers[n].code & Status.KNOWN for n in self.ids})
 
     async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
-        # Read again, since a sum of bytes misses one damaged answer in fifty.
+        # Read again, since the checksum misses one damaged answer in fifty.
         again = (await self._readings()).errors
         return {number: Status(error) for number, error in again.items() if error}
 
     async def _watch(self) -> None:
         """Check one servo in turn, or all after a silence, which may have been a power cycle."""
         turn, rest = divmod(self._count + 1, self.options.check_every)
-        # One servo at a time: all together would take as long as a whole cycle.
+        # One servo at a time, since checking all would take as long as a whole cycle.
         due = [self.ids[turn % len(self.ids)]] if rest == 0 else []
         for number in (self.ids if self._silent else due) if self.active else ():
             await self._check_servo(number)
@@ -261,7 +262,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         return self.family.unpack(table.TORQUE, data, first), lost
 
     async def _check_servo(self, number: int) -> None:
-        """Check that a servo has its torque and its settings; raises `DeviceFault`, `BusError`."""
+        """Check that a servo has kept torque and settings; raises `DeviceFault` and `BusError`."""
         # Twice, so that a damaged answer is not taken for a servo without torque.
         torque, lost = POWERED, False
         for _ in range(2):
@@ -281,9 +282,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         await self.connection.link.set_all(table.TORQUE, {number: POWERED})
 
     def _believe(self, readings: Readings, stamp: float) -> None:
-        """Refuse positions that servos cannot have reached, unless they are reported twice.
+        """Raise `FrameError` if a servo cannot have reached its position, unless reported twice.
 
-        Raises `FrameError`: an answer must have been damaged in spite of its checksum.
+        The answer must have been damaged in spite of its checksum.
         """
         reported, doubted = [int(p) for p in readings.columns[0]], self._doubted
         self._doubted = []
@@ -319,8 +320,8 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             if limited and math.isfinite(effort):
                 torque = min(scale.to_limit(effort), torque)
             values = family.pack(table.GOAL_POSITION, goals.positions[i])
-            # HLS servos have the goal torque in this register; in others it is a running time,
-            # which only counts without a speed.
+            # In HLS servos, this register is the goal torque; in others it is a running time, which
+            # has an effect only without a speed.
             values += family.pack(table.GOAL_TIME, torque if family.name == "hls" else 0)
             rate = rate if math.isfinite(rate) else self._fastest[i]
             values += family.pack(table.GOAL_SPEED, scale.to_speed(rate))
@@ -334,10 +335,10 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     async def recover(self) -> None:
         """Disable the torque of servos with a fault, which ends an overload.
 
-        The same goes for servos that have restarted, since only servos without torque are set up.
-        `activate` powers them again.
+        Servos that have restarted lose their torque, too, since only servos without torque are set
+        up. `activate` powers all of them again.
         """
-        # From here on, missing torque is no fault.
+        # From here on, missing torque is not a fault.
         self.active = False
         link = self.connection.link
         with link.relaxed_deadline():

@@ -1,8 +1,8 @@
 """Emulates a line of Feetech servos, all of one family.
 
-What sources leave open is a property: whether servos answer a sync read in families for which that
-is not known, and whether the adapter echoes what it sends. To a broadcast ping, families that
-answer a sync read answer in turn; the answers of others collide: a bit is 0 if any sends a 0.
+Properties set what sources leave open: whether servos answer a sync read in families for which that
+is not known, and whether the adapter echoes what it sends. Families that answer a sync read answer
+a broadcast ping in turn; the answers of others collide: a bit is 0 if any servo sends a 0.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rtee.hand.validation import Section, validated
 
 _ERRORS = {str(error.name).lower(): error for error in Status}
 _READS = (Instruction.PING, Instruction.READ)
-"""Instructions that are answered whatever the response level."""
+"""Instructions that servos answer at any response level."""
 
 
 class FeetechProperties(Section, frozen=True):
@@ -98,7 +98,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
                 given.get("direction", 1),
                 given.get("gear", 1.0),
             )
-            # A quarter turn if the travel of its actuator is not known.
+            # A quarter turn of the joint, unless the differential gives the travel.
             start, end = angles.get(name, (0.0, 1.57 / scale.gear))
             first, last = scale.to_counts(start), scale.to_counts(end)
             places[given["id"]] = {"start": float(first), "closing": float(last - first)}
@@ -120,7 +120,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
             knows = self.properties.sync_read
             if not (self.family.sync_read if knows is None else knows):
                 return []
-            # Each servo answers in its turn; a missing one leaves a gap.
+            # Each servo answers in turn; a missing servo leaves a gap.
             found = self.listening(params[2:], now)
             replies = [
                 Frame(servo.number, servo.status, servo.read(*params[:2]) or b"").to_bytes()
@@ -145,7 +145,7 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
         return self.delayed([_collided(replies)] if collide else replies, found)
 
     def _single(self, servo: EmulatedFeetech, request: Frame, now: float) -> bytes | None:
-        """Let a servo carry out a request; return its answer's data, ``None`` without an answer."""
+        """Let a servo carry out a request; return its answer's data, ``None`` if it has none."""
         params = request.params
         match request.code:
             case Instruction.READ if len(params) == 2:
@@ -174,6 +174,6 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
 
 def _collided(answers: Sequence[bytes]) -> bytes:
     """Return the bytes on the wire when several servos send at once."""
-    # 0xFF: a servo that is done leaves the line at rest, which is high.
+    # 0xFF: a servo that has finished leaves the line idle, which is high.
     columns = itertools.zip_longest(*answers, fillvalue=0xFF)
     return bytes(functools.reduce(operator.and_, column) for column in columns)

@@ -14,13 +14,13 @@ from rtee.errors import DriverError
 
 _OWNER = "set-id"
 _DEADLINE = 0.03
-"""Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
+"""Longest time for the answer of a servo [s]: an adapter holds bytes back for up to 16 ms."""
 
 
 def recognise(data: bytes) -> Model | None:
-    """Return the model for the two bytes of a model number, in its family's byte order."""
+    """Return the model for two raw bytes in its family's byte order, ``None`` if unknown."""
     for family in FAMILIES.values():
-        # In the other byte order they may be the number of another family's model.
+        # In the other byte order, they may be the number of a model of another family.
         model = MODELS.get(int.from_bytes(data, family.order))
         if model is not None and model.family == family.name:
             return model
@@ -47,7 +47,7 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
     """
     bus = await pool.serial(port, owner=_OWNER, baudrate=baudrate, fresh=True)
     try:
-        # Any family will do: only whether a servo answers counts, and the bytes of its model.
+        # Any family will do: only whether a servo answers and its model bytes count.
         link = FeetechLink(bus, FAMILIES["sts"], _DEADLINE, 2)
         await claim(link, port, old, new)
         data = await patiently(partial(link.data, old, table.MODEL.address, table.MODEL.size))
@@ -68,7 +68,7 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
             stored = {old: bytes([new])}
             write = partial(link.write_all, table.ID.address, stored)
             await renumber(link, port, old, new, write)
-            # It uses the new id at once, so the lock is set with that one.
+            # The servo uses the new id at once, so the lock is set with that.
             has = new
         finally:
             await patiently(partial(link.set_all, family.lock, {has: 1}))

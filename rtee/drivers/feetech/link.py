@@ -22,16 +22,17 @@ class FeetechLink(RelaxedDeadline, ServoLink):
     Args:
         bus: The line.
         family: The servos' family.
-        deadline: Longest time for one exchange beside its time on the line, retries included [s].
+        deadline: Longest time for one exchange, retries included, in addition to its time on the
+            line [s].
         retries: How often a request is sent again within that time.
-        turnaround: Further time per request, beside that on the line [s].
-        together: Whether several servos are read by one request.
+        turnaround: Time per request in addition to that on the line [s].
+        together: Whether one request reads several servos.
 
     Attributes:
         delay: Time that a servo waits before its answer [s].
     """
 
-    # Beside its time on the line.
+    # In addition to the time on the line.
     PATIENCE = 0.2
 
     def __init__(
@@ -73,7 +74,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
         request = codec.Frame(number, codec.Instruction.READ, bytes([address, size])).to_bytes()
 
         def answers(reply: codec.Frame) -> bool:
-            # An adapter with an echo returns the request, which has the form of an answer.
+            # An adapter with an echo returns the request, which has the same form as an answer.
             mine = reply.device == number and len(reply.params) == size
             return mine and reply.to_bytes() != request
 
@@ -96,7 +97,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
     ) -> Mapping[int, codec.Frame]:
         """Return the answers of servos with ``size`` bytes of registers, by id; raises `BusError`.
 
-        Sends one request to all if servos are read `together`; not every family answers it.
+        Sends one request to all if servos are read together, which not every family answers.
         """
         if not self.together or len(ids) <= 1:
             return {number: await self.read(number, address, size) for number in ids}
@@ -123,7 +124,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
         """Return a servo's model number, or ``None`` if it does not answer."""
         try:
             return (await self.values(MODEL, [number]))[number]
-        # A broken line is passed on: it says nothing about this servo.
+        # The error of a broken line propagates: it says nothing about this servo.
         except (BusTimeout, FrameError):
             return None
 

@@ -136,7 +136,7 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
 
     @property
     def paired(self) -> dict[str, str]:
-        """The actuator whose index each servo of a pair uses, by the servo's name."""
+        """For each servo of a pair, by name, the actuator whose index it uses."""
         if self.differential is None:
             return {}
         pairs = self.differential.pairs.values()
@@ -148,14 +148,14 @@ class FeetechOptions(LineOptions, frozen=True, kw_only=True):
 
 
 _GAVE_WAY = 0.02
-"""Largest reduction of a tilt without a warning [rad], about a degree."""
+"""Largest reduction of a tilt without a warning [rad]: about a degree."""
 
 
 class Curve:
-    """A polyline through points, extended at both ends.
+    """A polyline through points, extrapolated at both ends.
 
     Args:
-        points: Two or more points, their first numbers rising.
+        points: Two or more points with increasing first numbers.
     """
 
     def __init__(self, points: Sequence[tuple[float, float]]) -> None:
@@ -163,11 +163,11 @@ class Curve:
         self._y = [y for _, y in points]
 
     def at(self, x: float) -> tuple[float, float]:
-        """Return the value and the slope there."""
+        """Return the value and the slope at ``x``."""
         return _line(self._x, self._y, x)
 
     def inverse(self, y: float) -> float:
-        """Return where a rising curve has a value."""
+        """Return the ``x`` at which a rising curve has the value ``y``."""
         return _line(self._y, self._x, y)[0]
 
 
@@ -198,7 +198,7 @@ class Differential:
         self._shared = options.tilt_share[0][0], options.tilt_share[-1][0]
 
     def servos(self, flexion: float, tilt: float) -> tuple[float, float]:
-        """Return the servos' angles [rad] for flexion and tilt [rad], which their limit reduces."""
+        """Return the servos' angles [rad] for flexion and tilt [rad], reduced to their limit."""
         (a, b), (c, d) = self._matrix.tolist()
         # The flexion may use the whole range, the tilt the rest.
         most = self.limit / max(abs(a), abs(c), 1e-9)
@@ -217,7 +217,7 @@ class Differential:
         return self._flexion.at(bent)[0], self._tilt.at(lean)[0] * self._share_at(bent)[0]
 
     def jacobian(self, first: float, second: float) -> FloatArray:
-        """Return the derivative of the servos' angles by flexion and tilt ``(2, 2)``."""
+        """Return the Jacobian of the servos' angles with respect to flexion and tilt ``(2, 2)``."""
         bent, lean = self._coordinates(first, second)
         (tilt, tilts), (share, shares) = self._tilt.at(lean), self._share_at(bent)
         joints = np.array([[self._flexion.at(bent)[1], 0.0], [tilt * shares, tilts * share]])
@@ -231,7 +231,7 @@ class Differential:
     def _share_at(self, bent: float) -> tuple[float, float]:
         low, high = self._shared
         share, slope = self._share.at(min(max(bent, low), high))
-        # Constant beyond its ends: extended, it might reach 0.
+        # Constant beyond its ends: an extrapolated share might reach 0.
         return share, slope if low < bent < high else 0.0
 
 
@@ -274,7 +274,7 @@ class Joints:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The indices of the servos, and of the actuators, of each pair."""
+        """The two indices of each pair, which are those of its servos and of its actuators."""
         return [(i, j) for i, j, _ in self._pairs]
 
     def servos(self, positions: FloatArray) -> FloatArray:
@@ -292,7 +292,7 @@ class Joints:
         return positions
 
     def jacobian(self, angles: FloatArray) -> FloatArray:
-        """Return the derivative of the servos' angles by the actuators' positions ``(n, n)``."""
+        """Return the Jacobian of the servos' angles with respect to the positions ``(n, n)``."""
         matrix = np.eye(len(angles))
         for i, j, pair in self._pairs:
             block = pair.jacobian(float(angles[i]), float(angles[j]))

@@ -21,7 +21,7 @@ _SCS = {
     table.MIN_VOLTAGE: 45,
     table.MAX_TORQUE: FULL,
     table.UNLOAD: 36,
-    table.ALARM: 37,  # errors that the LED shows
+    table.ALARM: 37,  # errors that light the LED
     table.P: 15,
     table.D: 15,
     Register(24, 2): 30,  # least force to start
@@ -29,7 +29,7 @@ _SCS = {
     Register(27, 1): 1,  # dead zones
     Register(37, 1): 20,
     Register(38, 1): 100,
-    Register(39, 1): 80,  # the overload's protection
+    Register(39, 1): 80,  # overload protection
 }
 _STS = {
     table.MAX_ANGLE: 4095,
@@ -39,7 +39,7 @@ _STS = {
     table.MAX_TORQUE: FULL,
     table.PHASE: 12,
     table.UNLOAD: 44,
-    table.ALARM: 47,  # errors that the LED shows
+    table.ALARM: 47,  # errors that light the LED
     table.P: 32,
     table.D: 32,
     Register(24, 1): 16,  # least force to start
@@ -49,7 +49,7 @@ _STS = {
     Register(30, 1): 1,  # resolution
     Register(34, 1): 20,
     Register(35, 1): 200,
-    Register(36, 1): 80,  # the overload's protection
+    Register(36, 1): 80,  # overload protection
     Register(37, 1): 10,
     Register(38, 1): 200,
     Register(39, 1): 10,
@@ -62,7 +62,8 @@ _DEFAULTS = {"scs": _SCS, "sts": _STS, "sms": _STS, "hls": _HLS}
 class FeetechMemory:
     """The registers of one servo.
 
-    Locked, it accepts settings but does not store them; unlocked, they survive a power cycle.
+    While it is locked, it accepts settings but does not store them; unlocked, it stores them, so
+    that they survive a power cycle.
 
     Args:
         family: The servo's family.
@@ -82,18 +83,18 @@ class FeetechMemory:
         self._stored[:] = self._bytes[:RAM]
 
     def keep(self, register: Register, value: int) -> None:
-        """Set a register and store it; other settings stay as they are, stored or not."""
+        """Set a register and store it; other settings do not change, stored or not."""
         self.set(register, value)
         at = slice(register.address, register.address + register.size)
         self._stored[at] = self._bytes[at]
 
     def power_cycle(self) -> None:
-        """Restore the stored settings, locked and with the other registers at 0."""
+        """Restore the stored settings, set the lock, and clear all other registers."""
         self._bytes[:] = self._stored + bytes(END - RAM)
         self.set(self._family.lock, 1)
 
     def restore(self) -> None:
-        """Restore the values from the factory, except for the identity."""
+        """Restore the factory settings, except for model, id and baud rate."""
         kept = (table.MODEL, table.ID, table.BAUD_RATE)
         values = [(register, self.get(register)) for register in kept]
         fresh = FeetechMemory(self._family)
@@ -127,11 +128,11 @@ class FeetechMemory:
 
 
 MIDDLE = 2048
-"""The present position after it has been declared the middle [counts]."""
+"""Value of the present position after it was declared the middle [counts]."""
 _MAKE_MIDDLE = 128  # value of the torque register that declares it
 _FASTEST = {"scs": 1500.0, "sts": 3400.0, "sms": 3400.0, "hls": 3400.0}
-"""Speed of a free servo [counts/s]: that of published programs; no source gives a higher one."""
-_FRICTION = 40.0  # load of a free servo that moves [0.1 %]; no source gives it
+"""No-load speed [counts/s]: that of published programs; no source gives a higher one."""
+_FRICTION = 40.0  # load of a servo that moves freely [0.1 %]; no source gives it
 _STIFFNESS = 2000.0  # load per position error [0.1 % per rad]; no source gives it
 _SPEED_MODE = 1
 _VOLTAGE_UNIT = 0.1  # V per count
@@ -233,7 +234,7 @@ class EmulatedFeetech(EmulatedServo):
 
     @property
     def delay(self) -> float:
-        """Time that it waits before it answers [s]; an HLS has a second id in that register."""
+        """Time that it waits before it answers [s]; 0 for HLS, whose register is a second id."""
         return 0.0 if self._family.name == "hls" else super().delay
 
     @property
@@ -267,18 +268,18 @@ class EmulatedFeetech(EmulatedServo):
         """Write bytes as a host may, and act on them."""
         touched = range(address, address + len(data))
         self.memory.write(address, data)
-        # Published clients end an overload by writing the torque register.
+        # Published clients reset an overload by writing the torque register.
         if table.TORQUE.address in touched:
             self._latched = Status(0)
             if self.get(table.TORQUE) == _MAKE_MIDDLE and self._family.offset is not None:
                 self.make_present(MIDDLE)
         if table.GOAL_POSITION.address in touched and not self.get(table.TORQUE):
-            # A goal enables the torque: published programs never do that separately.
+            # A goal enables the torque, which published programs never do separately.
             self.set(table.TORQUE, int(not self.status & self.get(table.UNLOAD)))
         self._act()
 
     def make_present(self, position: int) -> None:
-        """Set the offset so that the present position has a value, and disable the torque."""
+        """Set the offset so that the present position becomes ``position``; disable the torque."""
         if self._family.offset is not None:
             self.memory.keep(self._family.offset, round(self.axis.position) - position)
         self.set(table.TORQUE, 0)
@@ -303,7 +304,7 @@ class EmulatedFeetech(EmulatedServo):
         self._act()
 
     def fail(self, error: Status) -> None:
-        """Disable the torque if the mask contains an error."""
+        """Disable the torque if the unload mask contains the error."""
         if error & self.get(table.UNLOAD):
             self.set(table.TORQUE, 0)
         self._act()
@@ -322,7 +323,7 @@ class EmulatedFeetech(EmulatedServo):
         if self._family.protection is None or Status.OVERLOAD in self._latched:
             return
         _, lasting, most = (self.get(Register(at, 1)) for at in self._family.protection)
-        # Torques in percent, the time in the register's unit.
+        # Torques are in percent, the time in the register's unit.
         strained = abs(self.axis.effort) > most * FULL / 100 > 0
         if self.strained_for(strained, now) > lasting * self._family.torque_time:
             self._strained = None
@@ -339,7 +340,7 @@ class EmulatedFeetech(EmulatedServo):
         fastest = _FASTEST[self._family.name] * self.properties.haste
         axis.max_velocity = min(abs(asked) * unit, fastest) if asked else fastest
         if self._family.offset is not None and self.get(table.MODE) == _SPEED_MODE:
-            # So far away that it is never reached, since only the speed counts.
+            # A target too far away to be reached, since only the speed counts.
             axis.target = math.copysign(1e9, asked) if asked else axis.position
         elif self._turns and self._family.offset is None:
             axis.target = axis.position  # a wheel without a target stands still

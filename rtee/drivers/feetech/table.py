@@ -12,17 +12,17 @@ from typing import Final, Literal, NamedTuple
 FamilyName = Literal["scs", "sts", "sms", "hls"]
 
 BAUD_RATES: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
-"""Rate of the line by the value of its register [baud], in the vendor's order."""
+"""Baud rate for each value of the register, in the vendor's order."""
 MOST_GAIN = 254
 """Largest gain [counts]."""
 CURRENT_UNIT = 6.5e-3
 """Current per count [A]."""
 FULL = 1000
-"""Counts of full torque, of full load and of the torque limit: 0.1 % each."""
+"""Counts of full torque, full load and the full torque limit; a count is 0.1 %."""
 RAM = 40
 """First address that does not survive a power cycle."""
 END = 87
-"""First address behind the table, whose last registers are the factory's own."""
+"""First address after the table; its last registers are for the factory only."""
 _RPM = 2.0 * math.pi / 60.0
 
 
@@ -84,7 +84,7 @@ MEASURED = (
 """Measurements of a servo, in the order in which they are returned."""
 
 SLOW_UNIT = 0x04
-"""Bit of the phase register (STS, SMS) that is set where speeds count in steps per second."""
+"""Bit of the phase register (STS, SMS) that is set if speeds are in steps per second."""
 REVERSE = 0x81
 """Bits of the phase register that reverse the direction of rotation."""
 
@@ -100,8 +100,8 @@ class Family:
         span: Angle of the range [rad].
         center: Position in the middle of the range.
         lock: The register that prevents settings from being stored.
-        offset: The position offset; ``None``: there is none.
-        state: Number of bytes with the state, from the present position on.
+        offset: Register of the position offset; ``None``: there is none.
+        state: Number of bytes of the state, from the present position on.
         sync_read: Whether the servos answer a sync read.
         torque_time: Time of the overload protection per count of its register [s].
         protection: Addresses of protective torque, protection time and overload torque; ``None``:
@@ -122,7 +122,7 @@ class Family:
 
     @property
     def rad_per_count(self) -> float:
-        """Angle per position [rad]."""
+        """Angle per position count [rad]."""
         return self.span / self.counts
 
     @property
@@ -132,13 +132,13 @@ class Family:
 
     @property
     def limits_torque(self) -> Literal["", "share", "current"]:
-        """How the torque is limited in operation: not at all, by its share, or by a current."""
+        """How torque is limited in operation: not at all, by a share of it, or by a current."""
         if self.name == "hls":
             return "current"
         return "" if self.name == "scs" else "share"
 
     def pack(self, register: Register, value: int) -> bytes:
-        """Return a value as the bytes of its register."""
+        """Convert a value to the bytes of its register."""
         if value < 0 and register.sign is not None:
             value = 1 << register.sign | -value
         return int(value).to_bytes(register.size, self.order)
@@ -158,7 +158,7 @@ class Family:
         return [self.unpack(register, data, PRESENT_POSITION.address) for register in MEASURED]
 
     def speed_unit(self, phase: int) -> float:
-        """Return the angle per second of a speed count [rad/s], from the phase register."""
+        """Return the speed per speed count [rad/s], given the phase register."""
         if self.name == "hls" or (self.name in ("sts", "sms") and not phase & SLOW_UNIT):
             return 0.732 * _RPM
         return self.rad_per_count
@@ -213,7 +213,7 @@ MODELS: Final[dict[int, Model]] = {
 
 
 def model_name(number: int | None) -> str:
-    """Return the name of a model number."""
+    """Return the name of the model with a number."""
     if number is None:
         return "unknown"
     return MODELS[number].name if number in MODELS else f"model {number}"

@@ -21,7 +21,7 @@ TORQUE_CONSTANT = 0.0418
 GEAR = 138.0  # motor turns per turn of the output shaft
 EFFICIENCY = 0.9  # gear efficiency at best
 TORQUE_PER_AMPERE = TORQUE_CONSTANT * GEAR * EFFICIENCY
-"""Torque at the output shaft per current [N·m/A], at the gear's best efficiency."""
+"""Torque at the output shaft per motor current [N·m/A], at the gear's best efficiency."""
 
 # Objects, by index and subindex.
 COMMAND_OBJECT = (0x8001, 3)
@@ -63,7 +63,7 @@ class Fault(IntFlag):
 
 
 ACKNOWLEDGE = 0x7FFF
-"""Bits of the fault word that an acknowledgement clears; the last bit is only a sign of life."""
+"""Bits of the fault word that an acknowledgement clears; the last bit is only a heartbeat."""
 WARNINGS = Fault.CURRENT_LIMITED
 """Bits that are not faults: the board limits the current because it is hot."""
 
@@ -72,13 +72,13 @@ LEAST_TORQUE = 1e-3
 
 
 def faults_of(word: int) -> Fault:
-    """Return the bits of a fault word that are faults."""
-    # Bits 10 to 14 have no published meaning; as faults, they could stop a healthy hand.
+    """Return the faults in a fault word."""
+    # Bits 10 to 14 have no published meaning; treated as faults, they could stop a healthy hand.
     return Fault(word & ACKNOWLEDGE) & ~WARNINGS & Fault(0x1FF)
 
 
 def words(fault: Fault) -> str:
-    """Return faults in words."""
+    """Return the names of faults, in words."""
     names = [bit.name.lower().replace("_", " ") for bit in fault if bit.name]
     return ", ".join(names) or "unknown"
 
@@ -138,7 +138,7 @@ class Reply(Packed):
 
 
 def order(code: Order) -> bytes:
-    """Return the value of the command object."""
+    """Return the value of the command object for a command."""
     return struct.pack("<H", code)
 
 

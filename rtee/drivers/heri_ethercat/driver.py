@@ -1,4 +1,4 @@
-"""Drives HERI II's two-motor boards on EtherCAT; never tried on the hand."""
+"""Drives HERI II's two-motor boards on EtherCAT; not yet tried on a real hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _REFUSED = 0x10000
-"""Code of the fault that a board refuses a command, above the sixteen bits of the fault word."""
+"""Fault code of a refused command, above the sixteen bits of the boards' fault word."""
 
 _POLL = 0.005
 """Pause between two reads of an acknowledgement [s]; boards need about ten milliseconds."""
@@ -40,7 +40,7 @@ _BEST_RATE = 1000.0
 
 
 _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
-"""Motor numbers by the names of the public description, counted over its two boards."""
+"""Motor numbers by the names in the public description, counted across its two boards."""
 
 Raw = Annotated[int, Meta(ge=0, le=0xFFFF)]
 
@@ -79,9 +79,10 @@ class HeriEthercatOptions(DeviceOptions, frozen=True):
 class HeriEthercatDriver(Driver):
     """The boards of a HERI II hand, with this program as their master.
 
-    The boards are brought to safe-operational to read the motors' positions, then to operational
-    with these positions as references, and powered only then, so that nothing jumps. A new master
-    takes over the network, so the driver cannot attach to a hand that another master controls.
+    The driver brings the boards to safe-operational to read the motors' positions, then to
+    operational with these positions as references, and powers them only then, so that nothing
+    jumps. A new master takes over the network, so the driver cannot attach to a hand that another
+    master controls.
     """
 
     Options = HeriEthercatOptions
@@ -132,8 +133,8 @@ class HeriEthercatDriver(Driver):
     async def _operate(self) -> None:
         """Bring the boards into operation, with their present positions as references.
 
-        A board leaves operation if the frames stop for longer than its watchdog, as on a computer
-        that is busy for a moment. As long as the motors are not powered, this can be repeated.
+        A board leaves operation if the frames stop for longer than its watchdog time, as on a
+        computer that is busy for a moment. While the motors are not powered, this is repeated.
         """
 
         async def begin() -> None:
@@ -154,7 +155,7 @@ class HeriEthercatDriver(Driver):
         ring.request(SlaveState.SAFE_OPERATIONAL, 2.0)
 
     async def _exchange(self) -> None:
-        # 16 bits of microseconds wrap after 65 ms, which is many exchanges.
+        # 16 bits of microseconds wrap after 65 ms, which is the time of many exchanges.
         stamp = int(monotonic.now() * 1e6) & 0xFFFF
         outputs = [
             codec.Command(
@@ -166,7 +167,7 @@ class HeriEthercatDriver(Driver):
             ).to_bytes()
             for b in range(self._boards)
         ]
-        # Slaves behind the hand's boards get no outputs.
+        # Slaves after the hand's boards get no outputs.
         deadline = self.options.deadline if self._powered else _PATIENCE
         inputs = await self.connection.link.exchange(outputs, deadline)
         try:
@@ -178,16 +179,16 @@ class HeriEthercatDriver(Driver):
         self._fresh = True
 
     def _are_new(self) -> bool:
-        """Return whether all boards have made new measurements.
+        """Return whether the measurements of all boards are new.
 
-        A board returns the stamp of the command that it has read last. If its program hangs, its
+        A board returns the stamp of the last command that it has read. If its program hangs, its
         EtherCAT controller keeps sending the old process data.
         """
         before, self._echoes = self._echoes, [reply.round_trip for reply in self._replies]
         if not before:
             return True
         changed = {b for b, echo in enumerate(self._echoes) if echo != before[b]}
-        # A firmware may return none.
+        # Some firmware may return no stamp.
         self._echoing |= changed
         return self._echoing <= changed
 
@@ -204,7 +205,7 @@ class HeriEthercatDriver(Driver):
         """Power the motors at their positions."""
         await self._in_operation()
         self._seed()
-        # Powered in direct mode, which has no reference; then position control, which begins at the
+        # Power on in direct mode, which has no reference; then begin position control at the
         # positions just measured.
         for code in (
             codec.Order.POWER_OFF,
@@ -220,22 +221,22 @@ class HeriEthercatDriver(Driver):
         self._powered = True
 
     async def examine(self) -> str:
-        """Raise the fault that a board reports."""
+        """Raise `DeviceFault` if a board reports a fault."""
         await self._in_operation()
         self._refuse()
         return ""
 
     async def _in_operation(self) -> None:
-        """Exchange process data; boards that have left operation are brought back first."""
+        """Exchange process data; bring boards that have left operation back to it."""
         try:
             await self._exchange()
         except BusTimeout:
             await self._operate()
 
     async def _order(self, position: int, code: codec.Order) -> None:
-        """Command a board's controller and wait for the acknowledgement, with frames going on.
+        """Command a board's controller and exchange frames until it acknowledges the command.
 
-        Raises `DeviceFault` if it refuses or does not answer, and `BusError`.
+        Raises `DeviceFault` if the board refuses or does not answer, and `BusError`.
         """
         bus = self.connection.link
         await bus.run(
@@ -264,11 +265,11 @@ class HeriEthercatDriver(Driver):
             )
 
     async def _clear_faults(self) -> None:
-        # Only bits that are set are acknowledged, so a new fault meanwhile is not cleared unseen.
+        # Acknowledge only the bits that are set, so that no new fault is cleared unseen.
         for reply in self._replies:
             self._acknowledge |= reply.fault & codec.ACKNOWLEDGE
         try:
-            # The bits are in the process data: one frame may be lost, and one is on its way.
+            # The bits are in the process data: one frame may be lost, and one is in transit.
             for _ in range(3):
                 await self._exchange()
         finally:

@@ -1,10 +1,10 @@
 """Emulates HERI II's two boards at the level of process data and objects.
 
 A board's torque reference limits the torque of both motors in position control; 0 means no limit.
-That is how the hand's users describe their effort command; there is no manual.
+The hand's users describe their effort command in this way; there is no manual.
 
-The boards' EtherCAT identity, gains, auxiliary operations, pressure scale and their reaction to
-missing frames are not public: here they are properties, or missing.
+The boards' EtherCAT identity, gains, auxiliary operations, pressure scale and reaction to missing
+frames are not public: here they are properties or are not emulated.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
             board.drive()
 
     def inject(self, fault: str) -> None:
-        """Put a fault into the first board (its faults) or all (the rest)."""
+        """Inject a fault; a fault of a board affects the first board."""
         super().inject(fault)
         if fault in _FAULTS:
             self.boards[0].fail(_FAULTS[fault])
@@ -138,7 +138,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         return [motor for board in self.boards for motor in board.motors]
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the motors close the fingers."""
+        """Return the closing motions of all motors."""
         made = self.properties
         motors = [motor for board in self.boards for motor in board.motors]
         return [Closing(motor, 0.0, made.upper, made.current) for motor in motors]
@@ -172,7 +172,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         late = self._heard is not None and self.timeout and now - self._heard > self.timeout
         if self.state is SlaveState.OPERATIONAL and late:
             self.become(SlaveState.SAFE_OPERATIONAL, now)
-            # Until the master requests a state again: late frames alone do not revive the boards.
+            # Until the master requests a state again: frames alone do not revive the boards.
             self._dropped = True
         self._heard = now
         if self._dropped or self.state < SlaveState.SAFE_OPERATIONAL:
@@ -193,7 +193,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         if self.state is SlaveState.OPERATIONAL:
             board.stamp = command.stamp
             if command.acknowledge:
-                # A fault comes back at once as long as its cause persists, as on the device.
+                # A fault returns at once as long as its cause persists, as on the device.
                 board.fault &= ~command.acknowledge
                 for fault, bit in _FAULTS.items():
                     if fault in self.faults and board is self.boards[0]:
@@ -223,11 +223,11 @@ class HeriEthercatEmulator(Emulator, Grasps):
         if obstacle is None or motor.position <= obstacle.contact:
             return 0, 0, 0
         raw = min(round(abs(motor.effort) * self.properties.pressure), 4095)
-        # The outermost phalanx has most of the contact.
+        # The outermost phalanx has most of the contact pressure.
         return raw // 4, raw // 2, raw
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
-        """Return an object."""
+        """Return the value of an object; ``None`` if there is none."""
         if (index, subindex) == codec.ACKNOWLEDGE_OBJECT:
             return self.boards[position].acknowledgement
         if (index, subindex) == codec.FIRMWARE_OBJECT:
@@ -235,7 +235,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         return None
 
     def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
-        """Write an object."""
+        """Write an object; return whether the board accepts it."""
         if (index, subindex) != codec.COMMAND_OBJECT or len(data) != codec.ORDER_SIZE:
             return False
         board = self.boards[position]

@@ -1,7 +1,7 @@
 """The RH56's registers, its serial frames and the tables in its registers; no I/O.
 
 Sources: registers, frames, error and status codes from published clients, which quote the maker's
-manuals. Addresses count bytes; a 16-bit value takes two, the low one first. Over Modbus the same
+manuals. Addresses count bytes; a 16-bit value takes two, the low byte first. Over Modbus, the same
 numbers address registers, and the tables keep their order.
 """
 
@@ -17,7 +17,7 @@ from rtee.buses.parser import CodecError, FramedParser, Framing
 from rtee.drivers.packed import Packed, part
 
 BAUDRATES = (115_200, 57_600, 19_200, 921_600)
-"""Rates that a hand can be set to [baud], by their code in `Register.BAUD`."""
+"""Baud rates of a hand, by their code in `Register.BAUD`."""
 FINGERS = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotate")
 """The six motors, in the order of every table."""
 COUNT = len(FINGERS)
@@ -25,15 +25,15 @@ WORDS = 2 * COUNT  # bytes of a table of 16-bit values
 OPEN = 1000
 """Angle count of an open finger; 0 is closed."""
 KEEP = -1
-"""A set-point that leaves the motor's present one unchanged."""
+"""A value that leaves the motor's present set-point unchanged."""
 MOST = 1000
 """Largest speed, and largest force limit of a hand without tactile sensors [g]."""
 MOST_TACTILE = 3000
 """Largest force limit of a hand with tactile sensors [g]."""
-OVERHEAD = 8  # bytes of a frame beside its data
+OVERHEAD = 8  # bytes of a frame without its data
 
 _INSIDE = 3
-"""Bytes that a frame's length counts besides the data: command and address."""
+"""Bytes that a frame's length counts in addition to the data: command and address."""
 MOST_DATA = 0xFF - _INSIDE
 """Largest number of data bytes in a frame, which has one length byte."""
 
@@ -50,13 +50,13 @@ REQUEST = Framing(
     0xFF,
     _INSIDE + 1,
 )
-"""Requests: the hand's number, and a length of command, address and data."""
+"""Framing of requests: the hand's number, then the length of command, address and data."""
 REPLY = replace(REQUEST, header=b"\x90\xeb")
-"""Replies, which differ by the header."""
+"""Framing of replies, which have another header."""
 
 
 class Command(IntEnum):
-    """Request of a frame."""
+    """Command of a frame."""
 
     READ = 0x11
     WRITE = 0x12
@@ -119,7 +119,7 @@ ERRORS = {
 class State(IntEnum):
     """Values of a motor's status byte; 4 is not used.
 
-    After power-up a motor has none, `UNSET`, and no angle set-point, until it is commanded.
+    After power-up and until its first command, a motor is `UNSET` and has no angle set-point.
     """
 
     OPENING = 0
@@ -193,7 +193,7 @@ class SetPoints(Packed):
 
 
 def words(data: bytes) -> tuple[int, ...]:
-    """Return the six values of a table; raises `CodecError` for another length."""
+    """Return the six values of a table; raises `CodecError` if the length is wrong."""
     if len(data) != WORDS:
         raise CodecError(f"{len(data)} bytes are not a table of six values")
     return _TABLE.unpack(data)

@@ -1,7 +1,7 @@
 """Emulates an RH56 on the wire: its own frames, Modbus RTU or Modbus TCP.
 
-What differs between hands, or is not known, is a property here: whether registers without meaning
-can be read, and how long motions and calibration take. It ignores frames with a wrong checksum.
+Properties set what differs between hands or is not known: whether registers without meaning can be
+read, and how long motions and calibration take. The hand ignores frames with a wrong checksum.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from rtee.drivers.objects import Closing, Grasps
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
 _SAVES = 1.0
-"""Time from saving its parameters until it tells the result [s]; no source gives it."""
+"""Time that the hand takes to save its parameters [s]; no source gives it."""
 _POLL = 0.05
-"""Time between two steps while it saves [s]."""
+"""Time between two steps while the hand saves [s]."""
 _REFUSED = b"\x00"
 """Data of the reply to a refused write; sources say only that it is not 1."""
 
@@ -38,7 +38,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     PROPERTIES = Rh56Properties
     SHARED = ("unit", "model", "travel_time", "turnaround", "protocol", "baudrate")
     # Recorded with real hands: 44 to 70 ms from a command to the motion, 281 to 2222 counts/s where
-    # the sheet's 0.3 s for the whole way are 3333, and force sensors that read a few grams.
+    # the data sheet's 0.3 s for the full travel means 3333, and idle sensors that read a few grams.
     WEAR = structs.replace(TYPICAL, lag=0.066, pace=2222.0 / 3333.0, force=(5, -12, 0, 8, -4, 0))
     FAULTS = ModbusEmulator.FAULTS | FAULTS | {"silent"}
     BAUDRATES = frozenset(codec.BAUDRATES)
@@ -69,12 +69,12 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         return self.memory.axes
 
     def wear_down(self, wear: Wear) -> None:
-        """Make it differ from its sheet; its force sensors are off until they are calibrated."""
+        """Make the hand deviate from its data sheet; uncalibrated force sensors get offsets."""
         super().wear_down(wear)
         self.memory.bias(wear.force)
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the motors of fingers and thumb close."""
+        """Return the closing motions of the motors that bend fingers and thumb."""
         most = float(self.memory.properties.most)
         return [Closing(axis, float(codec.OPEN), 0.0, most) for axis in self.memory.axes[:_ROTATOR]]
 
@@ -92,7 +92,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
             self._frames.reset()
 
     def on_faults(self) -> None:
-        """Give the faults to the motors."""
+        """Pass the injected faults to the motors."""
         self.memory.set_faults(self.faults)
 
     def advance(self, now: float) -> None:
@@ -112,7 +112,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         for frame in self._frames.feed(data):
             if frame.hand == self.memory.properties.unit:
                 answer = self._answer(frame)
-                # Nothing, or more than a frame can carry, is not answered.
+                # The hand does not answer if there is no data, or more than a frame can carry.
                 if answer and len(answer) <= codec.MOST_DATA:
                     reply = codec.Frame(frame.hand, frame.command, frame.address, answer)
                     replies.append(reply.to_bytes(codec.REPLY))
@@ -144,7 +144,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         return data
 
     def _numbered(self, answer: bytes) -> bytes:
-        """Return an answer with the previous transaction's number, where the hand lags behind."""
+        """Return an answer, with the previous transaction's number if the hand lags behind."""
         if not self.memory.properties.behind or self.framing != "tcp":
             return answer
         before, self._before = self._before, answer[:2]

@@ -25,7 +25,7 @@ class _HandLink(RelaxedDeadline):
 
     Args:
         bus: The line.
-        hand: The hand's number on it, over Modbus its Modbus number.
+        hand: The hand's number on the line; over Modbus, its Modbus number.
 
     Attributes:
         deadline: Longest time for one exchange, retries included [s].
@@ -41,7 +41,7 @@ class _HandLink(RelaxedDeadline):
 
 
 class FrameLink(_HandLink):
-    """The hand's own frames on a serial line."""
+    """Reads and writes registers by the hand's own frames on a serial line."""
 
     _bus: SerialBus
 
@@ -60,7 +60,7 @@ class FrameLink(_HandLink):
 
     async def _ask(self, command: Command, address: int, data: bytes, size: int) -> bytes:
         def answers(reply: Frame) -> bool:
-            # The size, too: the block and the angles alone are read from the same address.
+            # The size, too: the block and the angles alone begin at the same address.
             wanted = (self._hand, command, address, size)
             return (reply.hand, reply.command, reply.address, len(reply.data)) == wanted
 
@@ -92,7 +92,7 @@ class FrameLink(_HandLink):
 
 
 class ModbusLink(_HandLink):
-    """Modbus RTU or TCP; two bytes make a register, the low one the first of a table."""
+    """Reads and writes over Modbus; a register holds two bytes of a table, the low byte first."""
 
     _bus: ModbusBus
 
@@ -115,7 +115,7 @@ class ModbusLink(_HandLink):
 
     def read_time(self, size: int, turnaround: float) -> float:
         """Return the shortest time to read ``size`` bytes of registers [s]."""
-        # The PDUs are function, address and number; and function, length and registers.
+        # The PDUs are function, address and count; then function, length and registers.
         return self._bus.exchange_time(5, 2 + size, turnaround=turnaround)
 
     def write_time(self, size: int, turnaround: float) -> float:

@@ -29,7 +29,7 @@ _SETTABLE = (
     codec.Register.FORCE_SET,
     codec.Register.SPEED_SET,
 )
-"""Tables that can be written, as a whole or from a motor on."""
+"""Tables that can be written, as a whole or for consecutive motors."""
 FAULTS = frozenset(_BLOCK_FAULTS)
 """Faults of the index finger that can be injected."""
 
@@ -37,7 +37,7 @@ _INDEX = 3
 _STALL_MA = 900.0
 """Current of a motor that exerts the largest force [mA]; no source gives it."""
 _VOLTAGE = 560
-"""The register of the supply; hands were read with 557 to 562, in a unit that no source gives."""
+"""Value of the supply register; real hands returned 557 to 562, in a unit that no source gives."""
 _RUNNING_MA = 150.0
 """Current of a motor that moves freely [mA]; no source gives it."""
 
@@ -48,7 +48,7 @@ class Rh56Properties(Section, frozen=True):
     Attributes:
         unit: Its number.
         protocol: Its own frames, or Modbus.
-        framing: Of Modbus: ``rtu`` or ``tcp``.
+        framing: Modbus framing: ``rtu`` or ``tcp``.
         baudrate: Rate that its line is set to [baud].
         model: With tactile sensors (``dftp``) its force limits go up to 3000 g.
         unknown: Whether it returns registers without meaning as 0, or refuses to.
@@ -126,7 +126,7 @@ class Rh56Memory:
     def power_cycle(self) -> None:
         """Restore the initial speeds and force limits; the fingers stay where they are.
 
-        No motor has a set-point or a state then, until it is commanded.
+        Until its first command, a motor then has no set-point and no state.
         """
         self.errors = [codec.Error(0)] * codec.COUNT
         self._put(codec.Register.SPEED_SET, self._get(codec.Register.INITIAL_SPEED, codec.WORDS))
@@ -137,7 +137,7 @@ class Rh56Memory:
         self._limit()
 
     def bias(self, grams: Sequence[int]) -> None:
-        """Let the force sensors of an idle hand read some grams more, until they are calibrated."""
+        """Add offsets [g] to the force sensors, until they are calibrated."""
         self._bias = [a + b for a, b in zip(self._bias, grams or (0,) * codec.COUNT, strict=True)]
 
     def set_faults(self, faults: set[str]) -> None:
@@ -151,7 +151,7 @@ class Rh56Memory:
         for fault in self._faults:
             self.errors[_INDEX] |= _BLOCK_FAULTS[fault]
         if "too_hot" not in self._faults:
-            # The only error that ends with its cause, and not when it is cleared.
+            # The only error that ends with its cause and cannot be cleared.
             self.errors[_INDEX] &= ~codec.Error.TOO_HOT
         for axis, errors in zip(self.axes, self.errors, strict=True):
             axis.enabled = not errors
@@ -159,7 +159,7 @@ class Rh56Memory:
                 axis.target = axis.position
 
     def advance(self, dt: float) -> None:
-        """Let ``dt`` seconds pass."""
+        """Let a time ``dt`` [s] pass."""
         for axis in self.axes:
             axis.advance(dt)
         if self._calibrating > 0.0:
@@ -179,7 +179,7 @@ class Rh56Memory:
         return codec.words(self._get(register, codec.WORDS))
 
     def read(self, address: int, size: int) -> bytes | None:
-        """Return registers, or ``None`` if it refuses."""
+        """Return registers, or ``None`` if the hand refuses to."""
         at = address - tactile.FIRST
         if at >= 0 and at + size <= len(self.taxels):
             return bytes(self.taxels[at : at + size])
@@ -260,7 +260,7 @@ class Rh56Memory:
         return True
 
     def _part(self, register: codec.Register, first: int, data: bytes) -> bool:
-        """Set some motors' values of a table, from a motor on."""
+        """Set a table's values of consecutive motors, from ``first`` on."""
         count, odd = divmod(len(data), 2)
         if odd or not 0 < count <= codec.COUNT - first:
             return False
@@ -276,7 +276,7 @@ class Rh56Memory:
         most = self.properties.most if "FORCE" in register.name else codec.MOST
         least = 0
         if register is codec.Register.ANGLE_SET:
-            # An example frame of the manual writes 2000, which is taken for fully open.
+            # An example frame of the manual writes 2000, which is assumed to mean fully open.
             least, most = codec.KEEP, 2 * codec.OPEN
         # Current limits are in mA and have another range.
         if register is not codec.Register.CURRENT_LIMIT and not all(

@@ -1,4 +1,4 @@
-"""Options of an RH56, and which motor drives which actuator."""
+"""Options of an RH56, and the motors and scales of its actuators."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from rtee.hand.validation import Section, values_given
 from rtee.types import DeviceSpec
 
 LEAST = 100
-"""Smallest force limit for which the curves hold [g]; below it they are replaced by lines to 0."""
+"""Smallest force limit for which the curves hold [g]; below it, lines to 0 replace them."""
 
-_GRAVITY = 9.80665e-3  # newtons of a gram
+_GRAVITY = 9.80665e-3  # weight of a gram [N]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +47,14 @@ class ForceCurve:
         return self.newton_per_gram * grams + (self.offset if grams > 0.0 else -self.offset)
 
     def grams(self, newtons: float) -> float:
-        """Return the grams for a force at the fingertip [N], which is not negative."""
+        """Return the grams for a force at the fingertip [N], which must not be negative."""
         least = self.newtons(LEAST)
         if newtons < least:
             return newtons / least * LEAST
         return (newtons - self.offset) / self.newton_per_gram
 
 
-# The arms follow from the lengths of the phalanges with their couplings, half bent.
+# The arms follow from the lengths of the phalanges and their couplings, with fingers half bent.
 FORCES = {
     "little": ForceCurve(6.965e-3, -0.198, 0.085),
     "ring": ForceCurve(6.965e-3, -0.198, 0.10),
@@ -99,27 +99,27 @@ class MotorScale:
         self._fastest = (upper - lower) / travel_time
 
     def effort(self, grams: float) -> float:
-        """Return the effort [N·m] of a measured force."""
+        """Convert a measured force [g] to an effort [N·m]."""
         return self._sign * self._force.newtons(grams) * self._force.arm
 
     def limit(self, effort: float) -> int:
-        """Return the force limit [g] for an effort limit [N·m], which may be infinite."""
+        """Convert an effort limit [N·m], which may be infinite, to a force limit [g]."""
         if math.isinf(effort):
             return self._most
         # At least 1: no source says whether 0 switches the motor off.
         return min(max(round(self._force.grams(effort / self._force.arm)), 1), self._most)
 
     def speed(self, velocity: float) -> int:
-        """Return the speed count for a velocity limit [rad/s], which may be infinite."""
+        """Convert a velocity limit [rad/s], which may be infinite, to a speed count."""
         share = min(velocity / self._fastest, 1.0)
         # At least 1: at speed 0 a finger would never arrive.
         return max(round(MOST * share), 1)
 
     @property
     def grip(self) -> GripForce:
-        """The force at the fingertip by effort limit."""
+        """Forces at the fingertip for the smallest and the largest effort limit."""
         force = self._force
-        # From LEAST on: nothing was measured below, so no force is promised there.
+        # From LEAST on: no force was measured below it, so none is promised there.
         low, high = force.newtons(LEAST), force.newtons(self._most)
         return GripForce((low * force.arm, high * force.arm), (low,), (high,))
 
@@ -127,8 +127,8 @@ class MotorScale:
 Finger = Literal["little", "ring", "middle", "index", "thumb_bend", "thumb_rotate"]
 
 TURNAROUND = 0.0025
-"""Time from a request to its answer beside that on the wire [s]: recorded exchanges of 29 bytes at
-115,200 baud took 6.6 ms, of which the bytes take 2.5 ms and the computer the rest."""
+"""Time from a request to its answer, in addition to that on the wire [s]: recorded exchanges of 29
+bytes at 115,200 baud took 6.6 ms: 2.5 ms for the bytes, the rest for hand and computer."""
 
 
 class ForceOptions(Section, frozen=True):
@@ -190,7 +190,7 @@ class InspireRh56Options(DeviceOptions, frozen=True):
 
     @property
     def areas(self) -> tuple[Area, ...]:
-        """The arrays of taxels that are read."""
+        """The arrays of taxels to read."""
         match self.touch:
             case "off":
                 return ()

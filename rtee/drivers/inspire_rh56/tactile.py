@@ -1,4 +1,4 @@
-"""The taxels of an RH56DFTP: their arrays, their registers, and reading them.
+"""The taxels of an RH56DFTP: their arrays, their registers, and a reader.
 
 Source: the register map in a published client that quotes the maker's manual. Addresses step by two
 from value to value, as in all tables of the hand, and one request reads at most 125 values.
@@ -20,12 +20,12 @@ from rtee.touch import TouchReading, TouchSensor
 
 FIRST: Final = 3000
 LAST: Final = 5124
-"""Address of the first register with a taxel, and the first address behind the last one."""
+"""Address of the first taxel's register, and the first address after the last taxel."""
 
 FULL: Final = 4095
 """Largest value of a taxel; its unit is not published."""
 
-_FINGER: Final = 370  # distance of the addresses from finger to finger
+_FINGER: Final = 370  # address offset from finger to finger
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Area:
 
     @property
     def taxels(self) -> int:
-        """Number of its taxels."""
+        """Number of taxels."""
         return self.grid[0] * self.grid[1]
 
 
@@ -80,9 +80,9 @@ def sensors(areas: Sequence[Area]) -> tuple[TouchSensor, ...]:
 
 
 def blocks(areas: Sequence[Area]) -> tuple[tuple[int, int], ...]:
-    """Return the address and the number of values of each request that reads some areas.
+    """Return the requests that read some areas: the address and the number of values of each.
 
-    Areas that follow each other are read together, as far as one request goes.
+    One request reads consecutive areas together, as far as its limit allows.
     """
     found: list[tuple[int, int]] = []
     for area in areas:
@@ -113,7 +113,7 @@ class TactileReader:
 
     @property
     def largest(self) -> int:
-        """Bytes of the largest request's answer."""
+        """Size of the largest answer [byte]."""
         return max(2 * count for _, count in self.blocks)
 
     async def read(self, link: Rh56Link) -> TouchReading | None:
@@ -123,16 +123,16 @@ class TactileReader:
         """
         turn = self._turn
         address, count = self.blocks[turn]
-        # Before the request: values must not seem newer than they are.
+        # Taken before the request: values must not seem newer than they are.
         stamp = monotonic.now()
         data = await link.read(address, 2 * count)
         raw = np.frombuffer(data, dtype="<u2").astype(np.float64)
         begin = sum(n for _, n in self.blocks[:turn])
-        # A copy: a reading that was returned must not change.
+        # A copy, since a reading that was returned must not change.
         self._values = self._values.copy()
         self._values[begin : begin + count] = np.where(raw <= FULL, raw, math.nan)
         self._stamps[turn] = stamp
         self._turn = (turn + 1) % len(self.blocks)
-        # The whole is as old as its oldest part.
+        # The reading is as old as its oldest part.
         oldest = min(self._stamps)
         return TouchReading(self._values, oldest) if math.isfinite(oldest) else None

@@ -1,1 +1,1 @@
-"""A hand that follows its reference without any device: for display, development and tests."""
+"""A hand that follows its reference without a device, for display, development and tests."""

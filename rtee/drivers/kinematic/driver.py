@@ -55,21 +55,21 @@ class KinematicActuator:
         return self.spec.effort if math.isfinite(self.spec.effort) else 1.0
 
     def at(self, fraction: float) -> float:
-        """Return the position at a fraction of the way from rest to the farthest bound."""
+        """Return the position at a fraction of the travel from rest to the farthest bound."""
         return from_rest(self.spec.rest, self.spec.farthest, fraction)
 
     def step(self, dt: float, follow: float, full_effort_at: float, *, powered: bool) -> None:
-        """Simulate the motion for a time [s]; without power it stays where it is, without effort.
+        """Simulate the motion for a time [s]; without power, the actuator rests without effort.
 
-        It covers the fraction ``follow`` of the way to its target; at an object, a target this far
-        behind it [rad | m] gives full effort.
+        It covers the fraction ``follow`` of the distance to its target. At an object, a target
+        ``full_effort_at`` [rad | m] beyond it gives full effort.
         """
         before, target = self.position, self.target
-        # Most actuators rest in most cycles, and at rest only an object causes effort.
+        # Most actuators are at rest in most cycles, where only an object causes effort.
         if not powered or (target == before and self.obstacle is None):
             self.velocity = self.effort = 0.0
             return
-        # Run for each actuator at each tick of a motion, so min() and max() are written out.
+        # Runs for each actuator at each tick of a motion, so min() and max() are written out.
         spec, gap = self.spec, target - before
         most = dt * (self.max_velocity if self.max_velocity < spec.velocity else spec.velocity)
         moved = gap * follow
@@ -101,12 +101,12 @@ class KinematicActuator:
             return after
         # The sign of (obstacle - rest) would be 0, not a direction, for an object at rest.
         if self.spec.farthest >= self.spec.rest:
-            # An actuator already beyond the object when that is placed does not jump back.
+            # An actuator that is already beyond a newly placed object does not jump back.
             return after if after <= at or before > at else at
         return after if after >= at or before < at else at
 
     def warm(self, dt: float, ambient: float, heating: float, time_constant: float) -> None:
-        """Simulate the temperature for a time [s]; it depends on the effort."""
+        """Simulate the temperature, which depends on the effort, for a time [s]."""
         share = self.effort / self.rating
         # The loss in a winding is proportional to the square of the current.
         settled = ambient + heating * share * share
@@ -142,7 +142,7 @@ class KinematicOptions(Section, frozen=True):
 
 
 class KinematicDriver(Driver):
-    """A hand that follows its reference, stops at objects and gets warm by effort.
+    """A hand that follows its reference, stops at objects and warms up with effort.
 
     Attributes:
         now: Clock of the motion [s]; replace it to simulate faster or slower than real time.
@@ -205,8 +205,8 @@ class KinematicDriver(Driver):
             fraction: Fraction of the travel from rest to the farthest bound, 0 to 1.
 
         Raises:
-            ConfigError: if there is no such finger or actuator, the actuator turns without end, or
-                the fraction is out of range.
+            ConfigError: if there is no such finger or actuator, the actuator is continuous, or the
+                fraction is out of range.
         """
         self._check_names({name: fraction}, fingers=True)
         if not 0.0 <= fraction <= 1.0:
@@ -234,8 +234,8 @@ class KinematicDriver(Driver):
         self._plugged = True
 
     def fail(self, name: str) -> None:
-        """Make the device report a fault and lose its power until it is recovered."""
-        # First, since it has moved with power up to this moment.
+        """Make the device report a fault and lose its power until recovery."""
+        # First, since the actuators have moved with power up to this moment.
         self._advance()
         self._fault = name
         self._powered = False

@@ -1,6 +1,6 @@
 """The LinkerHands' registers, CAN properties, fault codes and version block; no I/O.
 
-Sources: register numbers, CAN properties and ranges from the maker's Python SDK, for the O6 also
+Sources: register numbers, CAN properties and ranges from the maker's Python SDK; for the O6, also
 from an independent client. Every register and every byte on CAN holds one value from 0 to 255.
 """
 
@@ -19,8 +19,8 @@ RIGHT, LEFT = 0x27, 0x28
 """Modbus number, and identifier on CAN, of a right and of a left hand."""
 BAUDRATE = 115_200  # RS-485 [baud]; the hands' only rate
 VERSION_CODES = frozenset({0x64, 0xC2})
-"""Properties on CAN with the version; newer firmware answers the second. That they hold the version
-block of RS-485 is assumed."""
+"""CAN properties with the version; newer firmware answers the second. They are assumed to contain
+the version block of RS-485."""
 BITRATE = 1_000_000  # CAN [bit/s]
 MOST = 255
 """Largest value of a register."""
@@ -46,7 +46,7 @@ FAULT_NAMES: Mapping[int, str] = {
 
 
 class Table(IntEnum):
-    """Quantities with one value for each motor: the CAN property of the first of them."""
+    """Tables with a value for each motor, numbered by the CAN property of the first values."""
 
     POSITION = 0x01
     TORQUE = 0x02
@@ -73,7 +73,7 @@ class Model:
 
     Attributes:
         motors: Its motors, in the order of every table.
-        ranges: Positions at the values 255 and 0 according to the maker's SDK [rad].
+        ranges: Positions of each motor at 255 and at 0, from the maker's SDK [rad].
         tables: The places of its tables.
         version: First register of its version block.
         spacing: Silence that the maker's SDK leaves between two frames on RS-485 [s].
@@ -109,7 +109,7 @@ O6 = Model(
 L10 = Model(
     "L10",
     # The maker's lists swap the names of the second and the last motor; according to its range, the
-    # second one rotates the thumb in front of the palm.
+    # second motor rotates the thumb in front of the palm.
     (
         "thumb_bend", "thumb_yaw", "index", "middle", "ring", "little",
         "index_roll", "ring_roll", "little_roll", "thumb_roll",
@@ -129,11 +129,11 @@ L10 = Model(
     joint_write=False,
 )  # fmt: skip
 MODELS: Mapping[str, Model] = {"o6": O6, "l10": L10}
-"""The hands by their name in hand.yaml."""
+"""The models by their names in hand.yaml."""
 
 
 class Side(IntEnum):
-    """The side of a hand: the letter of its name."""
+    """The side of a hand, as the initial letter of its name."""
 
     LEFT = ord("L")
     RIGHT = ord("R")
@@ -149,7 +149,7 @@ class Version(Registers):
         serial: Serial number or lot.
         side: Its side.
         software: Version of its software, major and minor in a nibble each.
-        hardware: The same of its hardware.
+        hardware: Version of its hardware, in the same form.
     """
 
     COUNT = 6
@@ -169,9 +169,9 @@ def dotted(version: int) -> str:
 
 
 def checked(table: Table, registers: Sequence[int], count: int) -> tuple[int, ...]:
-    """Return the values of a table; raises `CodecError` for another number, or an impossible one.
+    """Return the values of a table; raises `CodecError` if their number or a value is impossible.
 
-    Fault codes that are not published are more likely the late answer to another request.
+    An unpublished fault code is more likely to be the late answer to another request.
     """
     known = set(Fault) if table is Table.FAULT else range(MOST + 1)
     if len(registers) != count or not all(value in known for value in registers):
@@ -188,7 +188,7 @@ def query(unit: int, code: int) -> CanFrame:
 
 
 def property_frame(unit: int, code: int, values: Sequence[int]) -> CanFrame:
-    """Return the frame that sets a property, and with which the hand reports it."""
+    """Return the frame that sets or reports a property."""
     return CanFrame(unit, bytes((code, *values)))
 
 

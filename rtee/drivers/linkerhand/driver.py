@@ -39,7 +39,7 @@ CAN_SPACING = 0.005
 
 _YAWS = ("yaw", "rot", "oppos")
 _ROLLS = ("roll", "abduct", "spread")
-"""Parts of names that identify motors which do not bend a finger."""
+"""Parts of actuator names that indicate motors which do not bend a finger."""
 
 
 class LinkerHandOptions(DeviceOptions, frozen=True):
@@ -138,15 +138,16 @@ _SHORT = 6
 """Distance from the set-point at which a resting motor presses on something [counts]: 2 % of the
 travel, more than the position error of a free motor."""
 _RESTING = 0.2
-"""Time for which it must have rested [s]: three readings of the slowest hand."""
+"""Time for which a motor must have rested [s]: three readings of the slowest hand."""
 
 
 class LinkerHandDriver(Driver):
     """A LinkerHand O6 or L10.
 
-    A cycle reads the positions and writes the set-points that have changed; faults and temperatures
-    are read now and then. The motors cannot be switched off, and the hand reports neither efforts
-    nor contacts: a motor that rests short of its set-point counts as holding something.
+    A cycle reads the positions and writes the set-points that have changed; from time to time, it
+    also reads faults and temperatures. The motors cannot be switched off, and the hand reports
+    neither efforts nor contacts: a motor that rests short of its set-point counts as holding
+    something.
     """
 
     Options = LinkerHandOptions
@@ -239,7 +240,7 @@ class LinkerHandDriver(Driver):
         self._attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
-        """Raise the fault that the hand reports."""
+        """Raise `DeviceFault` if the hand reports a fault."""
         with self.connection.link.relaxed_deadline():
             await self._examine()
         return ""
@@ -247,7 +248,7 @@ class LinkerHandDriver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     def _keep(self, counts: tuple[int, ...]) -> None:
-        """Store measured positions, and when each motor has moved last."""
+        """Store the measured positions and the time at which each motor last moved."""
         now = monotonic.now()
         before = self._counts or counts
         for motor, (new, old) in enumerate(zip(counts, before, strict=True)):
@@ -310,7 +311,7 @@ class LinkerHandDriver(Driver):
             if not mask[i]:
                 continue
             most = self.spec.actuators[i].effort
-            # Without an effort limit in the model, 255 has no known effort.
+            # Without an effort limit in the model, the effort at 255 is not known.
             limited = math.isfinite(most)
             torques[motor] = (
                 _share(float(reference.max_effort[i]) / most) if limited else codec.MOST
@@ -324,7 +325,7 @@ class LinkerHandDriver(Driver):
             raise CommandRejected(self.spec.name, error.message) from error
 
     async def _set(self, wanted: dict[Table, list[int]]) -> None:
-        """Write the tables if they differ from those in the hand; limits only if these differ."""
+        """Write the positions if any table has changed, and the limits if these have changed."""
         if wanted == self._sent:
             return
         sent, self._sent = self._sent, {}
@@ -333,7 +334,7 @@ class LinkerHandDriver(Driver):
         await self.connection.link.write(wanted if limited else {Table.POSITION: targets})
         now = monotonic.now()
         for motor, target in enumerate(targets):
-            # A motor with a new set-point gets the time to move before it counts as resting.
+            # A motor with a new set-point gets time to move before it counts as resting.
             if before is None or target != before[motor]:
                 self._moved[motor] = now
         self._sent = wanted
@@ -352,7 +353,7 @@ class LinkerHandDriver(Driver):
     ) -> None:
         """Make the measured positions of some motors their set-points.
 
-        ``instead`` returns the actuators that hold another position, see `Standstill.instead`.
+        ``instead`` returns the actuators that hold another position; see `Standstill.instead`.
         """
         link = self.connection.link
         self._keep(await link.read(Table.POSITION))

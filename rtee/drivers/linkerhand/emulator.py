@@ -1,7 +1,7 @@
 """Emulates a LinkerHand: its registers over Modbus RTU, and its properties on CAN.
 
-What is not published is a property here: how fast it moves, and its version block. It keeps its
-last set-points when the line falls silent, and answers wrong addresses with exception 2.
+Properties set what is not published: how fast the hand moves, and its software version. The hand
+keeps its last set-points when the line falls silent, and answers wrong addresses with exception 2.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from rtee.drivers.options import Byte, Duration, Positive
 from rtee.hand.validation import Section
 
 _FAULTS = {fault.name.lower(): fault for fault in codec.Fault if fault}
-_INDEX = 2  # index of the motor that has these faults
+_INDEX = 2  # index of the motor that can have these faults
 _LIMITS = (codec.Table.SPEED, codec.Table.TORQUE)
 _BENDING = ("thumb_bend", "index", "middle", "ring", "little")
 _OPEN = {"index_roll": 128.0, "ring_roll": 128.0, "little_roll": 128.0}
-"""Positions at power-up of motors that are not open at 255."""
+"""Positions at power-up of the motors that are not open at 255."""
 _RATING = 0.01
 """Heating rate of a motor at its largest torque [K/s]: it becomes warm within minutes."""
 
@@ -92,7 +92,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         self._unlimited()
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the motors that bend the digits close."""
+        """Return the closing motions of the motors that bend the digits."""
         pairs = zip(self.model.motors, self.axes, strict=True)
         return [
             Closing(axis, float(codec.MOST), 0.0, float(codec.MOST))
@@ -218,6 +218,6 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
                 self.set_table(table, first, list(data[:count]))
             return []
         values = self.table(table)[first : first + count]
-        # Another kind of hand has another number of values.
+        # Another model has another number of values.
         shown = values[:2] if "wrong_device" in self.faults else values
         return [codec.property_frame(self.unit, code, shown)]

@@ -77,7 +77,7 @@ class ModbusLink(_LinkerHand):
     _both = True
 
     def __post_init__(self) -> None:
-        # An emulated line without wire time needs no silence, either.
+        # An emulated line without wire time needs no silence.
         if self.bus.gap:
             self.bus.gap = max(self.bus.gap, self.spacing)
 
@@ -104,8 +104,8 @@ class ModbusLink(_LinkerHand):
     async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return temperatures [°C] and fault codes of all motors; raises `BusError`.
 
-        Both tables are read at once: a Modbus answer does not name its registers, and only by its
-        length can a late answer be distinguished from one with positions.
+        One request reads both tables: a Modbus answer does not name its registers, and only its
+        length distinguishes a late answer from one with positions.
         """
         count, both = self.model.count, (Table.TEMPERATURE, Table.FAULT)
         if self._both:
@@ -139,8 +139,8 @@ class ModbusLink(_LinkerHand):
 
     def cycle_time(self) -> float:
         """Return the shortest time to read the positions and to set them [s]."""
-        # Frames of 8, 5 + 2n, 9 + 2n and 8 bytes for n values; pauses before both requests, and the
-        # silences after them that mark their end.
+        # Frames of 8, 5 + 2n, 9 + 2n and 8 bytes for n values; a pause before each request, and a
+        # silence after it that marks its end.
         rate = self.bus.line.baudrate
         count = 30 + 2 * 2 * self.model.count
         return wire_time(count, rate) + 2 * (self.spacing + silence(rate))
@@ -188,7 +188,7 @@ class CanLink(_LinkerHand):
     def cycle_time(self) -> float:
         """Return the shortest time to read the positions and to set them [s]."""
         parts = len(self.model.tables[Table.POSITION].properties)
-        # A request and its answer, and a write; each waits for the pause after the previous frame.
+        # A request, its answer and a write; the pause precedes the request and the write.
         wire = 3 * parts * _CAN_BITS / codec.BITRATE
         return max(wire, 2 * parts * self.spacing)
 

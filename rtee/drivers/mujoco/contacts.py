@@ -1,6 +1,6 @@
 """Contact and friction: one set of numbers for everything that touches.
 
-`docs/concepts/simulation.md` shows the study they come from; `benchmarks/contacts.py` repeats it.
+`docs/concepts/simulation.md` describes the study behind them; `benchmarks/contacts.py` repeats it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ IMPRATIO: Final = 100.0
 proportion to it, and a high ratio costs no time."""
 
 DIMENSIONS: Final = 4
-"""A contact transmits normal force, friction in two directions, and torsion about the normal."""
+"""Dimensions of a contact: normal force, friction in two directions, torsion about the normal."""
 
 PAD_FRICTION: Final = 1.0
 """Default friction of a fingertip with an object: rubber on plastic or metal."""
@@ -49,7 +49,7 @@ TABLE_FRICTION: Final = 0.8
 """Friction of a table with an object on it."""
 
 _LEVER = 0.15
-"""From the first joint of a finger to its tip [m], in large hands."""
+"""Distance from the first joint of a finger to its tip in large hands [m]."""
 
 _TORSION = 0.01
 """Torsional friction at a sliding friction of 1 [m]: the diameter of the contact patch."""
@@ -73,7 +73,7 @@ def configure(option: mujoco.MjOption) -> None:
 
 
 def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
-    """Give a shape the parameters of all contacts, with a coefficient of sliding friction."""
+    """Give a shape the common contact parameters, with a coefficient of sliding friction."""
     geom.solref = [TIME_CONSTANT, 1.0]
     geom.solimp = IMPEDANCE
     geom.condim = DIMENSIONS
@@ -81,11 +81,11 @@ def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
 
 
 def make_object(geom: mujoco.MjsGeom, half_extents: Sequence[float]) -> float:
-    """Give a shape of an object its contact: hard, with a skin, and frictionless.
+    """Give a shape of an object its contact parameters: hard, with a skin, and frictionless.
 
     MuJoCo takes the larger friction of two shapes, so a pair has the coefficient of the shape that
-    touches the object. Its forces begin at a distance, the margin; the caller makes the shape
-    smaller by as much, so that they begin at the surface.
+    touches the object. The forces begin at a distance, the margin; the caller shrinks the shape by
+    the margin, so that they begin at the surface.
 
     Args:
         geom: The shape.
@@ -101,7 +101,7 @@ def make_object(geom: mujoco.MjsGeom, half_extents: Sequence[float]) -> float:
 
 
 def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:
-    """Give the contact of an explicit pair of shapes the parameters of all contacts."""
+    """Give an explicit pair of shapes the common contact parameters."""
     pair.solref = [TIME_CONSTANT, 1.0]
     pair.solimp = IMPEDANCE
     pair.condim = DIMENSIONS

@@ -41,7 +41,7 @@ _LINEAR_GIVE = 0.01
 """Metres by which a prismatic joint yields where a rotary one yields by 1 rad."""
 
 SAMPLES: Final = 201
-"""Places at which a coupling is fitted, compared and tabulated: 1/200 of its range."""
+"""Number of points at which a coupling is fitted, compared and tabulated: 200 equal steps."""
 
 # Range that is fitted for an actuator without limits, to both sides [rad].
 _CONTINUOUS_SPAN = math.pi
@@ -56,7 +56,7 @@ _EXACT = 1e-6
 """Error of a polynomial [rad or m] below which it counts as the coupling itself."""
 
 _LEAST_SLOPE = 1e-3
-"""Least sum of shares times slopes, relative to the shares, by which effort is distributed: below
+"""Least sum of shares times slopes, relative to the shares, for which effort is distributed: below
 it the joints hardly move with the actuator and would get immense torques."""
 
 
@@ -104,7 +104,8 @@ def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ..
 def motor_joint(hand: Hand, actuator: str) -> str:
     """Return the joint that an actuator's motor moves in the model.
 
-    It is the actuator's own, unless that follows by a spring itself: then one of the model's.
+    It is the actuator's own joint, unless that joint is on a spring: then it is one that the model
+    adds.
     """
     known = hand.dynamics.get(actuator)
     apart = known is not None and actuator in (known.joints or ())
@@ -119,7 +120,7 @@ def coupling_name(joint: str) -> str:
 def tendon_name(actuator: str, finger: str = "") -> str:
     """Return the name of the tendon, and the equality, that shares an actuator's effort.
 
-    It is shared among the joints of a finger, or among all.
+    The joints of a finger share the effort; without a finger, all joints do.
     """
     return f"tendon/{actuator}/{finger}" if finger else f"tendon/{actuator}"
 
@@ -180,7 +181,7 @@ def reach(hand: Hand, joint: UrdfJoint) -> tuple[float, float]:
 def add_couplings(
     spec: mujoco.MjSpec, hand: Hand, servos: Mapping[str, Servo], options: SimOptions
 ) -> list[str]:
-    """Couple the joints of a model like the transmission; returns the assumptions made."""
+    """Couple the joints of a model as the transmission does; returns the assumptions made."""
     notes: list[str] = []
     every = followers(hand)
     for follower in every:
@@ -199,7 +200,7 @@ def add_couplings(
         if error > _EXACT:
             notes.append(
                 f"joint '{follower.joint}' follows '{follower.actuator.name}' by a curve; its "
-                f"tangent is renewed at every exchange (a single polynomial would be up to "
+                f"tangent is updated at every exchange (a single polynomial would be up to "
                 f"{error:.2g} off)"
             )
     for actuator in hand.actuators:
@@ -250,10 +251,10 @@ def shares_of(known: ActuatorDynamics, of: Sequence[int] = ()) -> FloatArray | N
 
 
 def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | None:
-    """Return the torque at each joint ``(k,)`` for a unit of the actuator's; no work is lost.
+    """Return the torque at each joint ``(k,)`` per unit of the actuator's torque; no work is lost.
 
     Unless hand.yaml gives their ratios as weights ``(k,)``, the torques are proportional to the
-    joints' slopes, as with pulleys whose radii are proportional to the turns. The result is
+    joints' slopes, as with pulleys whose radii are proportional to the slopes. The result is
     ``None`` if the joints do not move with the actuator.
     """
     # Not numpy.linalg.norm, which takes longer than all the rest for so few numbers.
@@ -335,7 +336,7 @@ def _add_springs(
         Following.TENDON: ", and a tendon shares its effort among them",
         Following.LINKAGE: ", and each finger shares its effort among its own",
     }.get(known.coupling or Following.SPRING, "")
-    return f"{len(group)} joints follow '{servo.actuator}' by springs{how}" + (
+    return f"'{servo.actuator}' moves {len(group)} joint(s) by springs{how}" + (
         "" if known.give else f"; they yield by {GIVE:g} rad to their part of the full effort"
     )
 
@@ -343,6 +344,6 @@ def _add_springs(
 def _moves_nothing(hand: Hand, actuator: str) -> ModelError:
     return ModelError(
         f"actuator '{actuator}' moves no joint with its shares in hand.yaml; the sum of "
-        "each share times how far its joint follows must not be zero",
+        "each share times the slope of its joint must not be zero",
         path=hand.urdf.path,
     )

@@ -42,18 +42,18 @@ GAINS = ("kp", "ki", "kd")
 """The gains of every actuator that can be set while it runs; see `Simulation.set_gain`."""
 
 _UNSTABLE = 1
-"""Code of the fault of a simulation that blew up; there is no other."""
+"""Fault code of a simulation that became unstable, the only fault of this driver."""
 
 _AFFORDABLE = 0.2
 """A step that takes less than this share of a period runs in the loop's own thread: handing it
 to another one would cost more."""
 
 _MOST_BEHIND = 3
-"""Largest number of periods that a late exchange makes up for: a freeze of the computer is no
-motion."""
+"""Largest number of periods that a late exchange makes up for: after a freeze of the computer, the
+hand must not jump."""
 
 _ROUNDED = 1e-3
-"""Share of a period that a whole one may lack by rounding."""
+"""Share of a period by which rounding may shorten a whole period."""
 
 _SPARE = 0.7
 """Missed periods are made up for only if a step takes less than this share of one: a simulation
@@ -64,8 +64,8 @@ class MujocoDriver(Driver):
     """A hand with dynamics and contact, simulated.
 
     Every exchange advances the simulation by the time between exchanges, so that two runs of the
-    same goals are equal when the loop keeps its rate. Where ticks are missed, the next exchange
-    makes up for them: simulated time would fall behind the references, which follow real time.
+    same goals are equal if the loop keeps its rate. The next exchange makes up for missed ticks;
+    otherwise simulated time would fall behind the references, which follow real time.
     """
 
     Options = SimOptions
@@ -101,7 +101,7 @@ class MujocoDriver(Driver):
         return self._simulation
 
     async def configure(self) -> None:
-        """Build the model; takes a moment, so it does not run in the loop's thread."""
+        """Build the model in another thread than the loop's, since that takes a moment."""
         with needing_extra("the driver 'mujoco'", "sim"):
             self._simulation = await anyio.to_thread.run_sync(self._made)
         self.object_description = self._simulation.object_description
@@ -122,7 +122,7 @@ class MujocoDriver(Driver):
         return make_simulation(hand, self._options, names, period, closing=closing)
 
     async def activate(self) -> None:
-        """Power the actuators where they are."""
+        """Power the actuators at their present positions."""
         self.simulation.hold()
         self.simulation.power(True)
         self._behind, self._before = 0.0, math.inf
@@ -144,13 +144,13 @@ class MujocoDriver(Driver):
 
     def _exchange(self, simulation: Simulation, count: int) -> ActuatorState:
         """Advance by ``count`` periods, then measure; in any thread."""
-        # An exchange that was given up may still run in its thread, and measuring reads contacts
-        # that a step replaces.
+        # An abandoned exchange may still run in its thread, and measuring reads contacts that a
+        # step replaces.
         with self._advancing:
             began = time.perf_counter()
             for _ in range(count):
                 simulation.advance()
-            # A slow average, so that one preempted step does not send it to the thread.
+            # A slow average, so that one preempted step does not move the work to the thread.
             self._cost += 0.05 * ((time.perf_counter() - began) / count - self._cost)
             return self._measured(simulation)
 
@@ -173,7 +173,7 @@ class MujocoDriver(Driver):
         )
 
     def _due(self, now: float) -> int:
-        """Return how many periods to advance by: one, and those that have been missed."""
+        """Return the number of periods to advance by: one, plus those that were missed."""
         period = self._period
         late = max(now - self._before, 0.0) - period if self._before < math.inf else 0.0
         self._before = now
@@ -221,9 +221,9 @@ class MujocoDriver(Driver):
                 ) from error
 
     async def deactivate(self) -> None:
-        """Leave the joints limp."""
+        """Make the joints limp, as `disable` does."""
         await self.disable()
 
     async def close(self) -> None:
-        """Forget the simulation."""
+        """Discard the simulation."""
         self._simulation = None

@@ -17,7 +17,7 @@ _NONE = 0.0, 0.0, 0.0
 class FingerForces:
     """Reads the normal force on each finger, as pads that measure pressure do.
 
-    Counted are contacts of links that belong to one finger with anything outside the hand, and
+    It counts contacts of links that belong to one finger with anything outside the hand, and
     contacts between two fingertips. A finger that presses on the palm holds nothing.
     """
 

@@ -35,13 +35,13 @@ _TINY_MASS = 1e-3
 """Mass of a link that has neither mass nor shape, but moves [kg]."""
 
 _TINY_INERTIA = 1e-6
-"""Its moments of inertia [kg·m²]: those of a pea."""
+"""Moments of inertia of such a link [kg·m²]."""
 
 _LEAST_INERTIA = 1e-9
-"""The least moment of inertia that is simulated [kg·m²]; smaller ones are roundings to 0."""
+"""Least moment of inertia taken from a URDF [kg·m²]; smaller ones have been rounded to 0."""
 
 _POINT = 1e-4
-"""Moments of inertia of a link without shape, for its mass [m²]: those of a ball of 16 mm."""
+"""Moments of inertia of a link without shape, per mass [m²]: a ball with a radius of 16 mm."""
 
 _TRIANGLE = 1e-3
 """Relative tolerance of the rule that a body's largest moment of inertia is at most the sum of the
@@ -55,7 +55,7 @@ _PASSIVE_DAMPING = 0.5
 """Damping ratio of a passive joint with its spring: it overshoots by a sixth and comes to rest."""
 
 Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dtype[np.int64]]"]]
-"""Vertices and faces of a link's collision meshes, in the link's frame."""
+"""A function that returns the vertices and faces of a link's collision meshes in its frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +123,9 @@ def add_shape(
     name: str,
     triangles: Callable[[], tuple[FloatArray, np.ndarray[tuple[int, int], np.dtype[np.int64]]]],
 ) -> mujoco.MjsGeom:
-    """Add a shape of a link to its body, by a name.
+    """Add a shape of a link to its body, under a name.
 
-    ``triangles`` gives the vertices and faces of a mesh in the link's frame.
+    ``triangles`` returns the vertices and faces of a mesh in the link's frame.
     """
     geom = body.add_geom(name=name, pos=shape.xyz, quat=quaternion(shape.rpy))
     match shape.kind:
@@ -202,7 +202,7 @@ def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Se
         if name == actuator.name:
             continue
         slide = actuator.kind is JointKind.PRISMATIC
-        body = mount.add_body(name=name, gravcomp=1.0)  # a rotor has no weight that turns it
+        body = mount.add_body(name=name, gravcomp=1.0)  # gravity does not turn a rotor
         set_tiny(body)
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
         joint = body.add_joint(name=name, type=kind, axis=[0.0, 0.0, 1.0])
@@ -239,7 +239,7 @@ def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeo
 
 
 def set_tiny(body: mujoco.MjsBody) -> None:
-    """Give a body without mass one that is too small to have an effect."""
+    """Give a massless body a mass and an inertia that are too small to have an effect."""
     # The centre of mass, too: without it, MuJoCo does not write the inertia of a body.
     body.mass, body.ipos, body.inertia = _TINY_MASS, [0.0, 0.0, 0.0], [_TINY_INERTIA] * 3
     body.explicitinertial = True
@@ -258,7 +258,7 @@ def _add_links(
     bodies: dict[str, mujoco.MjsBody] = {}
     without_mass: list[str] = []
     without_inertia: list[str] = []
-    # Breadth first: a body is added to its parent, which must be there before.
+    # Breadth first: a body is added to its parent, which must exist already.
     pending = [urdf.root]
     while pending:
         name = pending.pop(0)
@@ -276,7 +276,7 @@ def _add_links(
         meshes_done = False
         for index, shape in enumerate(link.collisions):
             if shape.kind == "mesh":
-                # `triangles` gives all meshes of the link as one.
+                # `triangles` returns all meshes of the link as one.
                 if meshes_done:
                     continue
                 meshes_done = True
@@ -297,10 +297,10 @@ def _add_links(
         pending += [j.child for j in urdf.joints_below.get(name, ())]
     notes = []
     if without_mass:
-        notes.append(f"mass made up for {len(without_mass)} links: {', '.join(without_mass)}")
+        notes.append(f"mass assumed for {len(without_mass)} link(s): {', '.join(without_mass)}")
     if without_inertia:
         links = ", ".join(without_inertia)
-        notes.append(f"inertia made up for {len(without_inertia)} links: {links}")
+        notes.append(f"inertia assumed for {len(without_inertia)} link(s): {links}")
     return notes
 
 
@@ -348,7 +348,7 @@ def compiled(
 
 
 def copied(built: Built, hand: Hand, friction: float | None) -> Built:
-    """Return a copy of a hand's model, with another friction, as in the options."""
+    """Return a copy of a hand's model with a friction from the options."""
     spec = built.spec.copy()
     for link in hand.urdf.links:
         for geom in spec.body(LINK + link).geoms:
@@ -369,8 +369,8 @@ def build(
     Args:
         hand: The hand.
         options: How to simulate it.
-        triangles: Gives the collision meshes of a link; asked only for links that have meshes.
-        touch: Says whether two links touch at rest on their exact geometry.
+        triangles: Returns the collision meshes of a link; called only for links that have meshes.
+        touch: Returns whether the exact geometries of two links touch at rest.
 
     Raises:
         ModelError: if the hand cannot be simulated, with the links or joints that are the reason.
@@ -397,7 +397,7 @@ def build(
         notes += [servo.note] if servo.note else []
     add_locks(spec, hand)
     following = add_couplings(spec, hand, servos, options)
-    # A first compilation gives masses and contacts at rest, on which the rest depends.
+    # A first compilation gives the masses, and the contacts at rest, that the next steps need.
     resting = mujoco.MjData(compiled(spec, hand))
     resting.qpos[:] = rest_position(resting.model, hand)
     mujoco.mj_forward(resting.model, resting)

@@ -37,7 +37,7 @@ MESHES = (".stl", ".obj")
 """Suffixes of the mesh files that MuJoCo reads."""
 
 _MOST = 200_000
-"""Triangles of an STL file that MuJoCo reads."""
+"""Largest number of triangles in an STL file that MuJoCo reads."""
 
 _SPRING = 350.0
 """Stiffness of the trigger's spring [N/m]."""
@@ -51,13 +51,13 @@ def add_object(
 ) -> mujoco.MjsBody:
     """Add a free object to a model and return its body.
 
-    A pair has the friction of the shape that touches the object.
+    Each contact has the friction of the shape that touches the object.
 
     Args:
         spec: The model.
-        shape: Its shape.
+        shape: The object's shape.
         mass: Its mass [kg].
-        pose: Where it is ``(4, 4)``, in the world's frame.
+        pose: Its pose ``(4, 4)`` in the world's frame.
     """
     body = add_body(spec, pose)
     if shape.kind == "drill":
@@ -81,7 +81,7 @@ def add_object(
             radius, length = shape.size
             geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
             _set_size(geom, radius)
-            # MuJoCo's length excludes the caps; only these get smaller.
+            # MuJoCo's length excludes the caps, and the skin shrinks only the caps.
             geom.size[1] = 0.5 * length - radius
     return body
 
@@ -101,7 +101,7 @@ def _geom(body: mujoco.MjsBody, name: str, mass: float) -> mujoco.MjsGeom:
 
 
 def _set_size(geom: mujoco.MjsGeom, *half_extents: float) -> None:
-    """Set the size of a shape [m], made smaller by its skin, and its contact."""
+    """Set the size of a shape [m], reduced by its skin, and its contact parameters."""
     skin = make_object(geom, half_extents)
     geom.size = [half - skin for half in half_extents] + [0.0] * (3 - len(half_extents))
 
@@ -120,7 +120,7 @@ def _add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: ObjectShape, mas
             mesh.scale = shape.scale * smaller
         return
     volumes = np.array([abs(signed_volume(corners[faces])) for corners, faces in parts])
-    # An open part may enclose nothing, and MuJoCo wants some mass of each.
+    # An open part may enclose nothing, but MuJoCo requires each part to have a mass.
     volumes += 1e-3 * volumes.max() + 1e-12
     add_hulls(spec, body, [shape.scale * c for c, _ in parts], mass * volumes / volumes.sum())
 
@@ -140,10 +140,10 @@ def add_hulls(
 
 
 def _shrunk(geom: mujoco.MjsGeom, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Give a mesh of points ``(k, 3)`` its contact; return by how much it is made smaller.
+    """Give a mesh of points ``(k, 3)`` its contact parameters, and return how it shrinks.
 
     Returns:
-        The factor along each axis ``(3,)``, and where the geom is then ``(3,)`` [m].
+        The factor along each axis ``(3,)``, and the new position of the geom ``(3,)`` [m].
     """
     least, most = points.min(axis=0), points.max(axis=0)
     half = 0.5 * (most - least)
@@ -172,7 +172,8 @@ def _corners(path: str) -> FloatArray | None:
 def solid_parts(path: str) -> tuple[Solid, ...]:
     """Return the solids of a mesh file; see `convex_solids`.
 
-    A mesh of more than `MOST_PARTS` parts counts as one; the result is empty if it is not solid.
+    A mesh of more than `MOST_PARTS` parts counts as one solid; the result is empty if the mesh is
+    not solid.
     """
     probe = mujoco.MjSpec()
     _read_mesh(probe, path)
@@ -194,7 +195,7 @@ def solid_parts(path: str) -> tuple[Solid, ...]:
 
 
 def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
-    """Add a pistol-like body: a handle along z, a motor above it, a sprung trigger before it.
+    """Add a pistol-like body: a handle along z, a motor above and a sprung trigger in front of it.
 
     The trigger slides along y towards the handle, against a preloaded spring; its joint counts from
     0, not pressed, to `TRIGGER_TRAVEL`.

@@ -16,7 +16,7 @@ from rtee.sample import FloatArray
 LINK = "link/"
 """Prefix of the name of a link's body: a link may be called ``world``, MuJoCo's own body."""
 
-_INTERPENETRATING = 5e-3  # depth [m] of two fingers in each other at rest: an error of the model
+_INTERPENETRATING = 5e-3  # deeper overlap of two fingers at rest is an error of the model [m]
 _OUTER = 0.9
 """Share of a finger's reach beyond which its shapes count as outer ones: as for openings, parts
 nearer to the joint close less than the tips, and would stop them before they meet."""
@@ -25,7 +25,7 @@ nearer to the joint close less than the tips, and would stop them before they me
 def leave_pairs_out(
     spec: mujoco.MjSpec, hand: Hand, resting: mujoco.MjData, touch: Callable[[str, str], bool]
 ) -> list[str]:
-    """Exclude the contact of links that the SRDF disables, that are joined, or touch at rest.
+    """Exclude contacts of links that the SRDF disables, that are joined, or that touch at rest.
 
     Args:
         spec: The hand's model.
@@ -41,7 +41,7 @@ def leave_pairs_out(
     """
     never = [(first, second) for first, second, _ in hand.disabled_collisions]
     left_out = {frozenset(pair) for pair in [*never, *_adjacent(hand)]}
-    # Each once, since SRDFs usually disable joined links, too.
+    # Each pair once, since SRDFs usually disable joined links, too.
     for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
     return _exclude_touching_at_rest(spec, hand, resting, touch, left_out)
@@ -77,7 +77,7 @@ def _joined(hand: Hand) -> list[tuple[str, str]]:
 def _adjacent(hand: Hand) -> list[tuple[str, str]]:
     """Return the pairs of links that are joined and never checked.
 
-    Two fingertips are checked: a claw that turns on its fixed jaw closes against it.
+    Pairs of fingertips are not among them: a claw closes against the fixed jaw on which it turns.
     """
     return [pair for pair in _joined(hand) if not set(pair) <= hand.tip_links.keys()]
 
@@ -86,7 +86,7 @@ def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str)
     """Let the outer shapes of two joined fingertips meet, though the links are excluded.
 
     Near their joint the links always touch; that does not count as a contact of the jaws. Outer
-    shapes are those whose middles are further from the joint's axis than `_OUTER` of the shorter
+    shapes are those whose centres are further from the joint's axis than `_OUTER` of the shorter
     link's reach, and that are apart at rest.
     """
     model = data.model
@@ -112,7 +112,7 @@ def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str)
 
 
 def pair_friction(spec: mujoco.MjSpec, first: str, second: str) -> float:
-    """Return the friction of a pair of shapes: the larger one of the two, as MuJoCo's own rule."""
+    """Return the friction of a pair of shapes: the larger of the two, as in MuJoCo's own rule."""
     return max(float(spec.geom(name).friction[0]) for name in (first, second))
 
 
@@ -125,8 +125,8 @@ def _exclude_touching_at_rest(
 ) -> list[str]:
     """Exclude pairs that touch at rest, as the extraction does; raises `ModelError`.
 
-    MuJoCo takes the convex hulls of meshes. Where only the hulls touch at rest and not the links,
-    the pair is excluded too, and noted.
+    MuJoCo uses the convex hulls of meshes. If only the hulls of two links touch at rest, the pair
+    is excluded too, and noted.
     """
     model = data.model
     finger = _finger_of(hand)
@@ -160,7 +160,7 @@ def _exclude_touching_at_rest(
         if None not in fingers and fingers[0] != fingers[1] and distance < -_INTERPENETRATING:
             raise ModelError(
                 f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm "
-                "inside each other at rest, so the hand cannot be simulated; mend the collision "
+                "inside each other at rest, so the hand cannot be simulated; correct the collision "
                 "shapes or the rest posture, or disable the pair in the SRDF",
                 path=hand.urdf.path,
             )
@@ -171,9 +171,9 @@ def _exclude_touching_at_rest(
 def rest_position(
     model: mujoco.MjModel, hand: Hand, posture: FloatArray | None = None
 ) -> FloatArray:
-    """Return generalised positions ``(nq,)`` with all but the hand as modelled.
+    """Return generalised positions ``(nq,)``: the hand in a posture, everything else as modelled.
 
-    The hand is at actuator positions ``(n,)`` [rad | m], by default at rest.
+    The posture is given as actuator positions ``(n,)`` [rad | m]; by default it is rest.
     """
     u = hand.rest if posture is None else posture
     position = model.qpos0.copy()

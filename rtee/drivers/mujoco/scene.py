@@ -35,13 +35,13 @@ CONTAINER_SIZE = (0.34, 0.34, 0.04)
 _WALL = 0.004  # thickness of its walls [m]: that of a plastic crate
 
 _FARTHEST_OUT = 0.08
-"""How far an object is moved out of the hand at most [m]: fingertips reach no farther over it."""
+"""Farthest that an object is moved out of the hand [m]: fingertips reach no farther over it."""
 
 _OUT_STEP = 0.002
 """Step of that search [m]."""
 
 _CLOSURES = 26
-"""Postures of a closing gripper in it: its tips go some 2 mm from one to the next."""
+"""Number of postures of a closing gripper in the search: its tips move about 2 mm between two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Closing:
 
     Attributes:
         end: Actuator positions with the tips on each other ``(n,)`` [rad | m].
-        point: Where the tips meet then ``(3,)`` [m], in the base frame; ``None``: not known.
+        point: Point where the tips then meet ``(3,)`` [m], in the base frame; ``None``: not known.
     """
 
     end: FloatArray
@@ -116,7 +116,7 @@ def approach(hand: Hand) -> FloatArray:
 
 
 def downward(hand: Hand) -> FloatArray:
-    """Return the rotation ``(3, 3)`` that lets the hand reach down."""
+    """Return the rotation ``(3, 3)`` that makes the hand reach down."""
     axis, down = approach(hand), np.array([0.0, 0.0, -1.0])
     if np.allclose(axis, down):
         return np.eye(3)
@@ -171,7 +171,7 @@ def add_table(spec: mujoco.MjSpec, top: FloatArray, *, edge: bool = False) -> No
     Args:
         spec: The model.
         top: Pose ``(4, 4)`` of its top in the world, z up.
-        edge: The top ends at its origin, on the side of its x axis.
+        edge: Whether the top ends at its origin, on the side of its x axis.
     """
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(top[:3, :3]).ravel())
@@ -220,7 +220,7 @@ def tip_middles(
     """Return the middles ``(k, 3)`` [m] of the fingertips' geometry in the world."""
     middles = []
     for each in geoms:
-        weight = model.geom_rbound[each] ** 3  # about the volume
+        weight = model.geom_rbound[each] ** 3  # roughly proportional to the volume
         middles.append(weight @ data.geom_xpos[each] / weight.sum())
     return np.array(middles).reshape(-1, 3)
 
@@ -233,21 +233,22 @@ def _place_in_hand(
     mount: FloatArray,
     closing: Closing | None,
 ) -> FloatArray:
-    """Return the place where a hand closes on an object.
+    """Return the pose at which a hand closes on an object.
 
     A gripper closes with its two tips, so the object is put between them if it fits. More
-    fingers may wrap around it: it is moved out of the hand until it is free of it at rest.
+    fingers may wrap around the object: it is moved out of the hand until it is clear of the hand
+    at rest.
 
     Args:
         hand: The hand.
         spec: Its model, to which nothing is added.
         shape: The object.
-        place: The pose ``(4, 4)`` of the object in the hand's base frame.
+        place: The pose ``(4, 4)`` of the object in the hand's base frame, where the search starts.
         mount: The pose ``(4, 4)`` of that frame in the world.
-        closing: How a gripper closes.
+        closing: The closing motion of a gripper; ``None`` for other hands.
 
     Returns:
-        The place; the given one if there is no such place nearby.
+        The pose found; ``place`` if no suitable one is nearby.
 
     Raises:
         ConfigError: if the object's mesh cannot be used.
@@ -347,9 +348,9 @@ def make_simulation(
         mount: Rotation ``(3, 3)`` of a carried hand in the world; by default it reaches down.
         container: Middle of a container on the table, x and y in the world [m]; ``None``: there is
             no container.
-        built: The hand's model, as `build_hand` makes it of options that differ from these in
-            object and friction at most; by default it is built here.
-        closing: How a gripper closes: where its object is put by default.
+        built: The hand's model from `build_hand`, whose options may differ from these only in
+            object and friction; by default it is built here.
+        closing: The closing motion of a gripper; its object is put between the tips by default.
 
     Raises:
         ModelError: if the hand cannot be simulated.

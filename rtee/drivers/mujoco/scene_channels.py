@@ -70,7 +70,7 @@ class SceneChannels:
             found[OBJECT_POSE] = self._around.pose
         if self._carried:
             found[BASE_POSE] = pose_vector(self._around.base_pose)
-        # After a reset, which sets the time back to 0, they are computed again, too.
+        # Contacts are also computed again after a reset, which sets the time back to 0.
         if not 0.0 <= self._data.time - self._renewed < 1.0 / CONTACT_RATE - 1e-9:
             self._renewed = self._data.time
             self._contacts = self._forces()
@@ -109,7 +109,7 @@ def describe(
 ) -> ObjectDescription | None:
     """Return the appearance of a model's object; ``None`` if it has none.
 
-    Parts that move, such as a drill's trigger, are where they are in the state, whose poses have
+    Moving parts, such as a drill's trigger, have their present poses in ``data``, which must have
     been computed.
     """
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, OBJECT)
@@ -126,7 +126,7 @@ def describe(
 
 
 def _name(options: SimOptions) -> str:
-    """Return the object's name; of a mesh only its file's name, since clients see it."""
+    """Return the object's name; for a mesh only the file's name, since clients see it."""
     if not options.object:
         return OBJECT
     shape = parse_object(options.object, MESHES).scaled(options.object_scale)
@@ -165,7 +165,7 @@ def _mesh(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Return the vertices and triangles of a mesh, or of its hull if it has too many.
 
-    It is drawn larger by the skin [m] by which it was made smaller, along its file's axes.
+    The mesh is enlarged, along its file's axes, by the skin [m] by which it was shrunk.
     """
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     flat = np.zeros(9)
@@ -187,8 +187,8 @@ def _mesh(
 def _hull(model: mujoco.MjModel, mesh: int) -> NDArray[np.uint32]:
     """Return the triangles of a mesh's convex hull, the shape used for contacts.
 
-    They are the last part of MuJoCo's graph of the hull: two numbers, two for each vertex, one for
-    each vertex and three for each triangle, then these.
+    They are the last part of MuJoCo's graph of the hull, after two counts, three numbers for each
+    vertex and three for each triangle.
     """
     graph = model.mesh_graph[model.mesh_graphadr[mesh] :]
     vertices, triangles = int(graph[0]), int(graph[1])

@@ -107,7 +107,7 @@ def effort_note(hand: Hand) -> list[str]:
     where = "hand.yaml" if hand.folder is None else hand.folder / "hand.yaml"
     return [
         f"no effort limit for actuator{'s' * several} {', '.join(each.name for each in lacking)}; "
-        f"{' and '.join(limits)} {are} assumed, so forces of a grasp are not those of the hand; "
+        f"{' and '.join(limits)} {are} assumed, so grasp forces differ from those of the hand; "
         f"state {'each' if several else 'it'} under limits: in {where}, as "
         f"{lacking[0].name}: {{effort: …}}"
     ]

@@ -1,4 +1,4 @@
-"""Effort limits by the forces of data sheets, where levers would give more."""
+"""Effort limits from the forces in data sheets, where levers would give larger forces."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
 
 _POINTS: Final = 33
-"""Positions at which a limit is computed: between them, linear interpolation is off by 1 %."""
+"""Number of positions at which a limit is computed: interpolation between them is off by 1 %."""
 
 _LEAST: Final = 1e-3
-"""Levers below this are none [m/rad | 1]: at a dead centre any effort gives any force."""
+"""Shorter levers do not limit the effort [m/rad | 1]: at a dead centre any effort is allowed."""
 
 
 class SheetForces:
     """The effort limits of actuators whose fingers' largest force is known, by position.
 
     With a constant torque, fingers on levers press the harder the wider they are open. A device
-    whose sheet has one force for all openings keeps it by itself: the effort limit is that force on
-    every fingertip, by virtual work towards the middle of the other fingertips.
+    whose sheet has one force for all openings controls it by itself: the effort limit follows from
+    that force on every fingertip, by virtual work towards the centre of the other fingertips.
 
     Args:
         hand: The hand.
@@ -47,11 +47,11 @@ class SheetForces:
             self._tables.append((number, positions, limits))
 
     def __bool__(self) -> bool:
-        """Whether the hand has any such force."""
+        """Return whether the hand has any such force."""
         return bool(self._tables)
 
     def lower(self, limits: FloatArray, positions: FloatArray) -> FloatArray:
-        """Return effort limits ``(n,)`` [N·m | N] of actuators at positions ``(n,)`` [rad | m]."""
+        """Return lowered effort limits ``(n,)`` [N·m | N] at positions ``(n,)`` [rad | m]."""
         lowered = limits.copy()
         for number, known, most in self._tables:
             lowered[number] = min(limits[number], np.interp(positions[number], known, most))
@@ -59,7 +59,7 @@ class SheetForces:
 
 
 def _closing(hand: Hand, model: mujoco.MjModel, index: int, position: float) -> float:
-    """Return by how much all tips close when an actuator moves by a unit [m/rad | 1]."""
+    """Return the closing distance of all tips per unit of an actuator's motion [m/rad | 1]."""
     u = hand.rest.copy()
     u[index] = position
     fingers = [f for f in hand.fingers if f.tip and f.name in hand.actuators[index].fingers]
@@ -80,7 +80,7 @@ def _closing(hand: Hand, model: mujoco.MjModel, index: int, position: float) -> 
 
 
 def _point(model: mujoco.MjModel, finger: Finger) -> FloatArray:
-    """Return the middle of a tip's shape that is farthest from its last joint ``(3,)`` [m]."""
+    """Return the centre of the tip's shape that is farthest from its last joint ``(3,)`` [m]."""
     body = model.body(f"{LINK}{finger.tip}").id
     middles = model.geom_pos[model.geom_bodyid == body]
     if not len(middles):

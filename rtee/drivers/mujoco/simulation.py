@@ -36,12 +36,12 @@ class Simulation:
         actuators: Names of the actuators in the order of all arrays here.
         effort_limit: Their effort limits ``(n,)`` [N·m | N].
         notes: Assumptions about the hand, one sentence each.
-        doubts: Those from which all forces follow; they are no notes.
+        doubts: Assumptions on which all forces depend, which are not among the notes.
         object_description: Shape and colour of the object, if there is one.
         taxels: The touch sensors.
 
     Args:
-        period: Time one `advance` takes [s].
+        period: Simulated time of one `advance` [s].
     """
 
     def __init__(
@@ -126,8 +126,8 @@ class Simulation:
         """Step by one period.
 
         Raises:
-            SimulationUnstable: if MuJoCo has reset its state, as it does once a value is no longer
-                finite or beyond all bounds.
+            SimulationUnstable: if MuJoCo has reset its state, as it does once a value is not finite
+                or exceeds all bounds.
         """
         # Before the step: the tangents belong to the positions from which it starts.
         self._couplings.renew(self._positions)
@@ -210,7 +210,7 @@ class Simulation:
 
     @property
     def gains(self) -> dict[str, float]:
-        """The gains now; see `set_gain`."""
+        """The present gains; see `set_gain`."""
         gains = {}
         for index, name in enumerate(self.actuators):
             gains[f"kp.{name}"] = float(self._gain[index])
@@ -233,7 +233,7 @@ class Simulation:
         Args:
             position: References ``(n,)`` [rad | m].
             max_effort: Effort limits ``(n,)`` [N·m | N]; ``inf``: the actuator's own.
-            mask: Which actuators are meant ``(n,)``.
+            mask: Which actuators to command ``(n,)``.
             max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; by default the actuators' own.
         """
         np.copyto(self._target, position, where=mask)
@@ -271,7 +271,7 @@ class Simulation:
     def set_gain(self, name: str, value: float) -> None:
         """Set a gain: ``kp.ACTUATOR`` [N·m/rad], ``ki.…`` [N·m/(rad·s)] or ``kd.…`` [N·m·s/rad].
 
-        Raises `KeyError` for an unknown one, `ValueError` for a negative or infinite value.
+        Raises `KeyError` for an unknown name, `ValueError` for a negative or infinite value.
         """
         if not (math.isfinite(value) and value >= 0.0):
             raise ValueError(f"gain '{name}' must be 0 or more, not {value:g}")

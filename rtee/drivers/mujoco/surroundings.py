@@ -24,16 +24,16 @@ CONTAINER = "container"
 """Prefix of the names of a container's geoms."""
 
 _STANDS_FOR = [50.0] * 3 + [10.0] * 3
-"""Force and torque at which an arm yields [N, N·m]: a cobot's collaborative
-limit, and the same at a lever of 200 mm."""
+"""Force and torque at which an arm yields [N, N·m]: a cobot's collaborative limit, and the same at
+a lever of 200 mm."""
 
 _YIELDS = 0.3
-"""Share of the excess force to which the arm yields in one step: its servos follow in some ms."""
+"""Share of the excess force to which the arm yields in one step: its servos follow within ms."""
 
-_DRAG = 4.0  # on a held object [N·s/m]: at 50 mm/s it resists with 0.2 N, as a yielding hand
+_DRAG = 4.0  # on a held object [N·s/m]: at 50 mm/s it resists with 0.2 N, like a yielding hand
 _TURN_DRAG = 0.01  # on its rotation [N·m·s/rad]: the same drag at a lever of 50 mm
 _CONFIRM = 0.3  # a touch this long is a grasp and not a first impact [s]
-_LINKS = 2  # as many links can hold an object between them; one can only push it
+_LINKS = 2  # this many links can hold an object between them; one can only push it
 
 
 def pose_vector(pose: FloatArray) -> FloatArray:
@@ -109,7 +109,7 @@ class Surroundings:
             self._hold(self._support != "table")
 
     def place(self, pose: FloatArray) -> None:
-        """Let the object begin at a pose ``(4, 4)`` in the world."""
+        """Put the object at a pose ``(4, 4)`` in the world, to which `reset` returns it."""
         self._start = pose_vector(pose)
         self._data.qpos[self._qpos : self._qpos + 7] = self._start
         self._data.qvel[self._dof : self._dof + 6] = 0.0
@@ -140,14 +140,14 @@ class Surroundings:
             self.remove_support()
 
     def _give_way(self) -> None:
-        """Move the carrier's set-points with a force that is too large, and back without it."""
+        """Let the carrier's set-points yield to a force that is too large, and return after it."""
         # The forces of contacts along the axes; forces inside the hand cancel out.
         forces = self._pushing.take(self._dofs).tolist()
         for (axis, _, motor), force in zip(self._axes, forces, strict=True):
             most, gave = _STANDS_FOR[axis], self._yielded[axis]
             if not gave and -most <= force <= most:
                 continue
-            # The rest of the limit, on the side from which the arm comes back.
+            # Below the limit, its unused part drives the arm back to where it came from.
             over = force - math.copysign(most, force if abs(force) > most else gave)
             step = _YIELDS * over / float(self._model.actuator_gainprm[motor, 0])
             after = gave + step
@@ -223,8 +223,8 @@ class Surroundings:
     def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
         """Return how deep a link would be inside the object at a pose ``(4, 4)`` in the world [m].
 
-        It is 0 when none touches it. ``data`` is a state of the hand, changed by this call; the
-        running one stays as it is.
+        The depth is 0 if no link touches the object. ``data`` is a state of the hand, changed by
+        this call; the running state stays as it is.
         """
         data.qpos[self._qpos : self._qpos + 7] = pose_vector(pose)
         # Only what contacts need: a full `mj_forward` takes longer.
@@ -234,7 +234,7 @@ class Surroundings:
         met = self._met(data)
         if not met:
             return 0.0
-        # Contacts begin at the surface, a skin before the shape that MuJoCo knows.
+        # Contacts begin at the surface, which is a skin outside of the shape that MuJoCo knows.
         contact = data.contact
         deep = contact.includemargin - contact.dist
         return max(0.0, *(float(deep[number]) for _, number in met))
@@ -274,7 +274,7 @@ class Surroundings:
         return 0.0 if self._trigger < 0 else float(self._data.qpos[self._trigger])
 
     def carry(self, pose: FloatArray) -> None:
-        """Set where the carrier goes ``(6,)``: x, y, z [m], roll, pitch, yaw [rad] from the start.
+        """Set the carrier's target ``(6,)``: x, y, z [m], roll, pitch, yaw [rad] from the start.
 
         Motions that the carrier does not have are ignored.
         """

@@ -34,7 +34,7 @@ _KEPT = 64  # actuators whose tables are kept: those of a few large hands
 
 @lru_cache(maxsize=_KEPT)
 def _table(couplings: tuple[Coupling, ...], lower: float, upper: float) -> list[Cell]:
-    """Return the cells of a grid over the range of the actuator that some joints follow.
+    """Return the cells of a grid over the range of an actuator, for the joints that follow it.
 
     Cached, since each variation of a trial has its own simulation of the same hand.
     """

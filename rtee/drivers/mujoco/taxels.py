@@ -40,14 +40,14 @@ _SHRUNK: Final = 0.85
 """Factor by which a taxel moves towards the pad's middle when its ray misses the tip."""
 
 _TRIES: Final = 12
-"""Steps of the search, after which the point has 14 % of its first distance from the middle."""
+"""Steps of the search; the last point has 17 % of its first distance from the middle."""
 
 
 class Taxels:
     """The touch sensors of a simulated hand.
 
     A taxel measures the normal force of the contacts near it: each contact's force is shared among
-    the taxels around it, so that the sum over a sensor is the force on it. Contacts of the back of
+    the taxels around it, so that the sum over a sensor is the force on it. Contacts on the back of
     a link, or beyond the taxels, are not felt.
 
     Attributes:
@@ -150,7 +150,7 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
 
 
 def _pad(surfaces: Mapping[str, FloatArray], hand: Hand, finger: Finger) -> str:
-    """Return the link of a fingertip that is in front where the finger closes.
+    """Return the link of a fingertip that is foremost in the closing direction of the finger.
 
     Its surfaces are given by link, as triangles ``(t, 3, 3)`` in the link's frame [m].
     """
@@ -191,7 +191,7 @@ def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
 def _on_pad(
     corners: FloatArray, hand: Hand, finger: Finger, grid: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where the taxels of a grid on a fingertip are, and the normals, ``(n, 3)`` each.
+    """Return the positions of a grid's taxels on a fingertip and their normals ``(n, 3)``.
 
     The tip's surface is given as triangles ``(t, 3, 3)`` in its frame [m], the grid as rows along
     the pad's longer side and columns along the other.
@@ -244,7 +244,7 @@ def _axes(points: FloatArray, facing: FloatArray) -> tuple[FloatArray, FloatArra
 def _first_hit(
     corners: FloatArray, begin: FloatArray, direction: FloatArray
 ) -> tuple[FloatArray, int] | None:
-    """Return where a ray first meets triangles, and which; ``None``: nowhere.
+    """Return the first point where a ray meets a triangle, and its index; ``None``: nowhere.
 
     The test is that of Möller and Trumbore (Fast, minimum storage ray/triangle intersection, 1997).
     """

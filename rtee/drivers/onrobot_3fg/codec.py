@@ -1,7 +1,7 @@
 """Registers and units of OnRobot's three-finger grippers; no I/O.
 
-Sources: register tables published with drivers of others, four of which agree on addresses, control
-codes and status bits; the vendor prints no example frames.
+Sources: register tables published with third-party drivers, four of which agree on addresses,
+control codes and status bits; the vendor prints no example frames.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ STATE = 0x0100
 """First of the registers that report the state."""
 
 GEOMETRY = 0x010E
-"""Finger length; two registers on, the fingers' position and the fingertips' offset."""
+"""First of four registers: finger length, an unnamed one, finger position, fingertip offset."""
 
 LIMITS = 0x0201
-"""Smallest and largest raw diameter."""
+"""First of two registers: smallest and largest raw diameter."""
 
 SETTINGS = 0x0401
-"""Settable finger length, an unnamed register, finger position, fingertip offset."""
+"""First of four settable registers, with the same content as those at `GEOMETRY`."""
 
-_HUNDREDTH_MM = 1e-5  # m in a register's unit of offsets
+_HUNDREDTH_MM = 1e-5  # unit of the registers of offsets [m]
 
 
 class Control(IntEnum):
@@ -59,7 +59,7 @@ class Command(Registers):
         force: Part of the largest force, 0 to 1000 [0.1 %].
         diameter: Target diameter [0.1 mm].
         grip_type: From outside or from inside.
-        control: What to do.
+        control: The kind of command.
     """
 
     COUNT = 4
@@ -80,8 +80,8 @@ class Status(Registers):
         grip_detected: Whether it has met an object.
         force_grip: Whether it holds with the target force.
         calibrated: Whether its calibration is valid.
-        raw_diameter: Between the fingertips' centres [0.1 mm].
-        diameter: With the fingertips' offset, signed [0.1 mm].
+        raw_diameter: Diameter through the fingertips' centres [0.1 mm].
+        diameter: Diameter with the fingertips' offset, signed [0.1 mm].
         force: Force applied [0.1 %].
     """
 
@@ -103,13 +103,13 @@ class Status(Registers):
 class Fingers:
     """Mounting of the fingers; converts the angle of their pivots to the diameter between the tips.
 
-    Each finger is a lever on a pivot at 37 mm from the axis; the formula is that of a published
-    simulator of the larger model and not the vendor's.
+    Each finger is a lever on a pivot at 37 mm from the axis; the formula comes from a published
+    simulator of the larger model, not from the vendor.
 
     Attributes:
-        length: Of a finger [m].
+        length: Length of a finger [m].
         position: Mounting hole, 1 to 3.
-        offset: From a fingertip's centre to its surface [m].
+        offset: Distance from a fingertip's centre to its surface [m].
     """
 
     length: float = 0.049
@@ -135,17 +135,17 @@ class Fingers:
         return math.acos(min(max(cosine, -1.0), 1.0))
 
     def leverage(self, raw_diameter: float) -> float:
-        """Return the share of the largest force that the fingers give at a raw diameter.
+        """Return the share of the largest force that the fingers exert at a raw diameter.
 
         The manual plots the total force over the angle of the fingers: the lower the angle, the
-        greater the force, and an external grip begins at 30°. A motor of constant torque acts like
-        that by virtual work on the lever, which is assumed here; the manual gives no numbers.
+        greater the force, and an external grip begins at 30°. It gives no numbers; this assumes
+        the virtual work of a motor of constant torque on the lever, which behaves like that.
         """
         angle = max(self.angle(raw_diameter), _LOWEST)
         return min(1.0, self._way(_LOWEST) / max(self._way(angle), 1e-9))
 
     def _way(self, angle: float) -> float:
-        """Return the decrease of the radius by the angle of the pivots [m/rad]."""
+        """Return the decrease of the radius per angle of the pivots [m/rad]."""
         radius = self.raw_diameter(angle) / 2.0
         return _PIVOT * self.lever * math.sin(angle) / max(radius, 1e-9)
 
@@ -167,7 +167,7 @@ def scale_of(
     smallest: float = 0.0346,
     force: float = 240.0,
 ) -> FingerScale:
-    """Return the scale of position, raw diameter [0.1 mm] to [rad], and of effort, force [0.1 %].
+    """Return the scales of position (raw diameter [0.1 mm] to [rad]) and effort (from [0.1 %]).
 
     The actuator's position is linear in the raw diameter.
 
@@ -185,5 +185,5 @@ def scale_of(
 
 
 def offset_metres(hundredth_mm: int) -> float:
-    """Return the fingertip offset's register, 0.01 mm, in metres."""
+    """Convert the value of the fingertip offset's register [0.01 mm] to metres."""
     return hundredth_mm * _HUNDREDTH_MM

@@ -24,7 +24,7 @@ from rtee.types import DeviceSpec, Reference
 _SAME = 10
 """A diameter this near to the measured one asks for no motion [0.1 mm].
 
-It is ten times the resolution: a held object yields by some of that.
+It is ten times the resolution, since a held object yields a little.
 """
 
 _REACHED = 3
@@ -34,7 +34,7 @@ _STUCK_BUSY = 0.5
 """Time busy without motion after which the gripper is stopped before the next grip [s]."""
 
 _GRIP_POINTS = 33
-"""Diameters at which the force is computed: linear interpolation between them is off by 1 %."""
+"""Number of diameters at which the force is computed: interpolation between them is off by 1 %."""
 
 
 class OnRobot3FGOptions(OnRobotOptions, frozen=True):
@@ -46,7 +46,7 @@ class OnRobot3FGOptions(OnRobotOptions, frozen=True):
     smallest: Positive = 0.0346
     """Raw diameter at the actuator's upper limit [m]."""
     largest: Positive | None = None
-    """Raw diameter at its lower limit [m]; by default as it reports."""
+    """Raw diameter at the actuator's lower limit [m]; by default as the gripper reports it."""
     target: Literal["raw", "tips"] = "raw"
     """Meaning of the target diameter: between the fingertips' centres, or their surfaces."""
 
@@ -55,8 +55,8 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
     """A 3FG15 or 3FG25.
 
     The gripper accepts no speed, and a force only with the command *grip*, which it ignores while
-    it is busy. So the driver follows a changing reference by *move*, and grips with the effort
-    limit at one that rests, as soon as the gripper is free.
+    it is busy. So the driver follows a changing reference with *move*. Once the reference rests and
+    the gripper is free, it grips with the effort limit.
     """
 
     Options = OnRobot3FGOptions
@@ -121,7 +121,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         self._fingers = codec.Fingers(metres(length), hole, abs(codec.offset_metres(offset)))
         if self.options.target == "tips":
             self._tips = round(self._kind.sign * 2.0 * codec.offset_metres(offset) / metres(1))
-        # Made again, since the gripper's own largest diameter is known only now.
+        # The scale is made again, since the gripper's largest diameter is known only now.
         self.scale = self._scaled(largest := self.options.largest or metres(most))
         if largest <= self.options.smallest:
             raise ConfigError(
@@ -146,7 +146,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         )
 
     async def move(self, reference: Reference) -> None:
-        """Follow a reference that changes, grip at one that rests."""
+        """Follow a changing reference, and grip at a resting one."""
         if not reference.mask[0]:
             return
         command = self._next(
@@ -162,7 +162,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         self._sent = None
 
     def _next(self, diameter: int, force: int, now: float) -> codec.Command | None:
-        """Return what to send for a target [0.1 mm, 0.1 %], or ``None`` for nothing."""
+        """Return the command to send for a target [0.1 mm, 0.1 %], or ``None`` to send nothing."""
         if (diameter, force) != self._wanted:
             self._wanted, self._wanted_since = (diameter, force), now
         if self._stays(diameter):
@@ -172,13 +172,13 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
                 return None
             if not self._status.busy:
                 return self._command(force, diameter, codec.Control.GRIP)
-            # An obstacle keeps the motion from ending, and *grip* is ignored while it is busy.
+            # An obstacle keeps the motion from ending, and a busy gripper ignores *grip*.
             if now - self._moved_at > _STUCK_BUSY:
                 return self._command(force, diameter, codec.Control.STOP)
         return self._motion(diameter, force)
 
     def _stays(self, diameter: int) -> bool:
-        """Return whether a target asks for no motion: it is near, and nothing was sent, or held."""
+        """Return whether a near target asks for no motion: nothing was sent, or a grip is held."""
         near = abs(diameter - self._status.raw_diameter) <= _SAME
         return near and (self._sent is None or self._status.grip_detected)
 

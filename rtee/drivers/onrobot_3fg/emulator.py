@@ -1,7 +1,7 @@
 """Emulates an OnRobot 3FG on the wire: its registers through the Compute Box or RTU.
 
-What no document states is a property here: whether a move is accepted while it is busy, the speed,
-what an unlisted register does, and how a missing tool answers.
+Undocumented behaviour is a property here: the speed, the time to build up the force, and whether a
+move is accepted while the gripper is busy.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _FLEXIBLE_FORCE = 140.0
 
 
 class OnRobot3FGProperties(OnRobotProperties, frozen=True):
-    """Properties of the emulated gripper besides those that all of them have.
+    """Properties of the emulated gripper in addition to those of all OnRobot grippers.
 
     Attributes:
         force: Largest force [N].
         smallest: Smallest raw diameter [m].
         largest: Largest raw diameter [m].
-        speed: Of the diameter [m/s].
+        speed: Speed of the diameter [m/s].
         busy_ignores: While busy it ignores only ``grip``, or ``all`` commands but stop.
         target: Whether a target diameter is ``raw``, between the fingertips' centres, or between
             their surfaces, the ``tips``.
@@ -112,11 +112,11 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         return (made.largest, made.smallest) if inwards else (made.smallest, made.largest)
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close."""
+        """Return the closing motion of the fingers."""
         return [Closing(self.axis, *self._ends, self.properties.force)]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a diameter of the object [m]."""
+        """Return the fraction of the travel at which the fingers meet an object's diameter [m]."""
         opened, closed = self._ends
         tips = 2.0 * self.fingers.offset * (1.0 if self.properties.grip == "external" else -1.0)
         return (width + tips - opened) / (closed - opened)

@@ -26,7 +26,7 @@ TIPS_WIDTH = 0x0113
 SET_OFFSET = 0x0407
 """Sets the fingertip offset [0.1 mm]."""
 
-_TENTH_NEWTON = 0.1  # N in the force register's unit
+_TENTH_NEWTON = 0.1  # unit of the force register [N]
 
 
 class Control(IntEnum):
@@ -91,8 +91,8 @@ MODELS: dict[str, Model] = {
 """The models by the name in the options.
 
 The vendor's model gives gaps of -3.9 and -1.6 mm, with which neither gripper could open to its
-stroke: its links would have to be longer. They are assumed to be measured between fingertips of
-`FINGERTIP`; without fingertips both models then open to their stroke at about 1.3 rad.
+stroke: its links would have to be longer. So the gaps are assumed to be measured between fingertips
+of `FINGERTIP`; without fingertips both models then open to their stroke at about 1.3 rad.
 """
 
 

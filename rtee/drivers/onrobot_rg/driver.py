@@ -38,8 +38,8 @@ class OnRobotRGOptions(OnRobotOptions, frozen=True):
 
     model: Literal["rg2", "rg6"] = "rg2"
     fingertip_offset: Annotated[float, Meta(ge=0.0, le=0.05)] | None = None
-    """Thickness of the fingertips [m], set in the gripper when it is activated; by default as it
-    has it."""
+    """Thickness of the fingertips [m], set in the gripper when it is activated; by default its own
+    setting is kept."""
     step: Positive = 0.005
     """A moving reference is followed in steps of at least this width [m]."""
 
@@ -86,7 +86,7 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         unit = self.options.unit
         [product] = await bus.read(unit, PRODUCT, 1, deadline=CONNECTING)
         model = PRODUCTS.get(product)
-        # Older lists use other codes; if a code is in neither list, the option is believed.
+        # Older lists use other codes, so with an unknown code the option is trusted.
         if model is not None and model != self._model.name:
             ours = model.lower() in codec.MODELS
             raise self.stranger(
@@ -108,7 +108,7 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         if wanted is None:
             return
         bus, tenths = self.connection.link.bus, round(wanted / TENTH_MM)
-        # Only if it differs, so that connecting changes no setting without need.
+        # Only if it differs, so that activation changes no setting needlessly.
         if await self._offset(bus) != tenths:
             await bus.write(self.options.unit, codec.SET_OFFSET, (tenths,), deadline=CONNECTING)
 

@@ -30,7 +30,7 @@ LONGEST = 8192 + 6
 """Bytes of the longest frame that the board sends by itself."""
 
 ENCODERS = 17
-"""Joint encoders of a hand, in the order of their words."""
+"""Number of joint encoders of a hand."""
 
 _REQUEST, _REPLY, _STREAM, _ENCODER = b"\x55\xaa", b"\xaa\x55", b"\xaa\x56", b"\xaa\xa9"
 _HEAD = struct.Struct("<BBHH")  # 0, function, address, count
@@ -87,7 +87,7 @@ _TAXEL, _RESULTANT = 3, 6  # bytes of each
 
 
 def check_of(data: bytes) -> int:
-    """Return the last byte of a frame that begins with ``data``."""
+    """Return the checksum of a frame, the byte that follows ``data``."""
     return -sum(data) & 0xFF
 
 
@@ -318,9 +318,9 @@ class Forces:
 
     @classmethod
     def from_bytes(cls, data: bytes, content: Content, counts: Sequence[int]) -> Self:
-        """Read the data of a frame with a content, for the number of taxels of each finger.
+        """Decode a frame's data, given its content and the number of taxels of each finger.
 
-        Raises `CodecError` if it has another length.
+        Raises `CodecError` if the length does not match.
         """
         if len(data) != data_size(content, counts):
             raise CodecError(f"{len(data)} bytes are not the data of {len(counts)} fingertips")

@@ -48,11 +48,11 @@ class OrcaTouchOptions(DeviceOptions, frozen=True):
     port: str = "/dev/ttyACM0"
     """A tty, socket:// or rfc2217://."""
     baudrate: Literal[921_600, 2_000_000] = 921_600
-    """921600 of the board's own adapter, 2000000 of the shared line."""
+    """921600 for the board's own adapter, 2000000 for the shared line [baud]."""
     content: Literal["taxels", "resultants", "both"] = "both"
     """Data that the board sends: taxels, the force on each tip, or both."""
     touch_rate: Positive = 100.0
-    """Readings handed over, at most [Hz]."""
+    """Highest rate of the readings that are passed on [Hz]."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
 
 
@@ -138,16 +138,16 @@ class OrcaTouchDriver(Driver):
         await self._first(bus)
 
     def _best_rate(self) -> float:
-        """Return how often the line carries a frame [Hz]."""
+        """Return the highest rate of frames on the line [Hz]."""
         # Around the data: header, zero, length, error and check.
         size = codec.data_size(self._content, self._counts) + 7
-        # The board sends every millisecond at the most.
+        # The board sends at most one frame every millisecond.
         return 1.0 / max(1e-3, wire_time(size, self.options.baudrate))
 
     async def _read(self, bus: SerialBus, register: codec.Register, size: int) -> bytes:
         reply = await self._ask(bus, codec.Request(codec.Function.READ, register, size))
         if len(reply.data) != size:
-            raise CodecError(f"{len(reply.data)} bytes for {size} of register {register:#06x}")
+            raise CodecError(f"register {register:#06x}: {len(reply.data)} bytes instead of {size}")
         return reply.data
 
     async def _write(self, bus: SerialBus, register: codec.Register, value: int) -> None:
@@ -172,8 +172,8 @@ class OrcaTouchDriver(Driver):
         return reply
 
     async def _arm(self, bus: SerialBus) -> None:
-        """Start the stream, as the hand's own client does it; raises `BusError`."""
-        # Before the writes, so that a failed start, too, is repeated only after `_AGAIN`.
+        """Start the stream, as the hand's own client does; raises `BusError`."""
+        # Before the writes, so that even a failed start is repeated only after `_AGAIN`.
         self._armed = monotonic.now()
         await self._write(bus, codec.Register.STREAM, 0)
         await self._write(bus, codec.Register.CONTENT, int(self._content))
@@ -218,7 +218,7 @@ class OrcaTouchDriver(Driver):
         )
 
     def _take(self) -> None:
-        """Make a reading of the newest frame, at most at the option's rate."""
+        """Make a reading from the newest frame, no more often than the option's rate."""
         if self._newest is None:
             return
         frame, stamp = self._newest
@@ -232,7 +232,7 @@ class OrcaTouchDriver(Driver):
         try:
             forces = codec.Forces.from_bytes(frame.data, self._content, self._counts)
         except CodecError:
-            # A code of the driver's own: the frame does not match the fingertips at connection.
+            # A code of the driver's own: the frame does not match the fingertips found at first.
             self._error = 0xFF
             return
         if self._content & codec.Content.RESULTANTS:

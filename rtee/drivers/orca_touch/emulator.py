@@ -16,7 +16,7 @@ from rtee.hand.validation import Section
 from rtee.sample import FloatArray
 
 _PERIOD = 1e-3
-"""Time between two frames where the line carries them [s]."""
+"""Time between two frames if the line is fast enough [s]."""
 
 _SPARE = 0.9
 """Largest share of the line's capacity for frames: replies need the rest."""

@@ -20,14 +20,14 @@ BROADCAST = 0  # every device answers it, with its own number
 LONGEST = 128
 """Largest length byte that a device accepts."""
 TURNAROUND = 1e-3
-"""Time from a request to its answer beside that on the wire: the latency of a USB adapter [s]."""
+"""Time from a request to its answer besides that on the wire: the latency of a USB adapter [s]."""
 
 _INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
 """Formats of 0 to 64 16-bit integers, the largest number in a frame."""
 
 
 _FRAMING = Framing(HEADER, 1, lambda raw: bytes([reduce(xor, raw[4:])]), LONGEST, 2, extra=1)
-"""The device's number, and a length of command, data and the check of both."""
+"""The device's number, and a length that covers command, data and their checksum."""
 
 
 class Command(IntEnum):
@@ -70,7 +70,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` is, without other bytes; raises `CodecError`."""
+        """Decode ``raw``, which must be exactly one frame; raises `CodecError`."""
         [device], body = _FRAMING.opened(raw)
         return cls(device, body[0], body[1:])
 
@@ -100,7 +100,7 @@ def read_int16(data: bytes, *, least: int = 1) -> tuple[int, ...]:
             number of bytes.
     """
     if len(data) % 2 or not 2 * least <= len(data) <= LONGEST:
-        raise CodecError(f"{least} or more 16-bit values do not fit {len(data)} bytes")
+        raise CodecError(f"{len(data)} bytes do not hold {least} or more 16-bit values")
     return _INT16[len(data) // 2].unpack(data)
 
 
@@ -133,7 +133,7 @@ def watchdog_byte(seconds: float) -> int:
 
 
 def watchdog_seconds(value: int) -> float:
-    """Return the watchdog's period [s] of its byte."""
+    """Return the watchdog's period [s] from its byte."""
     return value * 0.02
 
 
@@ -146,7 +146,7 @@ _HEAD = 6
 _SIGN = 0x8000
 """Current limits from here on are negative 16-bit numbers."""
 _SIGNED = frozenset({3, 5})
-"""Types of signed integers, of 16 and 32 bits, as limits are."""
+"""Type bytes of signed integers of 16 and 32 bits, the types that limits may have."""
 # Type byte to the form of a value (big-endian).
 _FORMS = {0: "B", 1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
 

@@ -28,9 +28,9 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 CLOSURE_TICKS = 19_000
-"""Travel of the motor of a Research hand from open to closed [ticks], as from the factory."""
+"""Travel of the motor of a Research hand from open to closed [ticks], the factory setting."""
 MANIPULATION_TICKS = -4_000
-"""Lower limit of the motors of a two-motor hand [ticks], as from the factory."""
+"""Lower limit of the motors of a two-motor hand [ticks], the factory setting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ INACTIVE = 1
 """Code of the only detectable fault, inactive motors; the hand itself has no fault codes."""
 
 _CURRENT_LIMIT = 1.5
-"""Current limit of a hand that does not report its own [A], as from the factory."""
+"""Current limit of a hand that does not report its own [A], the factory setting."""
 
 _ACTIVATION = 0.5
 """Longest time from ACTIVATE until the motors are active [s]."""
@@ -126,7 +126,7 @@ class QbSoftHandOptions(DeviceOptions, frozen=True):
         status_every: Number of exchanges after which the driver checks that the motors are active.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        turnaround: Time between a request and its answer beside that on the wire [s].
+        turnaround: Time between a request and its answer besides that on the wire [s].
     """
 
     port: str = "/dev/ttyUSB0"
@@ -177,8 +177,8 @@ class QbSoftHandDriver(Driver):
             measures=frozenset({"position", "current", "effort"}),
             accepts=frozenset({"position"}),
             refuses={
-                "max_effort": "a SoftHand limits its current by a parameter that is stored in it, "
-                "not by what it is sent; a smaller intensity closes it less hard"
+                "max_effort": "a SoftHand takes its current limit from a stored parameter, not "
+                "from commands; a smaller intensity closes it less hard"
             },
             best_rate=1.0 / self._exchange_time(),
             recoverable=True,
@@ -264,7 +264,7 @@ class QbSoftHandDriver(Driver):
             held = await self._all_active()
             if not held:
                 await self._switch_on()
-            # Actuators without a reference keep this one.
+            # Actuators without a reference keep this closure.
             self._closure = await self._measured()
         self._attached.begin(range(self.options.motors) if held else ())
         self._active = True
@@ -345,7 +345,7 @@ class QbSoftHandDriver(Driver):
         """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            # Stored, too, as a later reference for one motor repeats it for the other.
+            # Stored, since a later reference for one motor repeats this one for the other.
             here = await patiently(self._measured)
             instead = self.standstill.instead(here)
             self._closure = tuple(instead.get(i, q) for i, q in enumerate(here))

@@ -1,7 +1,7 @@
 """Emulates a qb SoftHand on the wire.
 
-What differs between generations of firmware, or is not known, is a property here: the form of
-acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE.
+Behaviour that differs between generations of firmware, or is not known, is a property here: the
+form of acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rtee.drivers.qb_softhand import codec
 from rtee.hand.validation import Section
 
 _LOWEST = -4_000
-"""Lower limit of the motors of a hand with two [ticks]."""
+"""Lower limit of the motors of a two-motor hand [ticks]."""
 _CURRENT_LIMIT = 1500.0
 """Current limit of a motor [mA], the setting from the factory."""
 _FRICTION, _GAIN = 120.0, 0.25
@@ -122,13 +122,13 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self._activate(0x03 if self.options.startup_active else 0)
 
     def on_faults(self) -> None:
-        """Block the motors while they are stuck; a low supply deactivates them."""
+        """Apply the faults: a stuck motor is blocked, and a low supply deactivates all motors."""
         if "low_supply" in self.faults:
             self._activate(0)
         super().on_faults()
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the motors close the fingers."""
+        """Return the closing motions of the motors."""
         made = self.options
         return [Closing(axis, 0.0, made.limit, _CURRENT_LIMIT) for axis in self.axes]
 

@@ -51,7 +51,7 @@ class QbLink(RelaxedDeadline):
         return reply.data
 
     def send(self, command: codec.Command, data: bytes = b"") -> Coroutine[Any, Any, None]:
-        """Send a command without an answer, when awaited; raises `BusError`."""
+        """Return a coroutine that sends a command without an answer; it raises `BusError`."""
         return self.bus.send(codec.Frame(self.device, command, data).to_bytes(), self.deadline)
 
     async def ping(self) -> bool:
@@ -85,7 +85,7 @@ class QbLink(RelaxedDeadline):
         return await self.bus.transact(ping, self._parser, self.deadline, self.retries)
 
     async def parameters(self) -> dict[int, codec.Parameter]:
-        """Return the hand's parameters by index; none if it does not answer."""
+        """Return the hand's parameters by index; empty if it does not answer."""
         request = codec.Frame(self.device, codec.Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
         try:
             # Only one retry: the whole list is sent again, and defaults are known.

@@ -36,9 +36,9 @@ class ReplayOptions(Section, frozen=True):
     file: Path
     """The recording, an MCAP file."""
     speed: Annotated[float, Meta(gt=0, le=1000)] = 1.0
-    """How fast time passes in it."""
+    """Speed of the playback relative to the recording."""
     repeat: bool = False
-    """Begin again at its end; otherwise it stays at the end."""
+    """Begin again at the end of the recording; otherwise stay there."""
 
 
 class ReplayDriver(Driver):
@@ -123,7 +123,7 @@ class ReplayDriver(Driver):
         )
 
     def _reading(self, states: Mapping[str, TouchState]) -> TouchReading | None:
-        """Return the joint reading of the touch sensors of all recorded devices."""
+        """Return the combined reading of the touch sensors of all recorded devices."""
         # The same mapping means that there was no new message, so the reading is unchanged.
         if states is not self._felt:
             self._felt = states

@@ -43,8 +43,8 @@ from rtee.touch import TouchSensor, TouchState
 Extras = Mapping[str, FloatArray]
 
 _DAMAGE = (McapError, struct.error, ValueError, EOFError, OverflowError, MemoryError)
-"""Exceptions for damaged bytes: those of the mcap package, of decompression, and of sizes that no
-memory has."""
+"""Exceptions for damaged bytes: those of the mcap package, of decompression, and of sizes beyond
+any memory."""
 
 _HEAD = struct.Struct("<BQ")
 """Layout of the head of a record: opcode and length."""

@@ -93,7 +93,7 @@ class Model:
     def scale(
         self, opened: float, closed: float, open_count: int = 3, closed_count: int = 230
     ) -> FingerScale:
-        """Return the scale: the position is linear in the counts, gPO and rPR, speed and force too.
+        """Return the scale, by which position (gPO and rPR), speed and force are linear in counts.
 
         Args:
             opened: Position of the actuator when fully open [rad | m].

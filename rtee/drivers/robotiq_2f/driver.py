@@ -26,7 +26,7 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 _MORE = 6
-"""Registers that published programs also read from a two-finger gripper."""
+"""Number of registers that published programs read from a two-finger gripper."""
 
 _LEAST_RANGE = 100
 """Smallest plausible travel [counts]; a gripper that moves freely has about 227."""
@@ -107,7 +107,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         )
 
     async def configure(self) -> None:
-        """Read the calibration, open the line, check that such a gripper answers."""
+        """Read the calibration, open the line and check that a two-finger gripper answers."""
         options = self.options
         if options.calibration is not None:
             stops = read_calibration_file(
@@ -230,7 +230,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     async def calibrate(
         self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
     ) -> EndStops:
-        """Close and open the gripper fully, gently, and store the counts where it ends.
+        """Close and open the gripper fully, gently, and store the counts at its end stops.
 
         Arguments and errors as for `Calibrates.calibrate`; the rest posture is not needed.
         """
@@ -257,7 +257,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             return there and status.grasp is not Grasp.MOVING
 
         def blocked() -> CalibrationError:
-            return CalibrationError(self.spec.name, "the fingers did not reach an end")
+            return CalibrationError(self.spec.name, "the fingers did not reach an end stop")
 
         async with time_limit(self.options.activation_timeout, blocked):
             await self._write(command.to_registers())
@@ -265,7 +265,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         return self._status.position
 
     def _checked(self, stops: EndStops) -> EndStops:
-        """Return a calibration; raises `CalibrationError` if it does not cover the whole range."""
+        """Return a calibration; raises `CalibrationError` if its travel is implausibly short."""
         travel = stops.closed_count - stops.open_count
         if travel < _LEAST_RANGE:
             raise CalibrationError(

@@ -1,7 +1,7 @@
 """Emulates a Robotiq two-finger gripper on the wire.
 
-What no manual states is a property here: how long the activation takes and which way the automatic
-release goes.
+Behaviour that no manual states is a property here: the duration of the activation and the direction
+of the automatic release.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HOTTEST = 85.0
 
 
 class Robotiq2FProperties(RobotiqProperties, frozen=True):
-    """Properties of the emulated gripper besides those that all of them have.
+    """Properties of the emulated gripper in addition to those of all Robotiq grippers.
 
     Attributes:
         model: ``2f_85``, ``2f_140``, ``hand_e`` or ``hand_e_c10``.
@@ -100,11 +100,11 @@ class Robotiq2FEmulator(RobotiqEmulator):
         return {**super().fitting(options), **places}
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close."""
+        """Return the closing motion of the fingers."""
         return [Closing(self.axis, self.axis.lower, self.axis.upper, self.model.force[1])]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a width [m]."""
+        """Return the fraction of the travel at which the fingers meet a width [m]."""
         return self.model.closure(width)
 
     # --- registers ---------------------------------------------------------------------------
@@ -115,7 +115,7 @@ class Robotiq2FEmulator(RobotiqEmulator):
         return super().read(function, address, count, now)
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
-        """Merge registers into the output block, wherever they start, and obey."""
+        """Merge registers into the output block, wherever they start, and execute the command."""
         self._hear(now)
         super().write(address, values, now)
 
@@ -136,11 +136,11 @@ class Robotiq2FEmulator(RobotiqEmulator):
         return Command(activate=True, go=True, position=here, speed=255, force=255)
 
     def status(self) -> Status:
-        """Return what the gripper reports."""
+        """Return the status that the gripper reports."""
         command = self._command()
         going = self._going(command)
         grasp = self._grasp() if going else Grasp.MOVING
-        # At rest without an object it draws nothing, also at the end of its travel.
+        # At rest without an object it draws no current, not even at the end of its travel.
         holds = grasp in (Grasp.CONTACT_CLOSING, Grasp.CONTACT_OPENING)
         effort = abs(self.axis.effort) if holds or self.axis.velocity != 0.0 else 0.0
         fault = self._reported_fault(command) or (_SILENT if self._silent else 0)

@@ -60,7 +60,7 @@ FAULTS: dict[int, Fault] = {
 
 
 def _bytes(first: int) -> list[RegisterField]:
-    """Return the places of three bytes that follow each other in a block."""
+    """Return the places of three consecutive bytes in a block."""
     return [RegisterField(i // 2, 0 if i % 2 else 8, 8, int) for i in range(first, first + 3)]
 
 
@@ -85,7 +85,7 @@ class Command(RobotiqCommand):
 
     Attributes:
         mode: rMOD.
-        individual: rICF: the three fingers follow their own requests, otherwise all that of ``a``.
+        individual: rICF: each finger follows its own request; otherwise all follow that of ``a``.
         scissor: rICS: the scissor follows its own request in every mode.
         axes: Requests of the four motors, in the order of `AXES`.
     """
@@ -149,14 +149,14 @@ FORCE = (15.0, 60.0)
 
 def _scale(position: LinearScale) -> FingerScale:
     """Return the scale of a motor: gPOx and rPRx to the joint's angle [rad], and rSPx, rFRx."""
-    # The fingertip's way by the angle of the joint.
+    # The fingertip's travel per angle of the joint.
     return FingerScale(position, STROKE / 255 / abs(position.gain), COUNTS, FORCE, SPEED)
 
 
 # A finger's first joint turns by the same angle per count all the way: the published driver's 200
 # counts per radian. The scissor turns linearly between its end counts, and no further.
 FINGERS = 3
-"""Axes ahead of the scissor, a to c."""
+"""Number of fingers; their axes, a to c, precede the scissor."""
 _FINGER = _scale(LinearScale((0.0, 200.0), (0.0, 1.0), ends=COUNTS))
 _SCISSOR = _scale(LinearScale((15.0, 240.0), (0.192, -0.192)))
 

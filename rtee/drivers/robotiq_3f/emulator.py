@@ -1,7 +1,7 @@
 """Emulates Robotiq's three-finger gripper on the wire.
 
-What no manual states, or where its editions differ, is a property here: how long activation and
-change of mode take. The blocks are served in both places that the editions name.
+Behaviour that no manual states is a property here: the duration of the activation and of a change
+of mode. The blocks are served at both addresses that the editions of the manual name.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _OBSTRUCTED, _MODE_FAILED = 0x0A, 0x0E  # gFLT: codes of the scissor
 
 
 class Robotiq3FProperties(RobotiqProperties, frozen=True):
-    """Properties of the emulated gripper besides those that all of them have.
+    """Properties of the emulated gripper in addition to those of all Robotiq grippers.
 
     Attributes:
         activation_time: Duration of the activation [s].
@@ -78,7 +78,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
         super()._power_up(activated)
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close; the scissor does not close on an object."""
+        """Return the closing motions of the fingers; the scissor does not close on an object."""
         return [Closing(axis, _OPEN, axis.upper, codec.FORCE[1]) for axis in self.axes[:3]]
 
     # --- registers ---------------------------------------------------------------------------
@@ -94,7 +94,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
         return codec.Command(activate=True, go=True, axes=(a, b, c, scissor))
 
     def status(self) -> codec.Status:
-        """Return what the gripper reports."""
+        """Return the status that the gripper reports."""
         command = self._command()
         going = self._going(command)
         contacts = [_contact(axis, self._started or not going) for axis in self.axes]
@@ -163,7 +163,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
         self.axes[3].target = _SCISSOR_OF[mode]
 
     def _activate(self, dt: float) -> None:
-        """Cycle all fingers and the scissor, which ends where it is in basic mode."""
+        """Cycle all fingers and the scissor, which ends at its position in basic mode."""
         super()._activate(dt)
         scissor = self.axes[3]
         if self._progress is Progress.ACTIVATING and scissor.target == scissor.lower:

@@ -17,7 +17,7 @@ from rtee.drivers.packed import Packed, part, text
 from rtee.errors import FrameError
 
 IMAGE = 8
-"""Registers of either cyclic image."""
+"""Number of registers in each cyclic image."""
 
 _FLOAT = struct.Struct("<f")
 
@@ -55,7 +55,7 @@ class Parameter(IntEnum):
 
 
 TEXTS = {Parameter.SERIAL: 8, Parameter.SOFTWARE: 11}
-"""Registers of the parameters that are text."""
+"""Number of registers of each parameter that is text."""
 
 MODULES: dict[int, str] = {
     **{6 + i: f"EGU {size} N-B" for i, size in enumerate((50, 60, 70, 80))},
@@ -147,7 +147,7 @@ FAST_STOP, SILENT, UNHEARD = 0xD9, 0xEF, 0xF7
 """Errors that are normal after power-up and after a pause: fast stop, and communication lost."""
 
 ERRORS: dict[int, str] = {
-    0x03: "no rights",
+    0x03: "no access rights",
     0x28: "brake test failed",
     0x6C: "motor too cold",
     0x6D: "motor too hot",
@@ -157,24 +157,24 @@ ERRORS: dict[int, str] = {
     0x73: "supply of the electronics too high",
     0x74: "supply of the motor too low",
     0x75: "supply of the motor too high",
-    0x7C: "it must be restarted",
-    0x7E: "power stage",
+    0x7C: "restart required",
+    0x7E: "power stage fault",
     0xBA: "position not held",
     0xBB: "position not held",
     0xD4: "invalid command",
-    0xD5: "below its least position",
-    0xD6: "above its greatest position",
+    0xD5: "below the smallest position",
+    0xD6: "above the largest position",
     FAST_STOP: "fast stop",
     0xDE: "motor current too high",
     0xDF: "motor overloaded (I²t)",
-    0xE4: "too fast",
+    0xE4: "speed too high",
     SILENT: "communication lost",
     0xF0: "referencing took too long",
     0xF1: "motion took too long",
     0xF2: "not referenced",
     0xF4: "motion blocked",
     UNHEARD: "no communication",
-    0xFB: "lost its memory",
+    0xFB: "memory lost",
 }
 """Names of the error codes."""
 
@@ -206,7 +206,7 @@ class Image(Packed):
 
     @classmethod
     def from_registers(cls, words: Sequence[int], bus: str = "") -> Self:
-        """Read it from eight registers; raises `FrameError` for another number of them."""
+        """Decode eight registers; raises `FrameError` for another number of registers."""
         data = data_of(words)
         try:
             return cls.from_bytes(data)
@@ -263,7 +263,7 @@ def data_of(words: Sequence[int]) -> bytes:
 
 
 def float_of(words: Sequence[int]) -> float:
-    """Return a parameter that is a number."""
+    """Return the value of a parameter that is a number."""
     return float(_FLOAT.unpack(data_of(words))[0])
 
 
@@ -273,5 +273,5 @@ def float_registers(value: float) -> tuple[int, ...]:
 
 
 def text_of(words: Sequence[int]) -> str:
-    """Return a parameter that is text."""
+    """Return the value of a parameter that is text."""
     return text(data_of(words))

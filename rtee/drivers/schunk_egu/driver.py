@@ -29,7 +29,7 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _NEWER = 0.2
-"""Share of the newest exchange in the usual duration of one."""
+"""Weight of the newest exchange in the usual duration of one."""
 _MOVES = 20.0
 """Travel after which a grip counts as begun [µm]: more than the noise of an encoder."""
 _JITTER = 1e-3
@@ -37,7 +37,7 @@ _JITTER = 1e-3
 
 
 class GripTimer:
-    """Times a grip by the positions read during it.
+    """Times the stop of a grip by the positions read during the grip.
 
     Attributes:
         reading: Usual duration of a reading [s].
@@ -51,11 +51,11 @@ class GripTimer:
         self._seen: tuple[float, float] | None = None  # way closed [µm] and time [s]
 
     def begin(self, closed: float) -> None:
-        """Record the start of a grip, and how far the gripper is closed then [µm]."""
+        """Record the start of a grip and the closure at that time [µm]."""
         self._seen, self._from = None, closed
 
     def see(self, closed: float, asked: float, answered: float) -> None:
-        """Record how far it is closed [µm], measured between request and answer [s]."""
+        """Record a measured closure [µm] and the times of request and answer [s]."""
         at = 0.5 * (asked + answered)
         if self._seen is not None:
             self._speed = (closed - self._seen[0]) / max(at - self._seen[1], _JITTER)
@@ -71,9 +71,9 @@ class GripTimer:
         self.writing += _NEWER * (took - self.writing)
 
     def due(self, left: float, writes: int) -> float:
-        """Return the time [s] to begin the writes that stop it after a further travel [µm].
+        """Return the time [s] to begin the writes that stop the grip after a further travel [µm].
 
-        Infinity if it does not move, or not yet.
+        The time is infinite if the gripper does not move, or not yet.
         """
         if self._seen is None or self._speed <= 0.0:
             return math.inf
@@ -117,8 +117,8 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> EguIdentity:
         device: Its name in errors.
 
     Raises:
-        HandshakeError: if it is another device.
-        BusError: if it does not answer, or refuses.
+        HandshakeError: if another device answers.
+        BusError: if no device answers, or the gripper refuses a request.
     """
 
     async def read(what: codec.Parameter, count: int) -> tuple[int, ...]:
@@ -160,14 +160,14 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> EguIdentity:
     )
 
 
-_PER_FINGER = 2e6  # image counts [µm] per metre of one finger: images hold the distance between
+_PER_FINGER = 2e6  # image counts [µm] per metre of one finger: images hold the fingers' distance
 _SAME, _REACHED = 1000.0, 200.0
 """Difference to the measured position within which a target commands no motion just after
 connecting, and within which it counts as reached [µm]."""
 _TAKEN = 0.3
 """Longest time until a command is accepted [s]; the maker's tools wait as long."""
 _READY = 1.0
-"""Longest time until it is ready after an acknowledgement [s]."""
+"""Longest time until the gripper is ready after an acknowledgement [s]."""
 _BRAKE_TEST = 5.0
 """Longest time of a brake test [s]; no document states it."""
 _POLL = 0.01
@@ -208,9 +208,10 @@ class SchunkEguDriver(Driver):
     """An EGU or EGK.
 
     A command is given by the rising edge of its bit; the gripper toggles a bit of the status when
-    it accepts it. A motion that meets an object is an error, so the gripper closes by *grip*, with
-    the effort limit, and is stopped at the reference; it opens by *release* and by motions to a
-    position. A moving reference is followed in steps: see `StepFollower`.
+    it accepts the command. A motion that meets an object is an error, so the driver closes the
+    gripper by *grip*, with the effort limit, and stops it at the reference; it opens the gripper by
+    *release* and by motions to a position. It follows a moving reference in steps: see
+    `StepFollower`.
     """
 
     Options = SchunkEguOptions
@@ -344,13 +345,13 @@ class SchunkEguDriver(Driver):
         return bool(now.status & codec.Status.READY) and not now.status & codec.Status.ERROR
 
     async def _acknowledge(self) -> None:
-        """Withdraw a fast stop and acknowledge errors; wait until it is ready."""
+        """Withdraw a fast stop and acknowledge errors; wait until the gripper is ready."""
         await self._write(codec.Output(codec.Control.RUN))
         await asyncio.sleep(_WRITE_GAP if self._input.error == codec.SILENT else 0.0)
         await self._write(codec.Output(codec.Control.RUN | codec.Control.ACKNOWLEDGE))
         try:
             await self._until(self._ready, _READY)
-        # The gripper's error says more than that it took too long.
+        # The gripper's own error says more than a timeout.
         except DeviceFault:
             self._refuse(self._input)
             raise
@@ -387,7 +388,7 @@ class SchunkEguDriver(Driver):
                 await asyncio.sleep(_POLL)
 
     async def examine(self) -> str:
-        """Raise the error that it reports, unless activation acknowledges it."""
+        """Raise the error that the gripper reports, unless activation acknowledges it."""
         now = await self.connection.link.read()
         if now.error not in _EXPECTED:
             self._refuse(now)
@@ -460,10 +461,10 @@ class SchunkEguDriver(Driver):
             self._follower.sent()
 
     async def _watch(self, target: float) -> None:
-        """Stop a grip at its target [µm] if it gets there before the next cycle.
+        """Stop a grip at its target [µm] if it reaches the target before the next cycle.
 
-        It closes fully unless it is stopped. The time of the stop follows from the position and the
-        speed, which two readings give; until there are two, the speed of the last grip counts.
+        A grip closes fully unless it is stopped. The time of the stop follows from the position and
+        the speed, which two readings give; until there are two, the speed of the last grip counts.
         """
         end = self._cycle_began + _SHARE * self._period
         later = self._cycle_began + self._period + self._timer.reading  # the next cycle's stop
@@ -476,7 +477,7 @@ class SchunkEguDriver(Driver):
                 return
             now = monotonic.now()
             due = self._timer.due(left, 1 if self._word == codec.Control.RUN else 2)
-            # Read as long as there is time: what meets an object meanwhile must not be stopped.
+            # Read as long as there is time: a grip that has met an object must not be stopped.
             last = due - now < self._timer.reading or now + self._timer.reading > end
             if (
                 due - now > self._timer.writing
@@ -509,13 +510,13 @@ class SchunkEguDriver(Driver):
         return (self.spec.every or math.ceil(rate / self.capabilities.best_rate)) / rate
 
     def _way(self, here: float, target: float) -> float:
-        """Return how much further closed a target is than a position [µm]."""
+        """Return the closing travel from a position to a target [µm], negative if it opens."""
         return target - here if self.options.opens == "down" else here - target
 
     async def _command(
         self, control: codec.Control, *, position: int = 0, speed: int = 0, force: int = 0
     ) -> None:
-        """Give a command by the rising edge of its bit, which needs a write without it before."""
+        """Give a command by the rising edge of its bit, which first needs a write without it."""
         if self._word != codec.Control.RUN:
             await self._write(codec.Output(codec.Control.RUN))
         # Before the write: if only the answer is lost, the command has begun.
@@ -526,7 +527,7 @@ class SchunkEguDriver(Driver):
         await self._write(codec.Output(codec.Control.RUN | control, position, speed, force))
 
     def _waits(self) -> bool:
-        """Return whether the last command is not accepted yet; after a while it is given up."""
+        """Return whether the last command is not accepted yet; give it up after `_TAKEN`."""
         if self._asked is None:
             return False
         if monotonic.now() - self._asked[1] > _TAKEN:

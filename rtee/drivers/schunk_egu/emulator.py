@@ -1,7 +1,7 @@
 """Emulates a SCHUNK EGU or EGK on Modbus RTU: parameters, cyclic images, the toggle-bit handshake.
 
-What the sources leave open is a property here: the timeout of the communication, the speed of a
-grip, and the time to build up its force.
+Behaviour that the sources leave open is a property here: the timeout of the communication, the
+speed of a grip, and the time to build up its force.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _WRITTEN: Mapping[codec.Parameter, int] = {
     codec.Parameter.RELEASE_DELTA: 2,
     codec.Parameter.PREPOSITION: 2,
 }
-"""Registers of the parameters that a host may write; lengths, speeds and forces are numbers."""
+"""Number of registers of each parameter that a host may write; two registers hold a float."""
 _BLOCKED = 0xF4  # error: a motion met something
 _MODULE = 18  # an EGK 40 M-B
 _RELEASE = 10.0  # distance by which it opens on release, until a host sets another [mm]
@@ -77,7 +77,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     """An EGU or EGK; greater positions are more open.
 
     Attributes:
-        axis: Both fingers; position the distance between them in mm, effort the force [N].
+        axis: Both fingers; position is the distance between them [mm], effort the force [N].
         moves: Number of motions started.
         begun: Force of the last grip [%]; motions have none.
         tests: Number of brake tests.
@@ -109,7 +109,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         self.begun = 0
         self.tests = 0
         self.taken: list[codec.Control] = []
-        # Parameters that hosts write beside the image; the gripper keeps them.
+        # Parameters that hosts write besides the image; the gripper keeps them.
         self._kept: dict[codec.Parameter, bytes] = {
             parameter: bytes(2 * count) for parameter, count in _WRITTEN.items()
         }
@@ -139,15 +139,15 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     # --- objects and faults ------------------------------------------------------------------
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close."""
+        """Return the closing motion of the fingers."""
         return [Closing(self.axis, self.properties.stroke, 0.0, self.properties.force)]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a width [m]."""
+        """Return the fraction of the travel at which the fingers meet a width [m]."""
         return 1.0 - 1e3 * width / self.properties.stroke
 
     def on_faults(self) -> None:
-        """Block the motor while it is stuck; an error stops it."""
+        """Apply the faults: a stuck motor is blocked, and an error stops the gripper."""
         super().on_faults()
         for fault, code in _ERRORS.items():
             if fault in self.faults and fault != "brake_test":

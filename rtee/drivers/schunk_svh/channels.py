@@ -21,11 +21,11 @@ class Channel:
     """One channel of the hand: its homing and its gearing.
 
     Encoders are relative: after homing, 0 rad is the open end of the range. Homing drives a channel
-    beyond its open stop; ``min_offset`` and ``max_offset`` place the soft limits relative to it.
+    against its open stop; ``min_offset`` and ``max_offset`` place the soft limits relative to it.
 
     Attributes:
         index: Number on the wire, 0 to 8.
-        name: Its name, as the end of the actuator's name.
+        name: Its name, with which the actuator's name ends.
         direction: Direction of homing, +1 or -1.
         min_offset: Lower soft limit relative to the stop [ticks].
         max_offset: Upper soft limit relative to the stop [ticks].
@@ -76,7 +76,7 @@ class Channel:
         return round(angle / self.rad_per_tick) + zero
 
     def to_rate(self, velocity: float) -> float:
-        """Return a speed [ticks/s] for a speed [rad/s]."""
+        """Return the speed [ticks/s] for a velocity [rad/s]."""
         return abs(velocity / self.rad_per_tick)
 
     def to_effort(self, current_ma: float) -> float:
@@ -175,7 +175,7 @@ def channels_of(spec: DeviceSpec) -> tuple[int, ...]:
         except KeyError:
             names = ", ".join(c.name for c in CHANNELS)
             raise ConfigError(
-                f"device '{spec.name}': actuator '{actuator.name}' is none of the SVH's; their "
+                f"device '{spec.name}': actuator '{actuator.name}' is not one of the SVH's; their "
                 f"names end with {names}"
             ) from None
         if channel in found:
@@ -232,7 +232,7 @@ class SchunkSvhOptions(DeviceOptions, frozen=True):
         status_every: Number of exchanges after which faults are read.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        turnaround: Time between a request and its answer beside that on the wire [s].
+        turnaround: Time between a request and its answer besides that on the wire [s].
     """
 
     port: str = "/dev/ttyUSB0"

@@ -22,7 +22,7 @@ PACKET = PAYLOAD + _OVERHEAD
 GAP = 782e-6
 """Pause that the hand needs after each packet of the host [s]."""
 TURNAROUND = 5e-4
-"""Time from a request to its reply beside that on the wire [s]; an assumption."""
+"""Time from a request to its reply besides that on the wire [s]; an assumption."""
 
 
 class Command(IntEnum):
@@ -52,7 +52,7 @@ def checksums(data: bytes | bytearray) -> tuple[int, int]:
 
 
 _FRAMING = Framing(SYNC, 2, lambda raw: bytes(checksums(raw[6:])), PAYLOAD, size=2, tail=2)
-"""Index and address, and the length of the data, of which the checksums are."""
+"""Index and address, then the length of the data; the checksums cover only the data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +78,9 @@ class Packet:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is, without other bytes; raises `CodecError`."""
+        """Decode ``raw``, which must be exactly one packet; raises `CodecError`."""
         (index, address), data = _FRAMING.opened(raw)
-        # Three of the sixteen values are no command.
+        # Three of the sixteen values are not commands.
         command = address & 0xF
         if command > Command.GET_FIRMWARE_INFO:
             raise CodecError(f"there is no command {command:#x}")

@@ -181,7 +181,7 @@ class SchunkSvhDriver(Driver):
         if self.stops and not homing.plausible(self.stops, self._table, await link.feedback_all()):
             self._adopt_stops({})
         if not set(self._index) <= enabled:
-            # It was disabled since: perhaps by a cut supply, which resets the encoders, too.
+            # It has been disabled: perhaps by a cut supply, which also resets the encoders.
             self._adopt_stops({})
         self._scales = None
 
@@ -212,13 +212,13 @@ class SchunkSvhDriver(Driver):
         return [self._table[index] for index in self._index]
 
     async def activate(self) -> None:
-        """Enable the channels at their positions; homes first if that is needed and allowed."""
+        """Enable the channels at their positions; home them first if needed and allowed."""
         self.connection.link.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
         if homed and self._health.enabled & wanted == wanted:
             await self._seed()
-            # It may hold an object, which a reference at the measured position would release.
+            # The hand may hold an object, which a reference at the measured position would release.
             self._attached.begin(range(len(self._index)))
             self.connection.link.patient = False
             return
@@ -231,7 +231,7 @@ class SchunkSvhDriver(Driver):
         self.connection.link.patient = False
 
     async def examine(self) -> str:
-        """Return whether it is not homed; raises the fault that it reports."""
+        """Return ``not homed`` if it is not; raises the fault that the hand reports."""
         self._check(await self.connection.link.state())
         return "" if set(self._index) <= set(self.stops) else "not homed"
 
@@ -242,7 +242,7 @@ class SchunkSvhDriver(Driver):
         """
         self._answer = None
         self._health.off()
-        # The old zeros end here, so that a failed homing does not leave them behind.
+        # Discarded first, so that a failed homing does not leave the old zeros behind.
         self._adopt_stops({})
         await homing.disable(self.connection.link)
         # Homing needs the current limits: at the stop, only they protect the gears.
@@ -272,7 +272,7 @@ class SchunkSvhDriver(Driver):
         self._check(state)
 
     async def _seed(self) -> codec.FeedbackAll:
-        """Make the measured positions the targets, so that enabling moves nothing; return them."""
+        """Make the measured positions the targets, so that enabling moves nothing."""
         self._answer = self._last = None
         self._attached.begin()
         feedback = await self.connection.link.feedback_all()

@@ -153,7 +153,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         return [channel.axis for channel in self.channels]
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close; spread and opposition do not close on an object."""
+        """Return the closing motions; spread and opposition do not close on an object."""
         return [
             Closing(
                 channel.axis, self._at(index, 0.0), self._at(index, 1.0), channel.current.maximum

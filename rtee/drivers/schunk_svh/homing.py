@@ -22,7 +22,7 @@ _SUPPLY = ControllerState.SUPPLY
 _SETTLING = 0.002
 """Pause between two steps of enabling, as in the vendor's library [s]."""
 
-# Codes of the driver's own faults, after `homing.HOMING_FAILED`; the hand itself has none.
+# Codes of the driver's own faults, besides `HOMING_FAILED`; the hand itself has none.
 NOT_HOMED = 1
 DRIVER_FAULT = 3
 LOST_POWER = 4
@@ -89,7 +89,7 @@ class Health:
         self._baseline = _latched(state)
 
     def check(self, state: ControllerState, table: Sequence[Channel]) -> None:
-        """Raise `DeviceFault` if a state reports one; notes the warnings."""
+        """Raise `DeviceFault` if a state reports a fault; store its warnings."""
         faults = state.pwm_fault & ~self._baseline.pwm_fault
         lost = self.enabled & ~state.enabled
         hot = state.pwm_otw & ~self._baseline.pwm_otw
@@ -148,11 +148,11 @@ async def home(
 ) -> int:
     """Move a channel slowly to its stop, then off the stop; leave it disabled.
 
-    Returns the position of the stop [ticks]. Raises `DeviceFault` if it does not move for
+    Returns the position of the stop [ticks]. Raises `DeviceFault` if the channel does not move for
     ``timeout`` [s] without reaching its stop, or does not come back from it; and `BusError`.
     """
     slow = replace(position, max_rate=position.max_rate * HOMING_RATE)
-    # Slowly before it is enabled, so that it never meets the stop at full speed.
+    # Slowed down before it is enabled, so that it never meets the stop at full speed.
     await link.set_position_settings(channel.index, slow)
     here = (await link.feedback(channel.index)).position
     # Before it is enabled, since it would move to an old target at once.
@@ -220,7 +220,7 @@ async def _leave_stop(
 
 
 def read_stops(path: Path | None) -> dict[int, int]:
-    """Return the stops [ticks] by channel; none without a usable file."""
+    """Return the stops [ticks] by channel; empty without a usable file."""
     if path is None:
         return {}
     try:

@@ -41,7 +41,7 @@ class SvhLink:
     def exchange(
         self, command: Command, channel: int = 0, data: bytes = b""
     ) -> Coroutine[Any, Any, Packet]:
-        """Send one packet and return the reply, when awaited; raises `BusError`."""
+        """Return a coroutine that sends one packet and returns the reply; it raises `BusError`."""
         # 0 to 254, as the vendor's library counts.
         self._index = (self._index + 1) % 255
         request = Packet(command, channel, data, self._index)
@@ -69,7 +69,7 @@ class SvhLink:
             raise FrameError(self.bus.name, str(error), reply.data) from error
 
     async def firmware(self) -> codec.FirmwareInfo:
-        """Return the hand's identification; also finds out whether it echoes indices."""
+        """Return the hand's identification, and record whether it echoes indices."""
         # Until this is known, a reply with any index is accepted.
         self.echoes = False
         reply = await self.exchange(Command.GET_FIRMWARE_INFO)

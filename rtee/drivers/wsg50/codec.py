@@ -19,7 +19,7 @@ PREAMBLE = b"\xaa\xaa\xaa"
 """The first bytes of every frame."""
 
 PORT = 1000
-"""TCP port from the factory."""
+"""Default TCP port."""
 
 _LONGEST = 256
 """Bytes of the longest payload that is accepted: the device's tag is a text of any length."""
@@ -30,7 +30,7 @@ _STOP_ON_BLOCK = 0x02  # flag of a pre-position; 1: the width is relative
 
 
 class Command(IntEnum):
-    """Request of a frame."""
+    """The commands of frames."""
 
     LOOP = 0x06
     DISCONNECT = 0x07
@@ -304,7 +304,7 @@ class Limits(Packed):
 
     @classmethod
     def from_frame(cls, frame: Frame) -> Self:
-        """Read them from an answer; raises `CodecError`."""
+        """Read the limits from an answer; raises `CodecError`."""
         stroke, slow, fast, weak, strong, least, nominal, most = numbers(frame, 8)
         if not (stroke > 0.0 and 0.0 <= slow < fast and weak < strong and least < nominal):
             raise CodecError("not valid limits")

@@ -1,4 +1,4 @@
-"""Drives a SCHUNK WSG 50 by its binary commands over TCP."""
+"""Drives a SCHUNK WSG 50 with its binary commands over TCP."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ from rtee.types import DeviceSpec, Reference
 _TRIES = 3
 """Attempts to send a stop, which must arrive."""
 _POLL = 0.05
-"""Time between two reports while it homes [s]; published programs ask no faster."""
+"""Time between two reports while it homes [s]; published programs do not poll faster."""
 _SAME, _REACHED = 1.0, 0.3
-"""Largest difference from the measured width [mm] of a target that asks a gripper just attached to
-for no motion, and of one that counts as reached; fingers on an object yield by some of it."""
+"""Difference to the measured width within which a target commands no motion just after connecting,
+and within which it counts as reached [mm]; fingers on an object yield a little."""
 _EMPTY = 1.0
 """Fingers within this distance of each other hold nothing [mm]."""
 _NOT_REFERENCED = 0
-"""Code of this fault: like the others, the number of its bit in the state."""
-_HOME = "`rtee recover`, or `rtee run --home`, homes it: the fingers move all the way"
+"""Code of the fault of a gripper that is not homed: like other codes, the number of a state bit."""
+_HOME = "`rtee recover`, or `rtee run --home`, homes it: the fingers move over their whole range"
 _FAULTS: Mapping[State, tuple[str, str]] = {
     State.FAST_STOP: ("fast stop", "see what caused it, then `rtee recover`, which clears it"),
     State.TEMPERATURE_ERROR: ("over temperature", "let it cool down, then `rtee recover`"),
@@ -72,16 +72,16 @@ class Wsg50Options(DeviceOptions, frozen=True):
     """Options of a WSG 50."""
 
     port: str = f"socket://192.168.1.20:{PORT}"
-    """Socket://host:port; the address is that from the factory."""
+    """socket://host:port; by default the factory address."""
     home: Literal["on_demand", "on_connect"] = "on_demand"
     """When a gripper that is not referenced is homed, which moves it."""
     home_timeout: Positive = 20.0
-    """Longest time [s]."""
+    """Longest time for homing [s]."""
     settle: Settle = 0.1
     step: Positive = 0.005
     """A moving reference is followed in steps of at least this width [m]."""
     rate: Positive = 20.0
-    """Exchanges per second; faster may upset it."""
+    """Exchanges per second; a higher rate may upset the gripper."""
 
 
 class Wsg50Driver(Driver):
@@ -113,7 +113,7 @@ class Wsg50Driver(Driver):
         self._limits = limits
         self.position = LinearScale((limits.stroke, 0.0), (actuator.lower, actuator.upper))
         per_position = 1e-3 * limits.stroke / (actuator.upper - actuator.lower)
-        self._speed_of = 1e3 * per_position  # mm/s of the width in a unit of the actuator's
+        self._speed_of = 1e3 * per_position  # speed of the width [mm/s] per actuator velocity
         least, nominal, _ = limits.force
         self.effort = LinearScale((least, nominal), (least * per_position, nominal * per_position))
         self.capabilities = Capabilities(
@@ -135,7 +135,7 @@ class Wsg50Driver(Driver):
             self.buses.serial,
             options.port,
             lambda bus: WsgLink(bus, 0.5),
-            # An emulated gripper starts referenced, as after an earlier run, unless it is to home.
+            # An emulated gripper starts referenced, as after an earlier run, unless it must home.
             emulated={"emulator": {"referenced": options.home == "on_demand", **options.emulator}},
         )
         with (
@@ -182,7 +182,7 @@ class Wsg50Driver(Driver):
     async def _homed(self, link: WsgLink) -> None:
         def too_slow() -> DeviceFault:
             hint = "free the fingers, then `rtee recover`"
-            return self.fault(_NOT_REFERENCED, "homing not done in time", hint)
+            return self.fault(_NOT_REFERENCED, "homing did not finish in time", hint)
 
         with self.busy("homing"):
             async with time_limit(self.options.home_timeout, too_slow, end=self.stop):
@@ -195,7 +195,7 @@ class Wsg50Driver(Driver):
                         return
 
     async def examine(self) -> str:
-        """Return whether it is not homed; raises the fault that it reports."""
+        """Return ``not homed`` if it is not; raises the fault that the gripper reports."""
         report = self._report = await self.connection.link.report()
         self._refuse(report)
         return "" if report.state & State.REFERENCED else "not homed"
@@ -267,7 +267,7 @@ class Wsg50Driver(Driver):
         return closes and bool(report.state & State.BLOCKED_MINUS) and not self._busy
 
     def _motion(self, width: float, speed: float) -> Frame:
-        """Return the command that leads to a width [mm] at a speed [mm/s]."""
+        """Return the command to reach a width [mm] at a speed [mm/s]."""
         report, meets = self._report, self._meets(width)
         self._moving_to = None
         held = report.grasping is Grasping.HOLDING

@@ -1,7 +1,8 @@
 """Emulates a WSG 50 on the wire.
 
-What no document states is a property here: how far beyond a part's width a grasp searches for the
-part, how the force is built up, and whether a connection that ends unannounced is an error.
+Behaviour that no document states is a property here: how far beyond a part's width a grasp searches
+for the part, the time to build up the force, and whether a connection that ends unannounced is an
+error.
 """
 
 from __future__ import annotations
@@ -152,7 +153,7 @@ class Wsg50Emulator(Emulator, Grasps):
         self._announced = True
 
     def on_faults(self) -> None:
-        """Block the motor while it is stuck; an error stops it."""
+        """Apply the faults: a stuck motor is blocked, and an error stops the gripper."""
         super().on_faults()
         if any(fault in self.faults for fault in _ERRORS):
             self._fast_stop(latch="fast_stop" in self.faults)
@@ -169,11 +170,11 @@ class Wsg50Emulator(Emulator, Grasps):
     # --- objects -----------------------------------------------------------------------------
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close."""
+        """Return the closing motion of the fingers."""
         return [Closing(self.axis, self.limits.stroke, 0.0, self.limits.force[1])]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a width [m]."""
+        """Return the fraction of the travel at which the fingers meet a width [m]."""
         return 1.0 - 1e3 * width / self.limits.stroke
 
     # --- the wire ----------------------------------------------------------------------------

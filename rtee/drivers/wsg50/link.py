@@ -30,6 +30,7 @@ class WsgRefusal(BusError):
     """The gripper refused a command.
 
     Attributes:
+        command: The refused command.
         status: The reason.
     """
 
@@ -114,11 +115,11 @@ class WsgLink(RelaxedDeadline):
         self._requests = b"".join(asking(command).to_bytes() for command in _REPORT)
 
     async def report(self) -> WsgReport:
-        """Return what the gripper reports; raises `BusError`."""
+        """Return the gripper's report; raises `BusError`."""
         return await self.bus.transact(self._requests, self._reports, self.deadline)
 
     async def ask(self, request: Frame, *, retries: int = 1) -> Frame:
-        """Send a request, up to ``retries`` times again; return the answer, the first of a motion.
+        """Send a request, repeating it up to ``retries`` times, and return its first answer.
 
         Raises `WsgRefusal` if the gripper refuses it, and `BusError`.
         """
@@ -153,7 +154,7 @@ def _answers(request: Frame) -> Callable[[Frame], bool]:
             status = answer.status
         except CodecError:
             return False
-        # The result of an earlier motion may come first; a new motion is never refused by these.
+        # The result of an earlier motion may come first; these never refuse a new motion.
         results: Sequence[Status] = (Status.OK, Status.ABORTED, Status.FAILED, Status.AXIS_BLOCKED)
         return request.command not in MOTIONS or status not in results
 

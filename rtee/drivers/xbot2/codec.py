@@ -75,12 +75,12 @@ GenericRxMsg = _message("GenericRxMsg")
 
 
 def read(kind: type[Any], data: bytes) -> Any:
-    """Return the message in bytes; raises `CodecError`."""
+    """Decode a message from bytes; raises `CodecError`."""
     message: Message = kind()
     try:
         message.ParseFromString(data)
     except DecodeError as error:
-        raise CodecError(f"this is no {kind.DESCRIPTOR.name}: {error}") from error
+        raise CodecError(f"this is not a {kind.DESCRIPTOR.name}: {error}") from error
     return message
 
 

@@ -1,4 +1,4 @@
-"""Drives joints behind XBot2 over xbot2_zmq: Dagana, the motors of HERI II, any other."""
+"""Drives joints behind XBot2 over xbot2_zmq, such as Dagana or the motors of HERI II."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class JointOptions(Section, frozen=True):
     effort_sign: Literal[1, -1] = 1
 
     def __post_init__(self) -> None:
-        """Check that the options fit each other."""
+        """Check that the ends of each range differ."""
         for pair in (self.command, self.state):
             if pair is not None and pair[0] == pair[1]:
                 raise ValueError("the ends of a range must differ")
@@ -87,7 +87,7 @@ class XBot2Options(DeviceOptions, frozen=True):
         """Check the address."""
         host = self.address.removeprefix("tcp://")
         if not host or host == self.address or ":" in host:
-            raise Misfit("an address is 'tcp://host'; ports are options of their own", "address")
+            raise Misfit("an address is 'tcp://host'; ports are separate options", "address")
 
 
 _STALE = 0.3
@@ -98,8 +98,8 @@ _BAND = 0.02
 play of the grippers' transmissions."""
 
 _NO_EFFORT = (
-    "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
-    "beside them, for boards that take it so, and 'effort' closes and opens with it"
+    "its option 'control' is 'position', which sends positions only; 'limited' also sends the "
+    "limit, for boards that accept it, and 'effort' closes and opens with it"
 )
 
 
@@ -107,9 +107,10 @@ class XBot2Driver(Driver):
     """Joints behind XBot2.
 
     XBot2 owns the motors: it powers them, interpolates references and monitors them. This driver is
-    one of its clients. It sends a joint nothing until a reference asks it to move, so a joint that
-    holds an object keeps it when the driver connects and when others move. A joint gets a position
-    and an effort together only with ``control: limited``, for boards where the effort is a limit.
+    one of its clients. It sends a joint nothing until a reference asks the joint to move, so a
+    joint that holds an object keeps it when the driver connects and when others move. A joint gets
+    a position and an effort together only with ``control: limited``, for boards where the effort
+    is a limit.
     """
 
     Options = XBot2Options

@@ -1,7 +1,7 @@
 """Emulates XBot2 with some joints behind it, at the level of xbot2_zmq.
 
-Only that level is public; the boards' protocol with XBot2 is not. References are slewed, as the
-real server interpolates them; the sign of efforts is not known and an option of the driver.
+Only that level is public; the boards' protocol with XBot2 is not. References are slewed, since the
+real server interpolates them. The sign of efforts is not known, so it is an option of the driver.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class ServerProperties(Section, frozen=True):
     Attributes:
         lower: Lower end of all joints.
         upper: Upper end of all joints.
-        start: Their position at first.
+        start: Their initial position.
         speed: Largest speed of the joints [range units/s].
         effort: Their largest effort.
         rate: Rate of the states [Hz].
@@ -79,7 +79,7 @@ class XBot2Emulator(Emulator, Grasps):
 
     @classmethod
     def fitting(cls, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Make a server with the joints that a device's options name; ``ends`` are their stops."""
+        """Return properties with the joints that a device's options name, and ``ends`` as stops."""
         given = options.get("joints") or {}
         names = tuple(dict(j).get("joint") or actuator for actuator, j in given.items())
         fitting: dict[str, Any] = {"joints": names} if names else {}
@@ -99,7 +99,7 @@ class XBot2Emulator(Emulator, Grasps):
         return list(self.axes.values())
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the joints close."""
+        """Return the closing motions of the joints."""
         made = self.properties
         return [Closing(axis, made.lower, made.upper, made.effort) for axis in self.axes.values()]
 
@@ -136,7 +136,7 @@ class XBot2Emulator(Emulator, Grasps):
             if control & Control.POSITION and command.position:
                 axis.target = command.position[i]
                 axis.max_effort = self.properties.effort
-                if control & Control.EFFORT and command.effort:  # a limit beside a position
+                if control & Control.EFFORT and command.effort:  # a limit with a position
                     axis.max_effort = min(abs(command.effort[i]), self.properties.effort)
             elif control & Control.EFFORT and command.effort:
                 effort = command.effort[i]

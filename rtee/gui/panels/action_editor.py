@@ -42,14 +42,14 @@ class EditPanel:
         self._which = gui.add_dropdown("Action", (NOTHING,), hint="Composed, timed or generic")
         self._name = gui.add_text("New name", "", hint="Letters, digits, _ - .")
         self._do = gui.add_button_group(
-            "", ("Rename", "Delete", "Undo"), hint="Undo brings back what was deleted last"
+            "", ("Rename", "Delete", "Undo"), hint="Undo restores the action deleted last"
         )
         bridge.need(Role.MAINTAINER, self._name, self._do)
         self._do.on_click(lambda event: self._clicked(str(event.target.value)))
 
     def offer(self, actions: Sequence[Action]) -> None:
-        """Offer the custom actions among these."""
-        # Primitives are left out: `rtee extract` writes them, and would write them again.
+        """Offer the custom actions among ``actions``."""
+        # Leave primitives out: `rtee extract` writes them, and would write them again.
         self._custom = {a.name: a for a in actions if not isinstance(a, Primitive)}
         offer(self._which, self._custom)
 
@@ -76,15 +76,15 @@ class EditPanel:
             return
         action = self._deleted[-1]
         await self._remote.add_action(action, store=True)
-        self._deleted.pop()  # only now: if the hand refuses it, the user may try again
+        self._deleted.pop()  # only now: if the hand refuses the action, the user may try again
         self._bridge.notify("Undone", f"action '{action.name}' is there again", "green")
 
 
 class MakingPanel:
-    """The panels of the tab "Teach"; `jog` is the first of them."""
+    """The panels of the tab "Teach"; `jog` is the first panel."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, show: Show) -> None:
-        """Add the panel to the current container; ``show`` shows a posture as a ghost."""
+        """Add the panels to the current container; ``show`` shows a posture as a ghost."""
         gui = bridge.stage.gui
         self._bridge = bridge
         self._remote = remote
@@ -115,7 +115,7 @@ class MakingPanel:
             name: float(value)
             for name, value in zip(self._state.names, self._state.position, strict=True)
         }
-        # A measured position may lie a little beyond a limit, which the hand would refuse.
+        # The hand would refuse a measured position that lies slightly beyond a limit.
         within = dict(
             zip(measured, self._hand.clamp(list(measured.values())).tolist(), strict=True)
         )
@@ -147,12 +147,12 @@ class TuningPanel:
         self._bridge = bridge
         self._remote = remote
         self._gains: dict[str, tuple[str, str]] = {}
-        # Values by label: those that devices report, and those set here, for silent devices.
+        # Gains by label: reported by devices, and set here, for devices that do not report any.
         self._reported: dict[str, float] = {}
         self._set_before: dict[str, float] = {}
-        # Whether the field holds a value of its gain; the first click must not set it to 0.
+        # Whether the field holds a known value of the gain; a first click must not set it to 0.
         self._typed = False
-        # The hand's last value: an entered one stays until the hand reports another.
+        # Value last reported by the hand; an entered value stays until the hand reports another.
         self._said: float | None = None
         self._holding = gui.add_slider(
             "Holding effort [%]",
@@ -160,14 +160,14 @@ class TuningPanel:
             100,
             1,
             40,
-            hint="Effort kept on what is held, as a percentage of the effort limit [%]",
+            hint="Effort while holding an object, as a percentage of the effort limit [%]",
         )
         self._which = gui.add_dropdown("Gain", (NOTHING,), hint="Gain of a device", visible=False)
         self._value = gui.add_number(
             "Value",
             0.0,
             step=0.001,
-            hint="In the device's own unit; some devices do not tell their present value",
+            hint="In the device's own unit; some devices do not report the present value",
             visible=False,
         )
         self._set = gui.add_button("Set gain", hint="Change it now; needs the lease", visible=False)
@@ -179,7 +179,7 @@ class TuningPanel:
 
     def _hold(self, percent: float) -> None:
         if self._bridge.refused:
-            self._said = None  # what the hand has is shown again
+            self._said = None  # show the hand's value again
         self._bridge.call(partial(self._keep, percent / 100.0))
 
     async def _keep(self, share: float) -> None:
@@ -224,7 +224,7 @@ class TuningPanel:
             for gain, value in zip(device.gains, device.gain_values, strict=False)
             if not math.isnan(value)
         }
-        if gains == self._gains:  # keep what the user has chosen and typed
+        if gains == self._gains:  # keep the user's choice and input
             return
         self._gains = gains
         self._which.options = tuple(gains) or (NOTHING,)
@@ -235,10 +235,10 @@ class TuningPanel:
 
 
 _FOLD = 12
-"""Most actuators whose folder of sliders is open at first: more would fill the panel."""
+"""Largest number of actuators whose sliders are shown at first: more would fill the panel."""
 
 _RATE = 30.0
-"""Samples per second while the hand follows the sliders [Hz]: browsers report hardly more."""
+"""Sample rate while the hand follows the sliders [Hz]: browsers hardly report more often."""
 
 _LEAVE_WITHIN = 0.5
 """Longest time to wait for the release of the lease [s]: the hand may already be gone."""
@@ -251,7 +251,7 @@ _STEPS = {"rad": 0.001, "m": 0.0001}
 
 
 class JogPanel:
-    """A slider per actuator; moves the hand while this GUI holds the lease."""
+    """A slider per actuator, which moves the hand while this GUI holds the lease."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
         """Add the panel to the current container."""
@@ -273,13 +273,13 @@ class JogPanel:
         )
         self._left = False
         self._wanted: dict[str, float] = {}
-        self._moved_after: Turn | None = None  # when a person moved a slider
+        self._moved_after: Turn | None = None  # the turn in which a person last moved a slider
         self._streamed = ""
         self._sliders: list[viser.GuiSliderHandle[float]] = []
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
             names = short_names(hand.actuator_names)
             for index, actuator in enumerate(hand.actuators):
-                # A continuous joint has no limits, or wide ones; one turn is enough for its slider.
+                # A continuous joint has no limits or wide ones; its slider covers one turn.
                 lower = actuator.lower if actuator.lower > -7.0 else -3.1416
                 upper = actuator.upper if actuator.upper < 7.0 else 3.1416
                 unit = "m" if actuator.kind == "prismatic" else "rad"
@@ -315,7 +315,7 @@ class JogPanel:
             self._hold.value = False
             raise
         finally:
-            # A slider that works without the lease would only cause refusals.
+            # Without the lease, the hand would refuse every motion of a slider.
             for slider in self._sliders:
                 slider.disabled = not self._hold.value
         await self._stream()
@@ -364,17 +364,18 @@ class JogPanel:
         self._hold.value = False
 
     async def leave(self) -> None:
-        """Release the lease if it is held; do not wait long for a hand that has gone."""
-        # Not by the box: it may be that of a window that has gone.
+        """Release the lease if this GUI holds it; do not wait long for a hand that has gone."""
+        # Not by unticking the box: its window may have gone.
         held, self._left = self.holding, True
         if held:
             with contextlib.suppress(RemoteError), anyio.move_on_after(_LEAVE_WITHIN):
                 await self._remote.release_lease()
 
     def follow(self, state: State) -> None:
-        """Mark the measured positions; sliders that were not moved since follow them.
+        """Mark the measured positions on the sliders.
 
-        A stop, or anything else that moves the hand, takes them back there.
+        Sliders follow the measured positions, except those that a person has moved. A stop, or
+        another motion of the hand, also resets the moved sliders.
         """
         turn = self._bridge.truth.turn
         moved = self._hold.value and (
@@ -394,7 +395,7 @@ class JogPanel:
 
 
 class PartsPanel:
-    """A list of parts, and a name for the composed or timed action made of them."""
+    """A list of parts, and the composed or timed action made of them."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, show: Show) -> None:
         """Add the panel to the current container; ``show`` shows a posture as a ghost."""
@@ -419,25 +420,25 @@ class PartsPanel:
             min=0.0,
             max=60.0,
             step=0.1,
-            hint="Margin before it, in a sequence [s]",
+            hint="Margin before the action, in a sequence [s]",
         )
         self._after = gui.add_number(
-            "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after it, in a sequence [s]"
+            "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after the action [s]"
         )
         self._action = gui.add_dropdown(
-            "Add", (NOTHING,), hint="The action to add at the end of the list, as set above"
+            "Add", (NOTHING,), hint="The action to append to the list, with the settings above"
         )
         self._list = gui.add_html("")
         self._part = gui.add_dropdown("Part", (NOTHING,), hint="The part to move or remove")
         self._edit = gui.add_button_group(
             "", ("Up", "Down", "Remove"), hint="Move the chosen part in the list, or remove it"
         )
-        self._name = gui.add_text("Name", "", hint="Letters, digits, _ - .; empty: by its parts")
+        self._name = gui.add_text("Name", "", hint="Letters, digits, _ - .; empty: from its parts")
         self._store = gui.add_checkbox("Store in the hand's folder", True, hint="As a YAML file")
         self._make = gui.add_button_group(
             "", ("Compose", "Sequence"), hint="Compose: all at once. Sequence: one after the other"
         )
-        self._run = gui.add_button("Run it", hint="Execute what was made last", visible=False)
+        self._run = gui.add_button("Run it", hint="Execute the last new action", visible=False)
         self._execution = Execution(bridge, remote)
         self.fade = self._execution.fade
         bridge.need(Role.MAINTAINER, self._name, self._store, self._make)
@@ -460,7 +461,7 @@ class PartsPanel:
     def _append(self) -> None:
         if self._action.value in self._uses:
             use = replace(self._uses[str(self._action.value)], scale=self._scale.value / 100.0)
-            # The steps of a sequence are known by their aliases, which must differ.
+            # Aliases identify the steps of a sequence, and must differ.
             alias = _free(use.action, {part.alias for part in self._parts})
             self._parts.append(
                 StepPlan(use, alias, float(self._before.value), float(self._after.value))
@@ -502,7 +503,7 @@ class PartsPanel:
             await self._remote.add_composed(name, [part.use for part in self._parts], store=store)
         else:
             await self._remote.add_timed(name, list(self._parts), store=store)
-        self._parts.clear()  # only now: after a refusal, the user goes on with the same parts
+        self._parts.clear()  # only now: after a refusal, the user can continue with the same parts
         self._draw()
         self._bridge.notify("Saved", f"action '{name}'", "green")
         (self._made,) = await self._remote.actions(name=name)

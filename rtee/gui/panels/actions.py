@@ -25,7 +25,7 @@ from rtee.trials.result import TrialResult
 from rtee.types import OnContact, Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]
-"""Shows a posture at an intensity as a ghost, with the contact; ``None`` hides the ghost."""
+"""Shows a posture at an intensity as a ghost, and the contact; ``None`` hides the ghost."""
 
 _STAGES = {
     "to the grasp": Stage.BOTH,
@@ -37,11 +37,11 @@ _STAGES = {
 _CROWDED = 85
 """Intensity above which the contact's label would overlap the number beside the slider [%]."""
 
-_FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as the effort allows"
+_FORCE_HINT = "Force between the fingertips [N], used with the opening; 0: up to the effort limit"
 
 
 class Card:
-    """One action, or all primitives of one name; the search looks in `words`."""
+    """Card of one action, or of all primitives of one name; the search looks in `words`."""
 
     def __init__(
         self,
@@ -57,8 +57,8 @@ class Card:
     ) -> None:
         """Add the card of the primitives of one name, or of one other action.
 
-        ``show`` shows a posture as a ghost. ``remark`` returns a remark about an action, or ``""``,
-        and ``fingers`` the fingers that it moves.
+        ``show`` shows a posture as a ghost. ``remark`` returns a remark about an action, or ``""``;
+        ``fingers`` returns the fingers that an action moves.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -71,7 +71,7 @@ class Card:
         self._contact: float | None = None
         self._tried = Tried()
         self._openings: dict[tuple[str, tuple[str, ...]], OpeningRange] = {}
-        # The slider moved last decides: the opening, or else the intensity.
+        # Whether the opening was moved last, and therefore overrides the intensity.
         self._by_opening = False
         self._remark = remark
         self._fingers = fingers
@@ -83,7 +83,7 @@ class Card:
             self._buttons = gui.add_button_group(
                 "",
                 ("Run", "Preview") if bridge.may(Role.OPERATOR) else ("Preview",),
-                hint="Run: execute it. Preview: show where it leads",
+                hint="Run: execute the action. Preview: show its posture as a ghost",
                 order=2,
             )
             self._trials = gui.add_html("", visible=False, order=6)
@@ -96,7 +96,7 @@ class Card:
             self.fade = self._execution.fade
         self._buttons.on_click(self._clicked)
         self._command = gui.add_command(
-            f"Run {self.name}", description="Execute it as it is set in its card"
+            f"Run {self.name}", description="Execute it with the settings of its card"
         )
         bridge.need(Role.OPERATOR, self._touch, self._command)
         self._command.on_trigger(lambda _: self._begin())
@@ -111,7 +111,7 @@ class Card:
                 self._choice = gui.add_dropdown(
                     f"{noun}{several}".capitalize(),
                     tuple(JOINED.join(a.elements) for a in self._actions),
-                    hint=f"The {noun}{several} that the action is done with",
+                    hint=f"The {noun}{several} that the action uses",
                     disabled=len(self._actions) == 1,
                     order=0,
                 )
@@ -137,7 +137,7 @@ class Card:
             100,
             1,
             100,
-            hint="How far it goes [%]: 0 is the rest posture, 100 the action's; "
+            hint="How far the action goes [%]: 0 is the rest posture, 100 the action's posture; "
             "the mark is where the tips touch",
             visible=not isinstance(self._actions[0], Timed),
             order=1,
@@ -153,8 +153,8 @@ class Card:
             1.0,
             0.1,
             0.0,
-            hint="How far the fingertips are to be apart [mm]; the last that was moved, this or "
-            "the intensity, is what the action is done with",
+            hint="Distance between the fingertips [mm]; the action uses this or the intensity, "
+            "whichever you moved last",
             visible=False,
             order=1.2,
         )
@@ -175,7 +175,7 @@ class Card:
         # Only a pinch whose contact is known has a posture just before it.
         if self._contact is not None:
             self._stage = gui.add_dropdown(
-                "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
+                "Stage", tuple(_STAGES), hint="How far the pinch goes: up to the contact, or beyond"
             )
         self._contacts = ContactChoice(gui, self._fingers(self.action))
         self._touch = gui.add_button(
@@ -188,7 +188,7 @@ class Card:
     # --- millimetres and newtons
 
     def show_openings(self, openings: Mapping[tuple[str, tuple[str, ...]], OpeningRange]) -> None:
-        """Offer the openings and forces that goals may ask for, by action and elements."""
+        """Offer the openings and forces that goals may request, by action and elements."""
         self._openings = dict(openings)
         self._show_opening()
 
@@ -203,14 +203,14 @@ class Card:
             self._by_opening = False
             self._show_forces()
             return
-        # Round inwards to 0.1 mm, so that the hand refuses neither end; 1e-6 of that absorbs
+        # Round inwards to 0.1 mm, so that the hand accepts both ends; the 1e-6 absorbs rounding
         # errors of the multiplication.
         self._width.min = math.ceil(opening.narrowest * 1e4 - 1e-6) / 10.0
         self._width.max = math.floor(opening.widest * 1e4 + 1e-6) / 10.0
         self._follow_intensity()
 
     def _show_forces(self) -> None:
-        """Offer the forces that goals may ask for at the opening that is shown."""
+        """Offer the forces that goals may request at the displayed opening."""
         opening = self._opening
         self._forces.visible = opening is not None
         if opening is None:
@@ -218,7 +218,7 @@ class Card:
             return
         width = float(self._width.value)
         low, high = opening.forces_at(width / 1e3)
-        # Round inwards to 0.1 N, so that the hand refuses neither end.
+        # Round inwards to 0.1 N, so that the hand accepts both ends.
         low, high = math.ceil(low * 10.0) / 10.0, math.floor(high * 10.0) / 10.0
         self._contacts.limit(high)
         self._force.disabled = high <= 0.0
@@ -232,7 +232,7 @@ class Card:
         self._forces.content = small(f"{low:g} to {high:g} N at {width:g} mm")
 
     def _follow_intensity(self) -> None:
-        """Set the slider moved less recently, opening or intensity, from the other one."""
+        """Set the opening from the intensity or vice versa, from the one that was moved last."""
         opening = self._opening
         if opening is None:
             return
@@ -274,7 +274,7 @@ class Card:
 
     @property
     def evidence(self) -> Evidence | None:
-        """The evidence of the chosen action, if it has any."""
+        """The first evidence of the chosen action, if it has any."""
         return next(iter(self.action.evidence), None)
 
     def _on_choice(self) -> None:
@@ -295,7 +295,7 @@ class Card:
         self._remark_line.visible = bool(remark)
 
     def show_trials(self, tried: Tried) -> None:
-        """Show the results of trials of the action."""
+        """Show the action's results of trials."""
         self._tried = tried
         self._show_tried()
 
@@ -305,10 +305,10 @@ class Card:
         html = ""
         if results:
             outdated = any(result.trial.key in self._tried.outdated for result in results)
-            title = "Of the objects it was tried on in simulation (rtee try --all)"
+            title = "Objects on which the action was tried in simulation (rtee try --all)"
             if outdated:
-                title += "; the hand, this action, or how trials are made, has changed since: try"
-                title += " them again"
+                title += "; the hand, this action, or the method of the trials has changed since:"
+                title += " run the trials again"
             summary = tried_line(results, outdated=outdated)
             html = small(
                 f'<details><summary title="{title}">{summary}</summary>'
@@ -345,7 +345,7 @@ class Card:
             self._show(None, 0.0, None)
 
     def _asked(self) -> tuple[Action, GoalOptions, float]:
-        """Return the action, its options, and the share of the effort limits set on the card."""
+        """Return the action, the options and the share of the effort limits set on the card."""
         options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
         if self._by_opening:
             options = GoalOptions(
@@ -393,32 +393,32 @@ class Card:
 
 
 def _contact_mark(intensity: int) -> tuple[int, str]:
-    """Return the mark of a slider at the contact [%], whose label ends there if it is far on."""
-    # A label is centred on its mark; the spaces, as wide as the word, put the word before it.
+    """Return a slider's mark at the contact [%]; near the end, its label lies left of the mark."""
+    # A label is centred on its mark; spaces as wide as the word shift the word to the left.
     spaces = "\N{NO-BREAK SPACE}" * 12 if intensity > _CROWDED else ""
     return intensity, f"contact{spaces}"
 
 
 _AS_CONFIGURED: Final = "as configured"
-"""Choice that leaves the setting out of the goal, so that hand.yaml decides."""
+"""Choice that leaves the setting out of the goal, so that ``hand.yaml`` applies."""
 
 _ALL: Final = "all fingers"
-"""Choice of all fingers that have no setting of their own."""
+"""Choice of all fingers without their own setting."""
 
 _SLIP_HINT: Final = (
-    "Force up to which a slip raises the force [N]; 0: it is not raised. It goes with a force"
+    "Largest force after a slip [N]; 0: slips do not raise the force. Used together with a force"
 )
 
 
 class ContactChoice:
-    """A setting for all fingers, settings of single ones, and the force after a slip."""
+    """Settings for contact, for all fingers or single ones, and the largest force after a slip."""
 
     def __init__(self, gui: viser.GuiApi, fingers: Sequence[str]) -> None:
         """Add the controls to the current container, for the action's fingers if they are known."""
-        # By finger; the empty name means all fingers.
+        # Settings by finger; the empty name means all fingers.
         self._words: dict[str, OnContact] = {}
         self._finger = gui.add_dropdown(
-            "Contact of", (_ALL,), hint="Which fingers the next field is about"
+            "Contact of", (_ALL,), hint="Fingers to which the next field applies"
         )
         self._word = gui.add_dropdown(
             "On contact",
@@ -442,8 +442,8 @@ class ContactChoice:
         self._show()
 
     def limit(self, most: float) -> None:
-        """Limit the force after a slip to the largest that a goal may ask for [N]; 0 hides it."""
-        # Round down to the step of the slider, so that the hand does not refuse the end.
+        """Limit the force after a slip to the largest that a goal may request [N]; 0 hides it."""
+        # Round down to the step of the slider, so that the hand accepts the largest value.
         top = math.floor(most * 10.0) / 10.0
         self._slip.visible = top > 0.0
         if top > 0.0:
@@ -459,7 +459,7 @@ class ContactChoice:
 
     @property
     def _chosen(self) -> str:
-        """The finger that is being set, or the empty name for all."""
+        """The finger whose setting is edited, or the empty name for all fingers."""
         return "" if self._finger.value == _ALL else str(self._finger.value)
 
     async def _on_finger(self, event: viser.GuiEvent) -> None:
@@ -484,11 +484,11 @@ class ContactChoice:
 
 
 _FEW = 1
-"""Number of primitives whose cards are open at first, so that all kinds of them are in sight."""
+"""Number of primitive cards that are open at first; the others fit on the screen while folded."""
 
 
 def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Action]]:
-    """Return the actions by kind and name; the primitives of one name share a card."""
+    """Return the actions by kind and name, so that the primitives of one name share a card."""
     groups: dict[tuple[ActionKind, str], list[Action]] = {}
     for kind in ActionKind:
         for action in actions:
@@ -532,7 +532,7 @@ class ActionsPanel:
         return dict(self._cards)
 
     async def refresh(self) -> list[Action]:
-        """Return the hand's present actions; rebuild the cards of those that have changed."""
+        """Return the hand's current actions; rebuild the cards of those that have changed."""
         actions = await self._hand.actions()
         offered = await self._hand.openings()
         openings = {(each.action, each.elements): each for each in offered}
@@ -544,8 +544,8 @@ class ActionsPanel:
             self._cards.pop(key).remove()
             del self._known[key]
         for place, (key, group) in enumerate(groups.items()):
-            # Rebuilding a card would reset what the user has set in its controls. As text, since
-            # postures hold arrays, whose comparison gives an array instead of a bool.
+            # Rebuilding a card would reset its controls. Compare as text, since postures hold
+            # arrays, whose comparison gives an array instead of a bool.
             signature = tuple(map(repr, group))
             if self._known.get(key) == signature:
                 self._cards[key].place(place)
@@ -602,19 +602,19 @@ class ActionsPanel:
             card.show_trials(self._tried)
 
     def fade(self) -> None:
-        """Mark obsolete results as old."""
+        """Mark outdated results as old."""
         self._holding.fade()
         for card in self._cards.values():
             card.fade()
 
     def remove(self) -> None:
-        """Remove the cards with their commands, which are not part of any folder."""
+        """Remove the cards and their commands, which are not part of any folder."""
         while self._cards:
             self._cards.popitem()[1].remove()
 
     def _filter(self) -> None:
         wanted = str(self._search.value).lower().split()
-        # In one message; otherwise each card would appear or vanish by itself.
+        # In one message; otherwise the cards would appear or vanish one by one.
         with self._bridge.stage.atomic():
             for card in self._cards.values():
                 card.visible = all(word in card.words for word in wanted)
@@ -625,17 +625,17 @@ class ActionsPanel:
 
 
 _WIDTH: Final = 30.0
-"""Width of an object that is offered first [mm]: that of a bottle's neck, for most hands."""
+"""Initial width of the object [mm]: that of a bottle's neck, within reach of most hands."""
 
 _ANY: Final = "any"
-"""Choice that leaves the fingers to the hand."""
+"""Choice that lets the hand choose the fingers."""
 
 
 class HoldingPanel:
-    """Width, force, speed and fingers, and a button that grasps."""
+    """Controls for width, force, speed and fingers, and a button that grasps."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
-        """Add the panel to the current container, hidden until the hand has openings."""
+        """Add the panel to the current container; it stays hidden until the hand has openings."""
         gui = bridge.stage.gui
         self._bridge, self._hand = bridge, hand
         self._openings: tuple[OpeningRange, ...] = ()
@@ -650,7 +650,7 @@ class HoldingPanel:
                 1.0,
                 0.1,
                 0.0,
-                hint="Force to hold it with [N]; 0: automatic, as hard as the hand closes",
+                hint="Force to hold the object with [N]; 0: automatic, as hard as the hand closes",
                 order=1,
             )
             self._button = gui.add_button(
@@ -668,7 +668,7 @@ class HoldingPanel:
                 self._fingers = gui.add_dropdown(
                     "Fingers",
                     (_ANY,),
-                    hint="Fingers to hold it with; any: those that suit it best",
+                    hint="Fingers to hold the object with; any: those that suit it best",
                 )
             self._execution = Execution(bridge, hand, asked=self._asked)
             self.fade = self._execution.fade
@@ -678,7 +678,7 @@ class HoldingPanel:
         self._button.on_click(bridge.clicked(self._grasp))
 
     def offer(self, openings: Sequence[OpeningRange]) -> None:
-        """Offer the openings and forces that goals may ask for."""
+        """Offer the openings and forces that goals may request."""
         self._openings = tuple(openings)
         self._folder.visible = bool(openings)
         if not openings:
@@ -696,22 +696,22 @@ class HoldingPanel:
         return [each for each in self._openings if JOINED.join(each.elements) == fingers]
 
     def _offer_widths(self) -> None:
-        """Limit the width to the largest that the fingers reach around."""
+        """Limit the width to objects that the fingers reach around."""
         chosen = self._chosen
-        # Round inwards to 0.1 mm, so that the hand refuses neither end. The fingers must open
-        # wider than the object to get around it, hence 0.1 mm less than the widest opening.
+        # Round inwards to 0.1 mm, so that the hand accepts both ends. The fingers must open wider
+        # than the object to get around it, hence 0.1 mm less than the widest opening.
         least = math.ceil(min(each.narrowest for each in chosen) * 1e4 - 1e-6) / 10.0
         most = math.floor(max(each.widest for each in chosen) * 1e4 + 1e-6) / 10.0 - 0.1
         most = max(most, least + 0.1)
         if (self._width.min, self._width.max) != (least, most):
             value = min(max(float(self._width.value), least), most)
-            # The value last, since viser clips it to the range.
+            # Set the value last, since viser clips it to the range.
             self._width.max, self._width.min = most, least
             self._width.value = value
         self._offer_forces()
 
     def _offer_forces(self) -> None:
-        """Limit the force to the largest that any of the actions exerts at the width."""
+        """Limit the force to the largest that any of the actions exerts at the chosen width."""
         width = float(self._width.value) / 1e3
         strongest = max(
             (
@@ -731,7 +731,7 @@ class HoldingPanel:
             self._force.value = value
 
     def _asked(self) -> tuple[float, float, float, str]:
-        """Return width [mm], force [N], speed [mm/s] and fingers as they are set."""
+        """Return the chosen width [mm], force [N], speed [mm/s] and fingers."""
         width, force, speed = (
             float(each.value) for each in (self._width, self._force, self._speed)
         )
@@ -739,7 +739,7 @@ class HoldingPanel:
 
     async def _grasp(self) -> None:
         width, force, speed, fingers = self._asked()
-        # A force or speed of 0 is left out of the goal: the hand then uses its own.
+        # Leave a force or speed of 0 out of the goal: the hand then uses its default.
         goal = grasp_goal(
             width / 1e3,
             force=force or None,

@@ -1,4 +1,4 @@
-"""Questions of agents, which a person answers in the page; see `rtee mcp`."""
+"""Questions from agents, which a person answers in the page; see `rtee mcp`."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from rtee.gui.wording import WRAPS
 from rtee.remote.approval import answer_all, listening
 
 _LOOK_EVERY: Final = 0.5
-"""Time between two looks for an operator's window [s]: a question waits for two minutes."""
+"""Time between two checks for an operator's window [s]: a question waits for two minutes."""
 
 
 class Approval:
-    """Shows one question after the other, with a button for yes and one for no.
+    """Shows questions one after the other, each with a button for yes and one for no.
 
-    It does so while an operator has the page open and no terminal approves.
+    The page receives questions while an operator has it open and no terminal answers them.
 
     Attributes:
-        listens: Whether questions come here.
+        listens: Whether the page receives questions.
     """
 
     def __init__(self, bridge: Bridge, attended: Callable[[], bool]) -> None:
@@ -32,26 +32,26 @@ class Approval:
         self.listens = False
 
     async def run(self) -> None:
-        """Answer until cancelled."""
+        """Answer questions until cancelled."""
         while True:
             await anyio.sleep(_LOOK_EVERY)
             if self._attended():
                 try:
                     await self._answer()
-                except ConfigError:  # a terminal approves
+                except ConfigError:  # a terminal answers them
                     continue
 
     async def _answer(self) -> None:
         async with listening() as listener, anyio.create_task_group() as group:
             group.start_soon(answer_all, listener, self.ask)
             self.listens = True
-            while self._attended():  # noqa: ASYNC110 - viser tells no task of it
+            while self._attended():  # noqa: ASYNC110 - there is no event for it
                 await anyio.sleep(_LOOK_EVERY)
             self.listens = False
             group.cancel_scope.cancel()
 
     async def ask(self, question: str) -> bool:
-        """Show a question until it is answered or this call is cancelled."""
+        """Show a question until a person answers it, and return the answer."""
         gui, answered, said = self._bridge.stage.gui, anyio.Event(), False
 
         async def answer(yes: bool) -> None:
@@ -64,7 +64,7 @@ class Approval:
             style = f"padding:0 0.75em;{WRAPS}"
             gui.add_html(f'<div role="alert" style="{style}">{escape(question)}</div>')
             yes = gui.add_button("Do it", color=APPROVE, hint="Let the agent do this, once")
-            no = gui.add_button("No", hint="The agent is told that a person refused it")
+            no = gui.add_button("No", hint="Refuse; the agent learns that a person refused")
         yes.on_click(self._bridge.clicked(lambda: answer(True)))
         no.on_click(self._bridge.clicked(lambda: answer(False)))
         try:

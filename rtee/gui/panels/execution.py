@@ -1,4 +1,4 @@
-"""Execution of the action of a card: progress bars, one per inner action, and the result."""
+"""Execution of an action, with progress bars for it and its inner actions, and the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rtee.types import Feedback, Result
 
 
 class _Shown(NamedTuple):
-    """A displayed result, its request, and the last `Turn` at that time."""
+    """A displayed result, the settings requested, and the `Turn` at that time."""
 
     result: Result
     asked: object
@@ -31,7 +31,7 @@ class _Shown(NamedTuple):
 
 
 class Execution:
-    """The progress bars of an action, and its execution."""
+    """Executes an action, and shows its progress and result."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Execution:
     ) -> None:
         """Add the bars to the current container, one for each inner action of a timed action.
 
-        ``asked`` returns what the controls ask for now; a result of anything else is an old one.
+        ``asked`` returns the present settings of the controls; results of other settings are old.
         """
         gui = bridge.stage.gui
         self._hand, self._truth, self._asked = hand, bridge.truth, asked
@@ -61,7 +61,7 @@ class Execution:
         self._word = gui.add_html("", order=6)
 
     async def do(self, action: Action, options: GoalOptions, effort: float) -> None:
-        """Execute an action with a share of the effort limits; show its progress and result."""
+        """Execute an action with a share of the effort limits, and show its progress and result."""
         if effort < 1.0:
             # A goal takes limits by actuator [N·m | N]; actuators without a limit keep none.
             limits = {a.name: a.effort for a in (await self._hand.info()).actuators}
@@ -77,7 +77,7 @@ class Execution:
         """Send a goal, and show its progress and result."""
         self._reset()
         asked = self._asked()
-        # The goal that this one replaces ends before the hand answers; its result is not shown.
+        # The goal that this one replaces ends before the hand answers; do not show its result.
         before, self._goal_id = self._goal_id, ""
         try:
             running = await start
@@ -98,7 +98,7 @@ class Execution:
         self._shown = None
 
     def _progress(self, feedback: Feedback) -> None:
-        # The feedback is of a replaced goal, or its card has been rebuilt since.
+        # Ignore feedback of a replaced goal, or after the card was rebuilt.
         if feedback.goal_id != self._goal_id or self._removed:
             return
         self._bar.value = round(100.0 * feedback.progress, 1)
@@ -127,7 +127,7 @@ class Execution:
             return
         result = shown.result
         if turn is not shown.turn and turn.goal != result.goal_id:
-            # The reason of a failure stays valid until another goal runs.
+            # The reason for a failure stays valid until another goal runs.
             old = turn.why if turn.goal or result.succeeded else ""
         else:
             old = "no data" if self._truth.stale else ""

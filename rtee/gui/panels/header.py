@@ -1,4 +1,4 @@
-"""The panel above the tabs: open the hand, cancel, and help for devices that do not follow."""
+"""The panel above the tabs: open the hand, cancel, and recover devices that do not follow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.truth import Truth
 from rtee.types import DeviceStatus, Lifecycle
 
-# Colours that people with any colour vision can distinguish; the shape of the sign repeats them.
+# Colours that people with any colour vision can distinguish; the shapes carry the meaning, too.
 _SIGNS = {
     Lifecycle.ACTIVE: ("●", "#009e73"),
     Lifecycle.INACTIVE: ("○", "var(--rtee-faint)"),
@@ -36,7 +36,7 @@ def device_line(device: DeviceStatus) -> str:
 
 
 class HeaderPanel:
-    """Open, Cancel, Recover, and the devices."""
+    """The buttons Open, Cancel and Recover, and the state of the devices."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
         """Add the controls to the current container."""
@@ -46,36 +46,36 @@ class HeaderPanel:
         self._move = gui.add_button_group(
             "",
             ("Open hand", "Cancel"),
-            hint="Open hand: go to the rest posture (key: O). Cancel: end what runs and hold the "
-            "hand as it is (key: C)",
+            hint="Open hand: go to the rest posture (key: O). Cancel: end the running action and "
+            "hold the present posture (key: C)",
         )
         self._state = gui.add_html("")
         self._recover = gui.add_button(
             "Recover …",
             color=(140, 80, 0),
             icon=viser.Icon.FIRST_AID_KIT,
-            hint="Make the devices follow again; it is asked first what may move",
+            hint="Make the devices follow again; you are asked first, and see what may move",
             visible=False,
         )
         self._sure = gui.add_folder("Recover the devices?", visible=False)
         with self._sure:
             self._moves = gui.add_html("")
-            yes = gui.add_button("Recover now", hint="Do it; STOP works meanwhile")
+            yes = gui.add_button("Recover now", hint="Recover; STOP works meanwhile")
             no = gui.add_button("Not now", color=_GREY, hint="Leave the devices as they are")
         self._admit = gui.add_button(
             "Let agents in",
             icon=viser.Icon.ROBOT,
-            hint="Let language models move the hand again, as far as their gate lets them",
+            hint="Let language models move the hand again, within the limits of their gate",
             visible=False,
         )
         self._recover.on_click(bridge.clicked(self._ask))
         yes.on_click(bridge.clicked(self._do_recover))
         no.on_click(bridge.clicked(self._hide))
         self._admit.on_click(bridge.clicked(hand.admit_agents))
-        # The same as commands, which have keys and work while any tab is open.
+        # The same buttons as commands, which have keys and work in every tab.
         self._commands = [
             gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
-            gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
+            gui.add_command("Cancel", description="End the action; hold the posture", hotkey="C"),
         ]
         moving = (self._move, self._recover, yes, self._admit, *self._commands)
         bridge.need(Role.OPERATOR, *moving)
@@ -105,7 +105,7 @@ class HeaderPanel:
         lines = [device_line(device) for device in status.devices]
         if truth.stale:
             lines = [f'<span style="color:var(--rtee-warn)">old:</span> {line}' for line in lines]
-        if jogs:  # in sight while any tab is open
+        if jogs:  # visible in every tab
             lines.append("<b>Jog is on</b> (tab Teach): nobody else can move the hand")
         if not self._bridge.may(Role.MAINTAINER):
             lines.append(f"this GUI's certificate: <b>{self._bridge.role.name.lower()}</b>")
@@ -120,7 +120,7 @@ class HeaderPanel:
             put(
                 self._moves,
                 _text(
-                    f"{names} will be powered, and hold where the hand is now. A "
+                    f"{names} will be powered, and hold the hand's present position. A "
                     "device that must be homed first moves through its range: keep clear."
                 ),
             )

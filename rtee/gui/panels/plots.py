@@ -1,4 +1,4 @@
-"""Plots of the actuators, their references, and all joints, over time."""
+"""Plots over time of the actuators, their references, the joints and the touch sensors."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from rtee.sample import MEASURED, FloatArray
 from rtee.touch import TouchState
 
 _SHOWN = frozenset({"position", "velocity", "effort", *JOINT_QUANTITIES})
-"""Quantities shown at first; those of joints appear once a joint is chosen."""
+"""Quantities shown initially; those of joints appear once a joint is chosen."""
 
 _FOLD = 6
-"""Number of actuators shown at first: more lines would be hard to tell apart."""
+"""Number of actuators shown initially: more lines would be hard to tell apart."""
 
 _HEIGHT = 140
 """Height of a plot [pixels]: four fit on a laptop's screen."""
@@ -33,7 +33,7 @@ _SMALL = "10px system-ui, sans-serif"
 
 
 def line(number: int, label: str, width: float = 1.75, alpha: float = 1.0) -> uplot.Series:
-    """Return the style of a line by its number, see `line_numbers`; a faint one is commanded."""
+    """Return the style of the line with this number, see `line_numbers`; faint means commanded."""
     kind = "commanded" if alpha < 1.0 else "measured"
     return uplot.Series(
         {
@@ -42,7 +42,7 @@ def line(number: int, label: str, width: float = 1.75, alpha: float = 1.0) -> up
             "width": width,
             "dash": line_dash(number),
             "alpha": alpha,
-            "auto": False,  # NaN, where nothing is measured, would break the scale
+            "auto": False,  # NaN, for missing measurements, would break the scale
             "class": f"rtee-{kind}{'-dashed' * bool(line_dash(number))}",
         }
     )
@@ -55,13 +55,13 @@ def chart(
     title: str,
     height: int,
 ) -> viser.GuiUplotHandle:
-    """Add a plot of a height [pixels] to the current container.
+    """Add a plot of ``height`` [pixels] to the current container.
 
-    The data are the times, the lines, and last the lower and the upper end of the axis, ``(k,)``
-    each; the series are the styles of the time axis and of each line. The title ends with the unit.
+    ``data`` has the times, the lines, and the lower and upper end of the axis, each ``(k,)``.
+    ``series`` has the styles of the time axis and of each line. ``title`` ends with the unit.
     """
     unit = title.rpartition("[")[2].rstrip("]")
-    # Invisible lines set the range, since a change of the scales would rebuild the plot.
+    # Invisible lines set the range, since a change of scale would rebuild the plot.
     ends = [
         uplot.Series({"label": end, "stroke": "#0000", "width": 0, "class": "rtee-end"})
         for end in ("low", "high")
@@ -75,7 +75,7 @@ def chart(
             uplot.Axis(font=_SMALL, size=24, space=50, label="s", labelFont=_SMALL, labelSize=12),
             uplot.Axis(font=_SMALL, size=42, space=24, label=unit, labelFont=_SMALL, labelSize=14),
         ),
-        legend=uplot.Legend(show=True, live=True),  # shown over the plots while they are pointed at
+        legend=uplot.Legend(show=True, live=True),  # shown over the plots under the pointer
         cursor=uplot.Cursor(sync={"key": "time"}),  # one cursor and one zoom for all plots
         height=height,
         padding=(10, 12, 0, 0),
@@ -83,15 +83,15 @@ def chart(
 
 
 def _times(pose: float | None, spans: Sequence[tuple[float, float, str, str]]) -> str:
-    """Return the marks in all plots: the time of the pose, and actions."""
+    """Return the marks for all plots as HTML: the time of the pose, and the actions."""
     return f'<i data-rtee-times="{escape(json.dumps({"pose": pose, "spans": spans}))}"></i>'
 
 
 def _differs(new: Sequence[FloatArray], old: Sequence[FloatArray]) -> bool:
-    """Return whether the layout of a plot changes, so that all of it is sent to the browser."""
+    """Return whether the data of a plot have changed, and must be sent to the browser."""
     return any(
         a.shape != b.shape or not np.allclose(a, b, atol=tolerance, equal_nan=True)
-        # Thinned states never have exactly the same times; states of another page are far off.
+        # Times relative to now always differ slightly; those of another page differ by far more.
         for a, b, tolerance in zip(new, old, (0.5, *[1e-4] * len(old)), strict=False)
     )
 
@@ -100,7 +100,7 @@ class PlotsPanel:
     """Plots of the chosen actuators and joints."""
 
     def __init__(self, gui: viser.GuiApi, hand: Hand, history: PlotSource, angles: Angles) -> None:
-        """Add the panel to the current container; the history is that of the live hand."""
+        """Add the panel to the current container; ``history`` is that of the live hand."""
         self._gui = gui
         self._angles = angles
         actuators = tuple(actuator.kind for actuator in hand.actuators)
@@ -122,7 +122,7 @@ class PlotsPanel:
                 name: gui.add_checkbox(
                     name.replace("_", " "),
                     name in _SHOWN,
-                    hint=f"Plot the {name.replace('_', ' ')} of what is chosen below",
+                    hint=f"Plot the {name.replace('_', ' ')} of the choices below",
                 )
                 for name in self._kinds
             }
@@ -153,11 +153,11 @@ class PlotsPanel:
         return boxes
 
     def follow(self, source: PlotSource | None) -> None:
-        """Plot another source; ``None``: the live hand."""
+        """Plot another source; ``None`` for the live hand."""
         self._source = self._live if source is None else source
 
     def _wanted(self) -> dict[str, list[int]]:
-        """Return the columns of each quantity that are chosen and measured."""
+        """Return the chosen and measured columns of each quantity."""
         wanted = {}
         for name in ("reference", *self._quantities):
             joints = name in JOINT_QUANTITIES
@@ -207,7 +207,7 @@ class PlotsPanel:
         factors = [self._angles.factor(quantity, self._kinds[name][c]) for c in columns]
         data = (data[0], *(f * each for f, each in zip(factors, data[1:], strict=True)))
         ends = nice_range(data[1:], max(factors) * MEASURED[quantity].span)
-        # Single precision is far finer than a pixel, and half to send.
+        # Single precision is far finer than a pixel, and halves the traffic.
         return tuple(
             line.astype(np.float32)
             for line in (*data, *(np.full(len(data[0]), end) for end in ends))
@@ -236,7 +236,7 @@ _TOUCH_HEIGHT: Final = 180
 """Height of a plot [pixels]: plots of two units and the table fit on a laptop's screen."""
 
 _SPAN: Final = 0.5
-"""Least length of an axis, in the unit of the sensor, so that noise looks small."""
+"""Smallest length of an axis, in the unit of the sensor, so that noise looks small."""
 
 _NONE = "The hand measures no touch."
 
@@ -255,7 +255,7 @@ class TouchPanel:
             int(LONGEST),
             1,
             10,
-            hint="Length of time of touch shown [s]",
+            hint="Length of time shown [s]",
             visible=False,
         )
         self._table = gui.add_html("")
@@ -279,7 +279,7 @@ class TouchPanel:
         put(self._table, table(("sensor", "sum", "largest", "unit"), rows) if rows else "")
 
     def draw(self, windows: Windows) -> None:
-        """Draw the lines."""
+        """Draw the readings in ``windows``; rebuild the plots if the sensors have changed."""
         sensors = [(s.name, s.unit) for known, _, _ in windows.values() for s in known]
         if sensors != self._shown:
             self._shown = sensors
@@ -311,7 +311,7 @@ class TouchPanel:
         return chart(self._gui, nothing, series, f"touch, sum over taxels [{unit}]", _TOUCH_HEIGHT)
 
     def _data(self, windows: Windows, unit: str) -> tuple[FloatArray, ...]:
-        """Return times [s] and lines ``(k,)``; all devices share the union of their times."""
+        """Return the union of all devices' times [s], the lines ``(k,)`` and the axis ends."""
         times = np.unique(np.concatenate([t for _, t, _ in windows.values()]))
         lines: list[FloatArray] = []
         for sensors, t, sums in windows.values():

@@ -1,4 +1,4 @@
-"""Panel of recordings: start, stop and mark one; open one and scrub through it."""
+"""Panel of recordings: start, finish and mark a recording; open one and scrub through it."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 
 Opened = Callable[[Playback | None], None]
-"""Called with the recording to show; with ``None`` for the live hand."""
+"""Receives the recording to show, or ``None`` for the live hand."""
 
 _SPEEDS = {"⅒ ×": 0.1, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "10 ×": 10.0}
-"""Labels of the speeds of playback, as multiples of real time."""
+"""Playback speeds by label, as multiples of real time."""
 
 _REDRAW = 0.1
 """Time between two updates of the slider while a recording plays [s]: smooth enough to follow."""
 
 
 def configured_folder(hand: str) -> Path:
-    """Return the folder of a hand's recordings by its configuration, or the usual folder."""
+    """Return the configured folder of a hand's recordings, or the default folder."""
     try:
         return load_configured(hand)[1].log.folder
     except RteeError:
@@ -43,9 +43,9 @@ def configured_folder(hand: str) -> Path:
 
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
-    """Return the recordings of a hand in a folder by their labels: the complete ones, newest first.
+    """Return the recordings of a hand in a folder by label, newest first.
 
-    After them come those that are still being written.
+    Those that are still being written come after the complete ones.
     """
     # Before Python 3.14, `Path.is_dir` raises an error below another user's private folder.
     if not os.path.isdir(folder):
@@ -84,13 +84,13 @@ class RecordingsPanel:
             show = gui.add_button_group(
                 "",
                 ("Refresh", "Play", "Back to live"),
-                hint="Play: in this window only, which moves nothing until Back to live",
+                hint="Play: in this window only, which cannot move the hand until Back to live",
             )
             self._player = gui.add_folder(None, visible=False)
         with self._player:
             self._line = gui.add_html("")
-            self._time = gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, hint="Time in it [s]")
-            self._play = gui.add_checkbox("Play", False, hint="Play it")
+            self._time = gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, hint="Time shown [s]")
+            self._play = gui.add_checkbox("Play", False, hint="Play or pause")
             self._speed = gui.add_dropdown(
                 "Speed", tuple(_SPEEDS), initial_value="1 ×", hint="1 × is real time"
             )
@@ -127,7 +127,7 @@ class RecordingsPanel:
         if self._status.content == html:
             return
         self._status.content = html
-        # Offer the newest recordings; the hand may run on another computer, without its folder.
+        # Offer the newest recordings, unless the hand's folder is on another computer.
         folder = Path(status.recording).parent if status.recording else None
         if folder is not None and os.path.isdir(folder) and str(folder) != self._folder.value:
             self._folder.value = str(folder)
@@ -137,7 +137,7 @@ class RecordingsPanel:
 
     @property
     def place(self) -> str:
-        """The recording that is shown, and the time in it."""
+        """The displayed recording, and the time in it."""
         playback = self._playback
         if playback is None:
             return ""
@@ -215,7 +215,7 @@ class RecordingsPanel:
         playback = self._playback
         if playback is None or not self._play.value:
             return
-        # At most 0.5 s, so that a recording does not jump after a pause of the event loop.
+        # At most 0.5 s, so that playback does not jump after a pause of the event loop.
         playback.time += min(passed, 0.5) * _SPEEDS[str(self._speed.value)]
         if playback.time >= playback.duration:
             playback.time = playback.duration

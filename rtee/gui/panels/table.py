@@ -1,4 +1,4 @@
-"""Tables of the actuators, the joints with their limits, the loop's timing and the buses."""
+"""Tables of the fingertips, actuators, joints, loop timing and buses."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[int] = ()) -> str:
-    """Return an HTML table whose cells after the first of each row are numbers.
+    """Return an HTML table; each row has a name and numbers.
 
-    The rows may have the colours of lines, see `rtee.gui.colours.line_numbers`.
+    With ``lines``, rows start with the colours of these lines; see `rtee.gui.colours.line_numbers`.
     """
     swatches = [f"{swatch(number)} " for number in lines] or [""] * len(rows)
     styles = [f"{_HEAD};text-align:left;padding-left:0", *[_HEAD] * len(head)]
@@ -37,7 +37,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], lines: Sequence[in
     text = [f"<tr>{''.join(cells)}</tr>"]
     for row, mark in zip(rows, swatches, strict=True):
         numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
-        # Long names may break where they are joined, so that the last column has its room.
+        # Let long names break after an underscore, which leaves room for the last column.
         name = escape(row[0]).replace("_", "_<wbr>")
         text.append(f"<tr><td>{mark}{name}</td>{numbers}</tr>")
     return (
@@ -77,7 +77,7 @@ class TablePanel:
         grip = ["fingertips", width, force, state.force_source or "–"]
         put(self._grip, table(("", "opening [mm]", "force [N]", "by"), [grip]))
         actuators, show = self._hand.actuators, self._angles.text
-        # A quantity has a column if the hand has measured it at any time.
+        # A quantity has a column if the hand has ever measured it.
         self._known |= {name for name in MEASURED if np.isfinite(getattr(state, name)).any()}
         kinds = {actuator.kind for actuator in actuators}
         extras = [name for name in ("effort", "temperature") if name in self._known]
@@ -93,7 +93,7 @@ class TablePanel:
         head = [f"actuator [{self._angles.unit('position', kinds)}]", "pos", "ref"]
         head += [f"{MEASURED[n].heading or f'{n} [{units(n, kinds)}]'}" for n in extras]
         put(self._actuators, table(head, rows, self._lines))
-        # By name, since the hand may send its joints in another order than the model here.
+        # By name, since the hand may order its joints differently from the model here.
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
         rows = [

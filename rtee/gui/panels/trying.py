@@ -48,9 +48,9 @@ _NOTHING: Final = asyncio.subprocess.DEVNULL
 
 
 class Jobs:
-    """Runs one job at a time for all windows; call its methods in the event loop.
+    """Runs one job at a time; call its methods in the event loop.
 
-    `running` is the title of the job, empty if there is none.
+    `running` is the title of the job, empty if no job runs.
     """
 
     def __init__(self) -> None:
@@ -66,9 +66,9 @@ class Jobs:
             )
 
     async def run(self, job: TrialJob, title: str, report: Report) -> bool:
-        """Run a job to its end; return whether it was not cancelled.
+        """Run a job; return ``True`` at its end, or ``False`` if it was cancelled.
 
-        Raises `RequestRejected` if another job is running, or this one fails, with the reason, and
+        Raises `RequestRejected` with the reason if another job is running, or this one fails, and
         `ConfigError` if an argument of the job is out of range.
         """
         self.check_free()
@@ -78,7 +78,7 @@ class Jobs:
             return await self._run(job, report)
         finally:
             self.running = ""
-            # When the GUI ends, it cancels this task while the process still works.
+            # When the GUI ends, it cancels this task while the process is still running.
             process, self._process = self._process, None
             if process is not None and process.returncode is None:
                 process.kill()
@@ -122,14 +122,14 @@ _EVERY: Final = "all actions"
 """Choice of all actions of the hand."""
 
 _LARGEST: Final = 2000.0
-"""Largest length that can be given [mm], as on the command line."""
+"""Largest length that a user can enter [mm], as on the command line."""
 
 _SIZES: Final = {
     "sphere": (("Diameter [mm]", 60.0),),
     "cylinder": (("Diameter [mm]", 60.0), ("Height [mm]", 120.0)),
     "box": (("Width [mm]", 40.0), ("Depth [mm]", 40.0), ("Height [mm]", 100.0)),
 }
-"""Shapes whose sizes the user sets, with the labels and the first values of their sizes."""
+"""Shapes whose sizes the user sets, with the labels and initial values of the sizes."""
 
 _TABLES: Final[Mapping[str, Table | None]] = {
     "none": None,
@@ -138,18 +138,18 @@ _TABLES: Final[Mapping[str, Table | None]] = {
     "x is up": Table((1.0, 0.0, 0.0)),
     "across the weight": Table(),
 }
-"""Support of the object of a planned grasp."""
+"""Tables on which the object of a planned grasp may stand, by label."""
 
 Found = Callable[[TrialResult], None]
 """Receives the result of a trial."""
 
 
 def number(value: Any, least: float, most: float, what: str) -> float:
-    """Return a value of a page's field as a number; a manipulated page may send anything.
+    """Return the value of a field as a number; a manipulated page may send anything.
 
-    Raises `ConfigError` if it is not a number, or out of range.
+    Raises `ConfigError` if the value is not a number, or out of range.
     """
-    # A bool is an int in Python, but no number to a person.
+    # In Python, a bool is an int.
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"{what} should be a number")
     if not (math.isfinite(value) and least <= value <= most):
@@ -167,16 +167,16 @@ def shape_text(kind: str, sizes: Sequence[float]) -> str:
 
 def folder_of(remote: str, hand: Hand) -> Path:
     """Return the folder of a running hand; raises `ConfigError` if it is not configured here."""
-    folder = find_hand(remote)  # which refuses a name with a path in it
+    folder = find_hand(remote)  # raises if the name contains a path
     if not hand.urdf.path.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(
-            f"the hand '{remote}' that runs is not the one in {folder}, so it cannot be tried here"
+            f"the running hand '{remote}' is not the one in {folder}, so it cannot be tried here"
         )
     return folder
 
 
 class TryPanel:
-    """An object, the action to try on it, the progress of the trials, and their results."""
+    """Controls for an object and the action to try on it, with the trials' progress and results."""
 
     def __init__(
         self, bridge: Bridge, remote: RemoteHand, hand: Hand, found: Found, preview: Preview
@@ -195,8 +195,8 @@ class TryPanel:
         self._object = gui.add_dropdown(
             "Object",
             (*_SIZES, *OBJECTS),
-            hint="A shape of your size, a standard object, or a mesh of the folder 'objects' in "
-            "that of the hand",
+            hint="A shape of your size, a standard object, or a mesh from the folder 'objects' in "
+            "the hand's folder",
         )
         self._sizes: dict[str, list[viser.GuiNumberHandle[float]]] = {
             kind: [
@@ -233,17 +233,18 @@ class TryPanel:
         self._table = gui.add_dropdown(
             "Table",
             tuple(_TABLES),
-            hint="On what the object of a suggested grasp stands: the hand keeps clear of it. "
-            "Below it: as modelled; or another axis of it is up; or any place, across the weight",
+            hint="Table under the object of a suggested grasp: the hand keeps clear of it. Below "
+            "it: the object stands as modelled. y or x is up: with that axis up. Across the "
+            "weight: at right angles to the hand's reach",
         )
-        self._action = gui.add_dropdown("Action", (_EVERY,), hint="What is tried")
+        self._action = gui.add_dropdown("Action", (_EVERY,), hint="The action to try")
         self._variations = gui.add_slider(
             "Variations",
             0,
             MOST_VARIATIONS,
             1,
             20,
-            hint="How often each trial is varied: size, mass, place, turn, friction",
+            hint="Number of variations of each trial in size, mass, position, rotation, friction",
         )
         self._checked = gui.add_checkbox(
             "Try the best",
@@ -253,8 +254,8 @@ class TryPanel:
         self._buttons = gui.add_button_group(
             "",
             ("Try", "Suggest grasps", "Cancel"),
-            hint="Try: does the action hold the object, in simulation? Suggest grasps: which "
-            "action holds it best? Nothing moves",
+            hint="Try: does the action hold the object in simulation? Suggest grasps: which "
+            "action holds it best? The real hand does not move",
         )
         self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR)
         self._report = gui.add_html("")
@@ -317,7 +318,7 @@ class TryPanel:
         except RteeError as error:
             self._say(str(error), BAD)
             raise
-        if self._removed:  # the hand has gone in the meantime, and its controls with it
+        if self._removed:  # the hand has gone in the meantime, and so have its controls
             return
         self._bar.value = 100.0 if done else 0.0
         if not done:
@@ -359,20 +360,20 @@ class TryPanel:
             return str(name)
         if name in meshes:
             return str(meshes[name])
-        raise ConfigError("there is no such object; choose one of the list")
+        raise ConfigError("there is no such object; choose one from the list")
 
     def _chosen_actions(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         name = self._action.value
         if name == _EVERY:
             return tuple(map(key_of, self._actions.values()))
         if name not in self._actions:
-            raise ConfigError("there is no such action; choose one of the list")
+            raise ConfigError("there is no such action; choose one from the list")
         return (key_of(self._actions[name]),)
 
     # --- results
 
     def _receive(self, message: Mapping[str, Any]) -> None:
-        """Show a message of the process."""
+        """Show a message from the process."""
         if self._removed:
             return
         if "result" in message:
@@ -391,7 +392,7 @@ class TryPanel:
             self._say(str(message.get("text", "")), "")
 
     def _say(self, text: str, colour: str) -> None:
-        # Results stay above the sentence, which changes with the progress.
+        # Results stay above the progress text.
         lines = [escape(line) for line in self._lines]
         if text:
             style = f' style="color:{colour}"' if colour else ""
@@ -408,14 +409,14 @@ Preview = Callable[[GraspPlan | None], None]
 """Shows a planned grasp as a ghost; ``None`` hides it."""
 
 _MOST: Final = 8
-"""Most grasps listed; people rarely go further than the first few."""
+"""Maximum number of listed grasps; people rarely go beyond the first few."""
 
 _COMPOSED: Final = "Planned"
-"""Name of an action that was composed for the object and is kept only in memory."""
+"""Name of an action composed for the object, which is kept only in memory."""
 
 
 class GraspsPanel:
-    """The grasps of an object."""
+    """List of the planned grasps of an object."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, preview: Preview) -> None:
         """Add the panel, empty, to the current container."""
@@ -437,7 +438,7 @@ class GraspsPanel:
         return f"best: {first.label}" + ("" if held else ", but it loses the object")
 
     def show(self, ranking: Ranking | None) -> None:
-        """Show the grasps of a ranking instead of the present ones; ``None`` shows none."""
+        """Replace the listed grasps by those of a ranking; ``None`` clears the list."""
         self._ranking = ranking
         if self._folder is not None:
             for execution in self._executions:
@@ -470,14 +471,14 @@ class GraspsPanel:
                 "",
                 ("Show", "Pre-shape", "Grasp") if self._bridge.may(Role.OPERATOR) else ("Show",),
                 hint="Show: the grasp as a ghost. Pre-shape: open the hand for the object. Grasp: "
-                "close on it, with the intensity and the effort planned",
+                "close on it with the planned intensity and effort",
             )
             execution = Execution(self._bridge, self._remote)
         self._executions.append(execution)
         buttons.on_click(lambda event: self._clicked(str(event.target.value), plan, execution))
 
     def fade(self) -> None:
-        """Mark obsolete results as old."""
+        """Mark outdated results as old."""
         for each in self._executions:
             each.fade()
 
@@ -495,7 +496,7 @@ class GraspsPanel:
             options = GoalOptions(intensity=plan.preshape)
         elif plan.effort < 1.0:
             options["effort"] = plan.effort
-        # A grasp without a name combines actions; the hand gets to know it as one action.
+        # A grasp without a name combines actions; add it to the hand as one action.
         if not name:
             name = _COMPOSED
             await self._remote.add_composed(
@@ -505,7 +506,7 @@ class GraspsPanel:
 
 
 def summary(plan: GraspPlan) -> str:
-    """Return HTML with the numbers of a grasp."""
+    """Return HTML with the key figures of a grasp."""
     words = [
         f"score {plan.score:.2f}",
         f"intensity {plan.intensity:.0%}",

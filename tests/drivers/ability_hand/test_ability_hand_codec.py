@@ -89,8 +89,8 @@ def test_the_second_reply_tells_velocities_and_touch() -> None:
         (lambda f: b"", "not the header of a reply"),
         (lambda f: b"\x13" + f[1:], "not the header of a reply: 13"),
         (lambda f: b"\x50" + f[1:], "not the header of a reply: 50"),
-        (lambda f: f[:-1], "70 bytes are not a reply of variant 1"),
-        (lambda f: b"\x12" + f[1:], "71 bytes are not a reply of variant 3"),
+        (lambda f: f[:-1], "a reply of variant 1 cannot have 70 bytes"),
+        (lambda f: b"\x12" + f[1:], "a reply of variant 3 cannot have 71 bytes"),
         (lambda f: f[:-1] + b"\x40", "not the status of six motors: 0x40"),
     ],
 )
@@ -103,7 +103,7 @@ def test_what_no_hand_can_reply_is_refused(change: object, text: str) -> None:
 def test_incomplete_commands_and_escapes_are_refused() -> None:
     with pytest.raises(CodecError, match="a command cannot have 1 bytes"):
         Command.from_frame(b"\x50")
-    with pytest.raises(CodecError, match="not set-points"):
+    with pytest.raises(CodecError, match="of set-points cannot have 3 bytes"):
         Command.from_frame(b"\x50\x10\x00")
     with pytest.raises(CodecError, match="ends with an escape"):
         codec.unstuffed(b"\x01\x7d")

@@ -106,7 +106,7 @@ def test_gear_and_encoder_make_the_counts() -> None:
 def test_every_error_code_has_a_name() -> None:
     assert cia301.emergency_name(0x2310) == "overcurrent"
     assert cia301.emergency_name(0x2999) == "current"
-    assert cia301.emergency_name(0xFF42) == "manufacturer's"
+    assert cia301.emergency_name(0xFF42) == "manufacturer-specific"
 
 
 class Host:

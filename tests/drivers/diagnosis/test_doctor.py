@@ -351,7 +351,7 @@ async def test_more_than_the_wire_gives_is_a_warning() -> None:
     ("address", "text"),
     [
         ("tcp://127.0.0.1:1", "127.0.0.1 refuses port 1"),
-        ("tcp://no-such-host.invalid", "nobody knows the name 'no-such-host.invalid'"),
+        ("tcp://no-such-host.invalid", "the name 'no-such-host.invalid' cannot be resolved"),
         ("tcp://192.168..5", "'192.168..5' is not a host name"),
     ],
 )
@@ -453,9 +453,9 @@ async def test_drives_on_a_can_bus_are_asked_there() -> None:
         (
             "cia402",
             {"nodes": {"a": {"id": 7}}},
-            "there is CiA 402 drive 7; set driver: cia402, id: 7",
+            "found CiA 402 drive 7 there; set driver: cia402, id: 7",
         ),
-        ("allegro", {}, "there is Allegro Hand 0; set driver: allegro, hand: 0"),
+        ("allegro", {}, "found Allegro Hand 0 there; set driver: allegro, hand: 0"),
     ],
 )
 async def test_what_else_is_on_a_can_bus_is_named(
@@ -481,7 +481,7 @@ async def test_a_drive_where_a_hand_was_expected_is_named() -> None:
     with SimulatedCan([emulated], channel="doctor-kind"):
         async with BusPool() as pool:
             check = wrong(await check_device(spec, pool))
-    assert check.remedy.startswith("there is CiA 402 drive 5")
+    assert check.remedy.startswith("found CiA 402 drive 5")
 
 
 class WithoutSync(Cia402Emulator):
@@ -497,7 +497,7 @@ async def test_a_drive_that_answers_sdo_alone_is_not_said_to_be_unplugged() -> N
     with SimulatedCan([emulated], channel="doctor-sync"):
         async with BusPool() as pool:
             check = wrong(await check_device(drive("doctor-sync"), pool))
-    assert "no process data from node 5, though SDO is answered" in check.text
+    assert "no process data from node 5, although the drives answer SDO" in check.text
     assert "transmission type 1" in check.remedy
 
 

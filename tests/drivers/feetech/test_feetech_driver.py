@@ -631,7 +631,7 @@ async def test_an_overload_by_pushing_on_is_recovered_from() -> None:
 
 async def calibrated(session: Session, path: Path, rest: list[float]) -> Any:
     async def ready(text: str) -> None:
-        assert "without torque" in text
+        assert "the torque of the servos is off" in text
 
     await session.connect()
     return await session.driver.calibrate(path, np.array(rest), ready)  # type: ignore[attr-defined]

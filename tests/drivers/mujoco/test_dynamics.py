@@ -83,7 +83,7 @@ def test_an_inertia_that_is_turned_in_its_link_stays_turned(tmp_path: Path) -> N
 
 def test_an_inertia_that_no_body_can_have_is_replaced_and_noted(tmp_path: Path) -> None:
     built = build_hand(rod(tmp_path, xx="1e-2"), SimOptions())
-    assert any("inertia made up for 1 links: rod" in note for note in built.notes)
+    assert any("inertia assumed for 1 link(s): rod" in note for note in built.notes)
     assert built.spec.compile().body(LINK + "rod").mass[0] == pytest.approx(0.2)
 
 

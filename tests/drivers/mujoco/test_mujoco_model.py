@@ -95,7 +95,7 @@ def test_what_was_made_up_is_noted(tmp_path: Path) -> None:
         joint("bend", "tip", '<limit lower="0" upper="1" velocity="2" effort="0"/>') + TIP,
     )
     notes = " ".join(build_hand(hand, SimOptions()).notes)
-    assert "mass made up for 1 links: tip" in notes
+    assert "mass assumed for 1 link(s): tip" in notes
     assert "actuator 'bend': kp 200, critical damping" in notes
 
 

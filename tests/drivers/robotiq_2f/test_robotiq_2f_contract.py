@@ -230,7 +230,7 @@ async def test_an_activation_that_takes_too_long_is_ended() -> None:
     slow = {"emulator": {"activation_time": 60.0}, "activation_timeout": 0.3}
     async with Session(replace(RTU, options={**RTU.options, **slow})) as session:
         await session.connect()
-        with pytest.raises(DeviceFault, match="activation not done in time"):
+        with pytest.raises(DeviceFault, match="activation did not finish in time"):
             await session.driver.activate()
         assert not session.emulator.status().activated
 

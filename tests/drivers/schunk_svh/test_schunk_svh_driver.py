@@ -379,7 +379,7 @@ def test_mistakes_in_options_are_told(options: dict[str, Any], sentence: str) ->
 def test_an_actuator_that_is_no_channel_is_told() -> None:
     stranger = ActuatorSpec("wrist", JointKind.REVOLUTE, 0, 1, 1, 1, 1, 1, 0)
     spec = DeviceSpec("svh", "hand", "schunk_svh", (stranger,))
-    with pytest.raises(ConfigError, match="actuator 'wrist' is none of the SVH's"):
+    with pytest.raises(ConfigError, match="actuator 'wrist' is not one of the SVH's"):
         SchunkSvhDriver(spec, BusPool())
 
 

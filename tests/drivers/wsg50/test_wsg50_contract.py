@@ -160,7 +160,7 @@ async def test_homing_that_cannot_end_is_a_fault() -> None:
     async with Session(replace(CASE, options={**CASE.options, "home_timeout": 0.2})) as session:
         await session.before(lambda emulator: emulator.inject("stuck"))
         await session.connect()
-        with pytest.raises(DeviceFault, match="homing not done in time"):
+        with pytest.raises(DeviceFault, match="homing did not finish in time"):
             await session.driver.activate()
 
 
