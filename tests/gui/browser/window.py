@@ -41,6 +41,14 @@ WebSocket.prototype.send = function (data) {
 """
 """Notes values, clicks and stops; the latter are kept from the GUI at will."""
 
+_UNFOLDED = """
+(folder) => {
+  const height = folder.offsetHeight;
+  return new Promise((done) => setTimeout(() => done(folder.offsetHeight === height), 250));
+}
+"""
+"""Whether a folder has the height that it had 250 ms ago; it unfolds in 200."""
+
 _DRAW = """
 async () => {
   window.drawing = true;
@@ -106,6 +114,9 @@ class Window:
             label.wait_for()
             if label.locator(".tabler-icon-chevron-down").count():
                 label.click()
+                folder.locator("label:visible, button:visible").first.wait_for()
+                # A click on what still moves is lost if it has moved before the button is up.
+                self.wait(folder, _UNFOLDED)
             folder.locator("label:visible, button:visible").first.wait_for()
         return folder
 
