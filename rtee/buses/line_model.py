@@ -13,11 +13,11 @@ from rtee.buses.faults import Faults
 from rtee.buses.timing import wire_time
 
 _STANDARD_BITS, _EXTENDED_BITS = 47, 67
-"""Bits of a standard and an extended frame without data, but with the pause between frames (ISO
+"""Bits of a standard and of an extended frame without data, including the interframe space (ISO
 11898-1)."""
 
 _STUFFING = 1.1
-"""Bits on the wire per bit of a frame, due to bit stuffing of usual data; the worst case is 1.2."""
+"""Bits on the wire per bit of a frame, due to bit stuffing of typical data; at worst 1.2."""
 
 M = TypeVar("M", bytes, CanFrame)
 
@@ -93,11 +93,11 @@ class Wire(_Schedule[bytes]):
         spoken: Bit rate at which the host sends [bit/s]; devices with another one receive nothing.
             ``None``: all devices receive.
         bits: Bits on the line per byte.
-        garbles: Whether a worn device's first answer is damaged on it: not on a network.
+        garbles: Whether the line damages a worn device's first answer; a network does not.
         faults: Faults of the line.
         busy: Total time so far in which a message or a turn-around was in progress [s]. Together
-            with the silence that the host keeps, this is the least time that a program needs that
-            waits for each answer.
+            with the silence that the host keeps, this is the shortest time for a program that waits
+            for each answer.
 
     Args:
         duplex: Half or full duplex; by default that of the devices.
@@ -237,8 +237,8 @@ class CanWire(_Schedule[CanFrame]):
             start = max(when + emulator.turnaround + late, self._free)
             self._free = start + frame_time(frame, self.bitrate)
             self.busy += self._free - since
-            for late in self.faults.copies():
-                self._put(self._free + late, False, frame)
+            for behind in self.faults.copies():
+                self._put(self._free + behind, False, frame)
 
 
 def frame_time(frame: CanFrame, bitrate: float | None) -> float:

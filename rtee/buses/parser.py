@@ -1,4 +1,4 @@
-"""The contract of a sans-I/O frame parser; one for frames with a header, and one for lines."""
+"""The contract of sans-I/O frame parsers, and parsers for frames with a header and for lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class CodecError(ValueError):
 class Parser(Protocol[F]):
     """Finds frames in a stream of bytes; does no I/O and never raises, whatever the bytes.
 
-    The longest frame of the protocol limits its buffer. After garbage, no good frame is lost.
+    The longest frame of the protocol limits its buffer. Garbage does not hide the next good frame.
     """
 
     @property
@@ -42,13 +42,13 @@ class Framing:
         header: The first bytes.
         fields: Bytes between header and length.
         check: Returns the check of all bytes before it.
-        most: Largest length.
-        least: Smallest length.
-        extra: Bytes that the length counts beside the body.
-        size: Bytes of the length, 1 or 2, the low one first.
-        tail: Bytes of the check.
+        most: Largest value of the length field.
+        least: Smallest value of the length field.
+        extra: Bytes that the length field counts besides the body.
+        size: Size of the length field [bytes], 1 or 2, low byte first.
+        tail: Size of the check [bytes].
         head: Bytes before the body.
-        around: Bytes of a frame that its length does not count.
+        around: Bytes of a frame that its length field does not count.
     """
 
     header: bytes
@@ -70,7 +70,7 @@ class Framing:
         object.__setattr__(self, "around", head + self.tail - self.extra)
 
     def length(self, raw: bytes | bytearray, at: int = 0) -> int:
-        """Return the bytes of the frame that begins at an index; 0 if it is impossible."""
+        """Return the size of the frame at an index [bytes]; 0 if its length field is invalid."""
         end = at + self.head - 1
         length = raw[end] if self.size == 1 else raw[end - 1] | raw[end] << 8
         return length + self.around if self.least <= length <= self.most else 0
@@ -92,7 +92,7 @@ class Framing:
         if len(raw) < self.head + self.tail or not raw.startswith(self.header):
             start = self.header.hex(" ").upper()
             raise CodecError(
-                f"a frame must begin with {start} and have at least {self.around} bytes"
+                f"a frame must begin with {start} and have at least {self.head + self.tail} bytes"
             )
         if len(raw) != self.length(raw):
             length = raw[self.head - self.size : self.head].hex(" ")
@@ -109,7 +109,8 @@ class FramedParser(ABC, Generic[F]):
     A bad frame does not hide a good one.
 
     Attributes:
-        FRAMING: The frames, from which the next four follow; without one, a parser states them.
+        FRAMING: The frames; sets ``HEADER``, ``HEAD``, ``PIECE`` and ``LIMIT``, which a parser
+            without it sets by itself.
         FRAME: Their class, with the method ``from_bytes``.
         HEADER: The first bytes of every frame.
         HEAD: Number of bytes from which the length can be read.
@@ -129,7 +130,7 @@ class FramedParser(ABC, Generic[F]):
     INSIDE: ClassVar[int] = 1
 
     def __init_subclass__(cls) -> None:
-        """Derive the other attributes from `FRAMING`."""
+        """Derive the attributes that follow from `FRAMING`."""
         if (framing := cls.__dict__.get("FRAMING")) is not None:
             cls.HEADER, cls.HEAD = framing.header, framing.head
             cls.PIECE = framing.most + framing.around
@@ -140,7 +141,7 @@ class FramedParser(ABC, Generic[F]):
         self.errors = 0
 
     def _length(self, at: int) -> int:
-        """Return the frame's length according to the header at ``at``; 0 if it is impossible."""
+        """Return the size of the frame with its header at ``at`` [bytes]; 0 if it is invalid."""
         return self.FRAMING.length(self._buffer, at)
 
     def _decode(self, raw: bytes) -> F:
@@ -172,7 +173,7 @@ class FramedParser(ABC, Generic[F]):
 
     def _only(self, data: bytes) -> F | None:
         """Return the frame if ``data`` is exactly one, as most answers are; otherwise ``None``."""
-        # Put into the buffer only since `_length` reads it there.
+        # In the buffer only because `_length` reads it there.
         self._buffer += data
         length = self._length(0) if len(data) >= self.HEAD else 0
         self._buffer.clear()
@@ -224,7 +225,7 @@ class FramedParser(ABC, Generic[F]):
     def _inside(self) -> int:
         """Return the offset of a whole frame inside an incomplete one, or 0.
 
-        A header in noise announces bytes that never come, and must not delay the frame after it.
+        A header within noise announces bytes that never come; it must not delay the next frame.
         """
         buffer = self._buffer
         start = buffer.find(self.HEADER, 1)

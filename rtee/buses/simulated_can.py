@@ -17,7 +17,8 @@ from rtee.buses.simulated import Simulation
 from rtee.buses.simulated_time import SimulatedTimeLoop, on_simulated_time
 
 _POLL = 0.02
-"""Longest wait for a frame [s], for calls of other threads: only virtual buses can be woken up."""
+"""Longest wait for a frame before calls of other threads are served [s]: only the wait on a virtual
+bus can be interrupted."""
 
 
 class SimulatedCan(Simulation):
@@ -71,6 +72,8 @@ class SimulatedCan(Simulation):
 
     def _plug(self) -> None:
         if self._loop is not None:
+            if not self._there:
+                self.wire.reset()
             self._there = True
         elif self._bus is None:
             self._bus = open_bus(self._interface, self._channel)
@@ -105,13 +108,13 @@ class SimulatedCan(Simulation):
         self._step(monotonic.now())
 
     def hear(self, host: DirectCan, frame: CanFrame) -> None:
-        """Receive a frame of a host on simulated time; lost if that has left."""
+        """Receive a frame from a host on simulated time; drop it if the host has left."""
         if host in self._hosts:
             self.wire.receive(frame, monotonic.now())
             self._schedule()
 
     def leave(self, host: DirectCan) -> None:
-        """Let a host receive no more; idempotent."""
+        """Disconnect a host; idempotent."""
         if host in self._hosts:
             self._hosts.remove(host)
 

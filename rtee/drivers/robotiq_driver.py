@@ -1,6 +1,6 @@
 """Drives a Robotiq gripper: identify, attach or activate, exchange, stop, recover.
 
-All of this is the same for the two-finger grippers and the 3-Finger; the registers are not.
+All of this is the same for the two-finger grippers and the 3-Finger; only the registers differ.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _POLL = 0.01
 """Time between two readings of the status while the gripper moves by itself [s]."""
 
 _MISSED = 5
-"""Missing answers in a row that are tolerated meanwhile: the gripper may be busy by itself."""
+"""Consecutive missing answers tolerated during such a motion: the gripper may be busy."""
 
 S = TypeVar("S", bound=RobotiqStatus)
 C = TypeVar("C", bound=RobotiqCommand)
@@ -42,8 +42,8 @@ C = TypeVar("C", bound=RobotiqCommand)
 class RobotiqDriver(Driver, Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
-    A cycle is one exchange, which writes a reference and reads the status. The first write comes
-    with the first reference that differs from where an active gripper is.
+    A cycle is one exchange, which writes a reference and reads the status. The driver writes
+    nothing until a reference differs from the position of an active gripper.
 
     Attributes:
         MODEL: Its name in the message when another device answers.
@@ -51,8 +51,8 @@ class RobotiqDriver(Driver, Generic[S, C]):
         COMMAND: Its output block.
         FAULTS: Its fault codes.
         HINT: What to do about a gripper that is not activated.
-        USED: Registers that hold the activation and the request of all fingers together: the first
-            of the output block.
+        USED: Number of registers at the start of the output block that hold the activation and the
+            common request of all fingers.
     """
 
     MODEL: ClassVar[str]
@@ -76,17 +76,17 @@ class RobotiqDriver(Driver, Generic[S, C]):
         return status
 
     def _action(self, activate: bool) -> Sequence[int]:
-        """Return the registers that set nothing but rACT, or clear it, which resets it."""
+        """Return the registers that set only rACT, or clear it, which resets the gripper."""
         return self.COMMAND(activate=activate).to_registers()[: self.USED]
 
     # --- defined by each model ---------------------------------------------------------------
 
     @abstractmethod
     def _places(self) -> tuple[int, int, int]:
-        """Return the first registers of output and input block, and the function to read with."""
+        """Return the first registers of the output and input blocks, and the read function."""
 
     def _gap(self) -> float | None:
-        """Return the silence it needs before a request [s]; ``None``: the line's default."""
+        """Return the silence needed before a request [s]; ``None``: the line's default."""
         return None
 
     @abstractmethod
@@ -99,7 +99,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     @abstractmethod
     def _registers_for(self, reference: Reference) -> Sequence[int] | None:
-        """Return the registers to send for a reference; ``None``: nothing."""
+        """Return the registers to send for a reference, or ``None`` to send nothing."""
 
     @abstractmethod
     def _stopping(self) -> Sequence[int]:
@@ -136,7 +136,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
                 kind="separate" if mixed else settings.exchange,
                 function=function,
             ),
-            # An emulated gripper starts activated, as after an earlier run, unless it is to home.
+            # An emulated gripper starts activated, as after an earlier run, unless it must home.
             emulated={"emulator": {"activated": settings.home == "on_demand", **settings.emulator}},
             baudrate=settings.baudrate,
             gap=self._gap(),
@@ -166,7 +166,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
         if not status.ready:
             if not allowed:
                 raise self._gripper_fault(NOT_ACTIVATED)
-            await self._within("activating itself", self._activate)
+            await self._within("activating itself", self._activate, self._too_slow)
         await self._prepare(allowed)
         self._home_asked = False
         self._sent = None
@@ -182,16 +182,18 @@ class RobotiqDriver(Driver, Generic[S, C]):
         await self._write(self._action(True))
         await self._until(lambda status: status.ready)
 
-    async def _within(self, doing: str, steps: Callable[[], Awaitable[None]]) -> None:
-        """Run steps that make the gripper move by itself, in limited time; cancelling stops it."""
+    async def _within(
+        self, doing: str, steps: Callable[[], Awaitable[None]], too_slow: Callable[[], DeviceFault]
+    ) -> None:
+        """Run steps in which the gripper moves by itself, in limited time; cancelling stops it."""
         seconds = self._settings.activation_timeout
         with self.busy(doing), self.connection.link.relaxed_deadline():
-            async with time_limit(seconds, self._too_slow, end=self._end_activation):
+            async with time_limit(seconds, too_slow, end=self._end_activation):
                 await steps()
 
     def _too_slow(self) -> DeviceFault:
         hint = "free the fingers, then `rtee recover`"
-        return self.fault(0x0D, "activation not done in time", hint=hint)
+        return self.fault(0x0D, "activation did not finish in time", hint=hint)
 
     async def _end_activation(self) -> None:
         # Only a reset ends an activation; without it the gripper goes on once its fingers are free.
@@ -215,7 +217,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
             await asyncio.sleep(_POLL)
 
     async def examine(self) -> str:
-        """Return whether it is not activated; raises the fault that it reports."""
+        """Return ``not activated`` if it is not; raises the fault that the gripper reports."""
         status = self._status = await self.connection.link.read()
         self._refuse(status)
         return "" if status.ready else "not activated"
@@ -228,7 +230,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
         if self.active:
             self._refuse(self._status)
             if not self._status.ready:
-                # A write with rACT set has begun to activate it, which moves it.
+                # A write with rACT set has started an activation, which moves the fingers.
                 await self.connection.link.insist(self._action(False))
                 name = "lost its activation; was its supply cut?"
                 raise self._gripper_fault(NOT_ACTIVATED, name)
@@ -264,7 +266,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
         self._home_asked = True
 
     async def _clear(self) -> None:
-        """Reset the gripper, and wait a moment for its fault to go."""
+        """Reset the gripper, and wait a moment until its fault clears."""
         await self._write(self._action(False))
         end = monotonic.now() + PATIENT
         while self._status.fault or self._status.activated:
@@ -276,7 +278,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
     def _refuse(self, status: S) -> None:
         """Raise the fault that the gripper reports, unless it is only a warning."""
         fault = self.FAULTS.get(status.fault)
-        # Code 7, not activated, must not keep callers from activating it; `ready` tells them.
+        # Code 7, not activated, must not keep callers from activating it; they check `ready`.
         if fault is not None and not fault.warning and status.fault != NOT_ACTIVATED:
             raise self._gripper_fault(status.fault)
 
@@ -287,7 +289,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     def _warnings(self, status: S) -> tuple[str, ...]:
         if not any(status.to_registers()):
-            # As an inactive gripper whose encoder is at 0, or as a device that lacks the registers.
+            # Either an inactive gripper whose encoder is at 0, or a device without these registers.
             return (f"all its registers are 0; is it a {self.MODEL}?",)
         fault = self.FAULTS.get(status.fault)
         return (fault.name,) if fault is not None and fault.warning else ()

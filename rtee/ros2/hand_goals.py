@@ -19,21 +19,21 @@ from rtee.types import Outcome as End
 
 
 def state_of(result: Result) -> GoalState:
-    """Return the final state of an action's goal for the result of the hand's."""
+    """Return the final state of an action's goal for the result of the hand's goal."""
     if result.succeeded:
         return GoalState.SUCCEEDED
     return GoalState.CANCELED if result.outcome is End.CANCELLED else GoalState.ABORTED
 
 
 def reason_of(result: Result) -> str:
-    """Return the reason for an abortion as a sentence, otherwise ``""``."""
+    """Return the reason for an abort as a sentence; ``""`` without an abort."""
     if state_of(result) is not GoalState.ABORTED:
         return ""
     match result.outcome:
         case End.PREEMPTED:
             return "a new goal replaced it"
         case End.TIMED_OUT:
-            return f"it took longer than its timeout, {result.duration:.3g} s"
+            return f"it timed out after {result.duration:.3g} s"
         case End.STALLED:
             short = f"the hand stopped short of it by {result.error:.3g} rad or m"
             return f"{short}, and holds nothing"
@@ -54,8 +54,8 @@ class HandJob:
     """Job of an action that follows a goal of the hand.
 
     The hand has one goal at a time; a new goal of any client ends this one. Two functions convert
-    its result to that of the action, and its feedback to the fields of that of the action. A third
-    returns the reason to abort although the hand holds something; ``""``: none.
+    the hand's result to the action's result, and the hand's feedback to the fields of the action's
+    feedback. A third returns a reason to abort despite a successful result; ``""``: none.
     """
 
     def __init__(

@@ -36,12 +36,12 @@ from rtee.touch import TouchReading
 from rtee.types import DeviceSpec, Reference
 
 _SPEED = 250
-"""Speed at which the hand opens first [0.1 %]: a quarter of the largest."""
+"""Speed at which the hand opens before calibrating [0.1 %]: a quarter of the largest."""
 _OPENING = 5.0  # longest time to open [s]
 _LASTS = 8.0
 """Time that published clients wait for the calibration [s]; it takes about 6 s."""
 _SAMPLES = 20
-"""Number of readings that are averaged for a zero."""
+"""Number of readings averaged for a zero."""
 _IDLE = 100
 """Largest plausible reading of an idle finger [g]: published force curves begin there."""
 
@@ -82,7 +82,7 @@ async def calibrate(
 
     Raises:
         BusError: if the line fails.
-        CalibrationError: if a finger does not open, or an idle one reads a force.
+        CalibrationError: if a finger does not open, or reads a force while it is idle.
         ConfigError: if the file cannot be written.
     """
     # Restored below, since the hand keeps set-points until its supply is cut.
@@ -92,7 +92,7 @@ async def calibrate(
         await patiently(lambda: link.write(Register.ANGLE_SET, table(angles)))
         await _opened(measured, device, angles)
     finally:
-        # Even if a finger did not open: otherwise the hand would keep the slow speed.
+        # Even if a finger does not open: otherwise, the hand would keep the slow speed.
         await patiently(lambda: link.write(Register.SPEED_SET, before))
     await patiently(lambda: link.write(Register.FORCE_CALIBRATION, b"\x01"))
     await asyncio.sleep(_LASTS)
@@ -102,7 +102,7 @@ async def calibrate(
         sums = [total + grams for total, grams in zip(sums, report.forces, strict=True)]
     zeros = ForceZeros(unit, tuple(round(total / _SAMPLES) for total in sums))
     for finger, grams, angle in zip(FINGERS, zeros.grams, angles, strict=True):
-        # A finger that was not opened may rest on something, so its force proves nothing.
+        # A finger that was not opened may touch something, so its force proves nothing.
         if angle != KEEP and abs(grams) > _IDLE:
             raise CalibrationError(
                 device,
@@ -132,7 +132,7 @@ async def _opened(
 
 
 _CLEARING = 0.2
-"""Longest time from clearing the errors until they are gone [s]; no source gives one."""
+"""Longest time from clearing the errors until they are gone [s]; no source gives it."""
 
 _BEHIND = 1
 """Number of transactions by which the hand's Modbus TCP answers may lag, as published clients
@@ -147,8 +147,8 @@ _HOLDS = {
     codec.State.CLOSING: False,
     codec.State.AT_TARGET: False,
 }
-"""Whether a motor in a state holds something; not known in the states of an error, nor before its
-first command."""
+"""Whether a motor holds something, by its state; not known in error states and before its first
+command."""
 
 
 class InspireRh56Driver(Driver):
@@ -158,8 +158,8 @@ class InspireRh56Driver(Driver):
     two if the hand does not return them together, and writes set-points that have changed: force
     limits and speeds first, then the angles. A motor without a reference keeps its set-point.
 
-    The motors cannot be switched off. The hand loses force limits and speeds with its supply, so
-    the set-points are read back now and then.
+    The motors cannot be switched off. The hand loses force limits and speeds when its supply is
+    cut, so the driver reads the set-points back from time to time.
     """
 
     Options = InspireRh56Options
@@ -231,7 +231,7 @@ class InspireRh56Driver(Driver):
 
     async def _open(self) -> Rh56Link:
         options = self.options
-        # The deadline is set when the best rate is known; until then, a relaxed one holds.
+        # The deadline is set when the best rate is known; until then, a relaxed one applies.
         arguments = options.unit, 0.0, options.retries
         if options.modbus:
             await self._pause()
@@ -250,14 +250,14 @@ class InspireRh56Driver(Driver):
         )
 
     async def _pause(self) -> None:
-        """Wait for the time that a hand on the network needs between two connections."""
+        """Wait as long as a hand on the network needs between two connections."""
         if self.options.port.startswith("tcp://") and not self.spec.emulated:
             await self.connection.close()
             await asyncio.sleep(max(0.0, self._closed + _PAUSE - monotonic.now()))
 
     async def _identify(self, link: Rh56Link) -> None:
         """Read the hand, and find out whether one exchange is enough for all measurements."""
-        # Two exchanges first: if these fail, the hand is at fault and not the reading of the block.
+        # Two exchanges first: if these fail, the cause is the hand and not the reading as a block.
         self._block = False
         await self._read(link)
         if self.options.reading == "separate":
@@ -291,7 +291,7 @@ class InspireRh56Driver(Driver):
         self._attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
-        """Raise the fault that the hand reports."""
+        """Raise `DeviceFault` if the hand reports a fault."""
         link = self.connection.link
         with link.relaxed_deadline():
             self._check(await self._read(link))
@@ -328,7 +328,7 @@ class InspireRh56Driver(Driver):
             self._touch = await self._tactile.read(self.connection.link) or self._touch
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.position.within(report.angles[motor]) for motor, scale in both]
-        # For `move`, which compares references with it while a grip is kept.
+        # For `move`, which compares references with this position while a grip is kept.
         self._here = np.array(position)
         return ActuatorState.measured(
             position,
@@ -360,16 +360,16 @@ class InspireRh56Driver(Driver):
         raise self.fault(int(together), "; ".join(names), hint=hint)
 
     async def _read_back(self, link: Rh56Link) -> None:
-        """Read the hand's set-points back; those that differ are sent again with a reference."""
+        """Read the set-points back; those that differ are sent again with the next reference."""
         try:
             data = await link.read(codec.Register.ANGLE_SET, codec.SetPoints.SIZE)
         except ModbusRefusal:
-            return  # they cannot be read from this hand and are assumed to be unchanged
+            return  # this hand does not return them, so they are assumed to be unchanged
         found = codec.SetPoints.from_bytes(data)
         self._forces, self._speeds = list(found.forces), list(found.speeds)
         pairs = zip(self._angles, found.angles, strict=True)
         # KEEP means unknown here, so that the next reference writes the set-point again. A hand
-        # that was restarted reports the same of each motor that has no set-point yet.
+        # that was restarted also reports KEEP for each motor that has no set-point yet.
         self._angles = [sent if here == sent else codec.KEEP for sent, here in pairs]
 
     async def move(self, reference: Reference) -> None:
@@ -378,7 +378,7 @@ class InspireRh56Driver(Driver):
         most = self.options.most
         # A table sets all six motors, so motors without a reference get their present values.
         forces = list(self._forces or (most,) * codec.COUNT)
-        speeds = list(self._speeds or (most,) * codec.COUNT)
+        speeds = list(self._speeds or (codec.MOST,) * codec.COUNT)
         angles = [codec.KEEP] * codec.COUNT
         mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
@@ -438,7 +438,7 @@ class InspireRh56Driver(Driver):
 
     async def _hold(self, angles: Sequence[int], motors: Sequence[int]) -> None:
         """Make the angles of some motors, as measured, their set-points."""
-        # The hand may refuse a count beyond the ends, and -1 would keep the old set-point.
+        # The hand may refuse a count outside the range, and -1 would keep the old set-point.
         here = [min(max(a, 0), 1000) if m in motors else codec.KEEP for m, a in enumerate(angles)]
         self._angles = [codec.KEEP] * codec.COUNT
         await self.connection.link.write(codec.Register.ANGLE_SET, codec.table(here))
@@ -482,8 +482,8 @@ class InspireRh56Driver(Driver):
     ) -> ForceZeros:
         """Let the open hand calibrate its force sensors; store their readings afterwards.
 
-        Arguments and errors as for `Calibrates.calibrate`; the hand moves to the rest posture
-        first.
+        Arguments and errors are those of `Calibrates.calibrate`; the hand first moves to the rest
+        posture.
 
         Raises:
             DeviceFault: if the hand reports a fault.

@@ -1,6 +1,6 @@
 """Emulates an OnRobot RG2 or RG6 on the wire: its registers through the Compute Box or RTU.
 
-What no document states is a property here: the time to build up the force, and whether fingertips
+Undocumented behaviour is a property here: the time to build up the force, and whether fingertips
 that meet each other count as a grip.
 """
 
@@ -112,11 +112,11 @@ class OnRobotRGEmulator(OnRobotEmulator):
         return _PUSHED_1 in self.faults, _PUSHED_2 in self.faults
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close."""
+        """Return the closing motion of the fingers."""
         return [Closing(self.axis, self._opened, self._closed, self.model.force)]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a width between the fingertips [m]."""
+        """Return the fraction of the travel at which the fingers meet an object's width [m]."""
         reach = self.model.stroke - 2.0 * self.properties.fingertip
         if width > reach:
             # Outside 0 to 1, so the caller refuses the object.
@@ -133,7 +133,8 @@ class OnRobotRGEmulator(OnRobotEmulator):
                 self._triggered[i] = False
             elif self._busy:
                 self._trip(i)
-        self._error = _SAFETY_ERROR in self.faults
+        # An error found at power-up stays while the switch is pushed.
+        self._error = _SAFETY_ERROR in self.faults or (self._error and any(self._pushed))
 
     def _trip(self, switch: int) -> None:
         self._triggered[switch] = True

@@ -13,7 +13,7 @@ from rtee.drivers.options import Positive, read_options
 from rtee.drivers.robotiq_3f import codec
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, RobotiqOptions, SteadyContact
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, DeviceFault
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -28,17 +28,17 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
     roles: dict[str, Role] = field(default_factory=dict)
     """Part that each actuator drives: fingers, a, b, c or scissor; guessed from names."""
     register_base: Literal[0, 1000] | None = None
-    """Where the blocks lie: 0, or 1000 and 2000; by default 0 on tcp://."""
+    """Addresses of the blocks: 0, or 1000 and 2000; by default 0 on tcp://."""
     function: Literal[3, 4] | None = None
     """Modbus function to read with; by default 4 on tcp://, otherwise 3."""
     current_per_count: Positive = 0.01
     """Current per count [A]; the manuals contradict each other about it."""
     activation_timeout: Positive = 30.0
-    """Longest time [s]."""
+    """Longest time of an activation or a change of mode [s]."""
 
 
 def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
-    """Return what each actuator drives: as configured, otherwise guessed from the names.
+    """Return the part that each actuator drives: as configured, otherwise guessed from the names.
 
     Raises `ConfigError` if two drive the same motor, or a name is not one of the device's.
     """
@@ -47,7 +47,7 @@ def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     for name in options.roles:
         if name not in names:
             raise ConfigError(
-                f"device '{spec.name}': option 'roles' names '{name}', none of its actuators",
+                f"device '{spec.name}': option 'roles' names '{name}', not one of its actuators",
                 key=key,
             )
     fingers = [name for name in names if "palm" not in name and name not in options.roles]
@@ -75,7 +75,7 @@ _OPEN, _CLOSED = 10, 250
 
 
 class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
-    """The three-finger gripper: all fingers together or each for itself, and the scissor.
+    """The three-finger gripper: all fingers together or each by itself, and the scissor.
 
     A motor that presses on an object keeps pressing while its reference is the measured position.
     """
@@ -141,7 +141,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
         return codec.Mode[self.options.mode.upper()]
 
     async def _prepare(self, allowed: bool) -> None:
-        """Change the mode where another one is configured; the scissor moves by it."""
+        """Change the mode if another one is configured, which moves the scissor."""
         if self._scissor or self._status.mode is self._mode:
             return
         if not allowed:
@@ -150,11 +150,15 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
                 f"in mode '{self._status.mode.name.lower()}', not '{self.options.mode}'",
                 hint="`rtee recover` changes the mode, which moves the scissor",
             )
-        await self._within("changing its mode", self._change_mode)
+        await self._within("changing its mode", self._change_mode, self._mode_too_slow)
 
     async def _change_mode(self) -> None:
         await self._write(codec.Command(activate=True, mode=self._mode).to_registers()[: self.USED])
         await self._until(lambda status: status.ready and status.mode is self._mode)
+
+    def _mode_too_slow(self) -> DeviceFault:
+        hint = "free the scissor, then `rtee recover`"
+        return self.fault(0x0E, "the change of mode did not finish in time", hint=hint)
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -178,7 +182,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
         return sum(axis.position for axis in axes) / len(axes)
 
     def _current(self, role: str) -> float:
-        # The largest of the three motors: each motor heats and overloads for itself.
+        # The largest of the three motors: each motor heats up and overloads by itself.
         return max(axis.raw_current for axis in self._axes(role)) * self.options.current_per_count
 
     def _grasped(self, role: str) -> bool | None:
@@ -251,7 +255,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
         axis = self._status.axes[at]
         if axis.contact in _PRESSING:
             first = self._status.axes[0].requested
-            # Together, only finger a echoes a request; the others follow it.
+            # Of fingers moved together, only finger a echoes a request; the others follow it.
             echo = axis.requested or (first if at < codec.FINGERS else 0)
             return codec.Request(echo or axis.position, 255, 255)
         return codec.Request(axis.position, 255, 255)

@@ -12,9 +12,11 @@ from typing import Any
 import anyio
 import pytest
 
+from rtee.buses.modbus import ModbusRefusal
 from rtee.drivers.inspire_rh56 import driver as calibration
 from rtee.drivers.inspire_rh56.codec import Register, table, words
 from rtee.drivers.inspire_rh56.driver import InspireRh56Driver
+from rtee.drivers.inspire_rh56.link import ModbusLink
 from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of
 from rtee.errors import (
     CalibrationError,
@@ -127,6 +129,27 @@ async def test_a_hand_is_driven_that_reports_no_state_until_it_is_commanded() ->
         # The one that was commanded has a state now, the others have none yet.
         assert state.grasped == (None, None, False, None, None, None)
         assert session.near(await session.reach([0.5] * 6), [0.5] * 6)
+
+
+async def test_motors_without_a_reference_get_no_more_than_the_largest_speed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the hand does not return its set-points, and takes larger forces than speeds."""
+    read = ModbusLink.read
+
+    async def refusing(link: ModbusLink, address: int, size: int) -> bytes:
+        if address == Register.ANGLE_SET:
+            raise ModbusRefusal("hand", 3, 2)
+        return await read(link, address, size)
+
+    monkeypatch.setattr(ModbusLink, "read", refusing)
+    async with Session(case(protocol="modbus", model="dftp")) as session:
+        await session.start()
+        one = [False, False, True, False, False, False]
+        await session.cycle(Reference.at([0.5] * 6, mask=one, max_velocity=[1.0] * 6))
+        memory = session.emulator.memory
+        assert words(memory.read(Register.SPEED_SET, 12)) == (1000, 1000, 1000, 204, 1000, 1000)
+        assert max(words(memory.read(Register.FORCE_SET, 12))) == 3000
 
 
 async def test_a_hand_that_was_started_anew_gets_its_set_points_again() -> None:

@@ -123,6 +123,9 @@ def test_a_safety_switch_ends_a_motion_until_the_tool_is_restarted() -> None:
     host.gripper.power_cycle(host.now)
     # It is still pushed, which is an error of its own.
     assert host.status().safety_error
+    host.gripper.inject("stuck")
+    host.gripper.clear("stuck")
+    assert host.status().safety_error
     host.gripper.clear()
     host.gripper.power_cycle(host.now)
     assert host.status() == Status(width=stopped.width)

@@ -106,10 +106,19 @@ async def test_another_mode_is_not_taken_unasked() -> None:
             await session.driver.activate()
 
 
+async def test_a_scissor_that_does_not_arrive_is_told_from_an_activation() -> None:
+    options = {**CASE.options, "mode": "wide", "activation_timeout": 0.05}
+    options["emulator"] = {"activated": True}
+    async with Session(replace(CASE, actuators=(FINGERS,), options=options)) as session:
+        with pytest.raises(DeviceFault, match="the change of mode did not finish in time") as told:
+            await session.start()
+        assert told.value.code == 0x0E
+
+
 def test_roles_are_checked() -> None:
     options = {**CASE.options, "roles": {"finger_1_joint_1": "scissor"}}
     with pytest.raises(ConfigError, match="two actuators drive the same motor"):
         Robotiq3FDriver(replace(CASE, options=options).spec(), BusPool())
     options = {**CASE.options, "roles": {"thumb": "a"}}
-    with pytest.raises(ConfigError, match="option 'roles' names 'thumb', none of its actuators"):
+    with pytest.raises(ConfigError, match="option 'roles' names 'thumb', not one of its actuators"):
         Robotiq3FDriver(replace(CASE, options=options).spec(), BusPool())
