@@ -296,7 +296,10 @@ async def test_heri_ii_closes_with_the_effort_of_the_goal(driver: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [("dagana", "'control' is 'position'"), ("qb_softhand", "from a stored parameter, not from commands")],
+    [
+        ("dagana", "'control' is 'position'"),
+        ("qb_softhand", "from a stored parameter, not from commands"),
+    ],
 )
 async def test_a_refused_effort_limit_says_what_cannot_be_done(name: str, reason: str) -> None:
     async with on_wires(name) as (hand,):
