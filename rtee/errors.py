@@ -54,7 +54,7 @@ from urllib.parse import unquote, urlsplit
 
 
 class RteeError(Exception):
-    """Base of all errors of rtee; its text says what is wrong, where, and what would be right."""
+    """Base of all errors of rtee: one sentence of what is wrong, where, and what would be right."""
 
     exit_status: ClassVar[int] = 1
 
@@ -90,7 +90,7 @@ def foreign(text: str, refuse: Callable[[str], Exception] | None = None) -> str:
 
     Args:
         text: The text.
-        refuse: Makes an error from the reason, which is raised instead of escaping.
+        refuse: Makes the error to raise from a reason; without it, characters are escaped.
     """
     if text.isprintable():
         return text
@@ -195,7 +195,7 @@ def install_line(extra: str) -> str:
         return f'pip install {editable}"{unquote(parts.path)}[{extra}]"'
     if parts.scheme:
         return f'pip install "rtee[{extra}] @ {given["url"]}"'
-    return f'install "rtee[{extra}]" from the source of this rtee'
+    return f'install "rtee[{extra}]" from where this rtee was installed'
 
 
 @contextmanager

@@ -41,8 +41,8 @@ _STEPS: Final = 240
 """Steps of an episode before it is truncated: eight seconds."""
 
 _BESIDE: Final = 0.003
-"""Largest offset of the object from the centre of the fingertips along each axis [m]: the placement
-error of a camera or a person."""
+"""Largest offset of the object from its nominal place along each axis [m]: the placement error of a
+camera or a person."""
 
 _LETS_GO: Final = 2.0
 """Time at which the support releases the object [s]: a hand can close slowly twice by then."""

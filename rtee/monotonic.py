@@ -21,5 +21,5 @@ sleep: Callable[[float], None] = time.sleep
 
 
 def asked() -> float:
-    """Return the time [s]; unlike `now`, callers may keep a reference to it."""
+    """Return the time [s]; unlike `now`, this function may be kept as a reference."""
     return now()

@@ -22,7 +22,7 @@ from rtee.errors import MissingExtra, needing_extra
         ),
         ({"url": "file:///tmp/rtee-1-py3-none-any.whl"}, 'pip install "/tmp/rtee-1-py3-none-any'),
         ({"url": "https://x.org/rtee.whl"}, 'pip install "rtee[gui] @ https://x.org/rtee.whl"'),
-        (None, 'install "rtee[gui]" from the source of this rtee'),
+        (None, 'install "rtee[gui]" from where this rtee was installed'),
     ],
     ids=["checkout", "wheel", "address", "index or folder of wheels"],
 )

@@ -208,8 +208,8 @@ _SPIN = 1e-4
 class SimulatedLine(Simulation):
     """A byte line over a pty or a TCP port of this machine.
 
-    With a timed wire, the thread wakes up before a message is due, by the usual lateness of its
-    sleeps. It spins for the rest, so that bytes arrive within microseconds of the modelled time.
+    With a timed wire, the thread wakes up earlier than a message is due, by the usual lateness of
+    its sleeps, and spins for the rest: bytes arrive within microseconds of the modelled time.
 
     Attributes:
         wire: Model of the wire: emulators, baud rate, faults.

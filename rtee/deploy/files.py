@@ -75,8 +75,8 @@ def check_visible(program: str | None, *, live: bool) -> None:
     """Refuse a program that the unit's sandbox would hide from the service.
 
     ``program`` is the path of an ``rtee``; ``None`` means that of this environment, whose
-    interpreter and package the service needs, too. In an image, that is not ``live``, links are not
-    followed.
+    interpreter and package the service needs, too. In an image, which is not ``live``, only the
+    path of the program itself is checked, without following links.
 
     Raises:
         ConfigError: if the service cannot see the program, with a remedy.

@@ -42,8 +42,8 @@ C = TypeVar("C", bound=RobotiqCommand)
 class RobotiqDriver(Driver, Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
-    A cycle is one exchange, which writes a reference and reads the status. The driver writes
-    nothing until a reference differs from the position of an active gripper.
+    A cycle is one exchange, which writes a reference and reads the status. To a gripper that was
+    active already, the driver writes nothing until a reference differs from its position.
 
     Attributes:
         MODEL: Its name in the message when another device answers.

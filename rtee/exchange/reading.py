@@ -63,8 +63,8 @@ def as_urdf(
         return xacro_as_urdf(urdf, arguments_of(arguments), package_dirs)
     if arguments:
         raise ConfigError(
-            f"'{arguments[0]}' should be an argument of a xacro file, but the model's name does "
-            f"not end with {XACRO}"
+            f"'{arguments[0]}' should be an argument of a xacro file, but the name of the model's "
+            f"file does not end with {XACRO}"
         )
     if mjcf is not None:
         return mjcf_as_urdf(mjcf, package_dirs, root, angle)

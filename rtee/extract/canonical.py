@@ -234,7 +234,7 @@ class _Points:
         return found
 
     def _orders(self) -> Iterable[tuple[int, ...]]:
-        """Return orders of the fingers, with those of most actuators first."""
+        """Return orders of the fingers: by most actuators, most own ones, then those with a tip."""
         groups: dict[tuple[int, ...], list[int]] = {}
         for i, finger in enumerate(self._fingers):
             key = (-len(finger.actuators), -len(finger.own), finger.tip is None)

@@ -51,7 +51,7 @@ _BELOW: Final = 0.002
 """Gap between a drill's housing and its trigger, so that they never touch [m]."""
 
 _AROUND: Final = 24
-"""Number of points around a round side of a drill: the polygon is up to 0.2 mm inside."""
+"""Number of points around the round sides of a drill's handle: up to 0.2 mm inside them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -213,7 +213,7 @@ class Gripper(ActionPart):
         for actuator in self._served.model.actuators:
             if widest * (1.0 + _BEYOND) < gap <= actuator.upper:
                 raise GoalRejected(
-                    f"{gap:g} m is too wide; the widest opening is {1e3 * widest:.0f} mm; if it is"
+                    f"{gap:g} m is beyond the widest opening, {1e3 * widest:.0f} mm; if it is"
                     f" the value of '{actuator.name}', as MoveIt sends it, write"
                     " 'ros2: {gripper: moveit}' in hand.yaml"
                 )

@@ -228,7 +228,7 @@ def trajectory_of(
     if times[0] < 0.0 or any(b <= a for a, b in pairwise(times)):
         raise MessageError("the times of its points must increase from 0")
     if times[-1] > _LONGEST or begin - now > _LONGEST:
-        raise MessageError(f"it must begin within, and take at most, {_LONGEST:g} s")
+        raise MessageError(f"it must begin within {_LONGEST:g} s and take at most {_LONGEST:g} s")
     if begin + times[-1] < now:
         raise OldTrajectory(f"it ended {now - begin - times[-1]:.3g} s ago")
     positions, velocities = [], []

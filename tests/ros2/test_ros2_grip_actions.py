@@ -142,7 +142,7 @@ async def test_what_a_gripper_refuses(
         parallel = await client_of(robot, f"/{NAME}/gripper_cmd", PARALLEL)
         refused = [
             (simple, simple_goal(simple, math.nan), "the position must be a finite number"),
-            (simple, simple_goal(simple, 0.2), "the widest opening is 8"),
+            (simple, simple_goal(simple, 0.2), "beyond the widest opening, 8"),
             (simple, simple_goal(simple, 0.03, -1.0), "the effort must be 0"),
             (parallel, parallel_goal(parallel), "takes one position"),
             (

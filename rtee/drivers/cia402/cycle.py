@@ -181,7 +181,7 @@ class DriveCycle:
                 edge = drive.controlword == Control.DISABLE_VOLTAGE
                 drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
                 drive.forget()
-            # A lost frame costs one round; only a timeout of the whole is a failure.
+            # A lost frame costs one round; only the end of the whole time is a failure.
             with contextlib.suppress(BusTimeout):
                 await self.exchange()
         for drive in self.drives:

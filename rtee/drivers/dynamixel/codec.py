@@ -92,7 +92,7 @@ def crc16(data: Iterable[int]) -> int:
 
 
 def stuff(data: bytes) -> bytes:
-    """Return a packet's body with a byte stuffed after every ``FF FF FD``, as in a header."""
+    """Return a packet's body in which a stuffed ``FD`` tells ``FF FF FD`` from a header."""
     return data.replace(_STUFFED, _STUFFED + b"\xfd")
 
 

@@ -327,7 +327,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             raise self._lost(lost)
 
     def _most(self, i: int) -> int:
-        """Return the largest current of a servo [counts]: its own limit, or that of the options."""
+        """Return the largest current of a servo [counts]: its limit, or a smaller option."""
         number, unit = self.ids[i], self.scales[i].current_unit
         limit = self.found[number].most
         wanted = self.options.servos[self.names[number]].current or self.options.current

@@ -43,7 +43,7 @@ class DynamixelMemory:
         self._bytes[register.address : end] = register.pack(value)
 
     def read(self, address: int, length: int) -> bytes:
-        """Return bytes of the table; for indirect data, those at the indirect addresses."""
+        """Return bytes of the table; for indirect data, those that indirect addresses point to."""
         out = self._bytes[address : address + length]
         for at in range(max(address, table.INDIRECT_DATA.start), address + length):
             out[at - address] = self._bytes[self._points_to(at)]
@@ -54,7 +54,7 @@ class DynamixelMemory:
         return bytes(self._bytes[:address] + data + self._bytes[address + len(data) :])
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes; those for indirect data go to the indirect addresses."""
+        """Write bytes; those for indirect data go where the indirect addresses point."""
         if address >= table.INDIRECT_DATA.start:
             for offset, byte in enumerate(data):
                 self._bytes[self._points_to(address + offset)] = byte

@@ -245,7 +245,7 @@ def _place_in_hand(
         shape: The object.
         place: The pose ``(4, 4)`` of the object in the hand's base frame, where the search starts.
         mount: The pose ``(4, 4)`` of that frame in the world.
-        closing: The closing motion of a gripper; ``None`` for other hands.
+        closing: The closing motion of a gripper; ``None``: not a gripper, or not known.
 
     Returns:
         The pose found; ``place`` if no suitable one is nearby.

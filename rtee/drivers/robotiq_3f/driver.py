@@ -47,7 +47,8 @@ def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     for name in options.roles:
         if name not in names:
             raise ConfigError(
-                f"device '{spec.name}': option 'roles' names '{name}', not one of its actuators",
+                f"device '{spec.name}': option 'roles' names '{name}', which is not one of its "
+                "actuators",
                 key=key,
             )
     fingers = [name for name in names if "palm" not in name and name not in options.roles]

@@ -272,7 +272,7 @@ class SchunkSvhDriver(Driver):
         self._check(state)
 
     async def _seed(self) -> codec.FeedbackAll:
-        """Make the measured positions the targets, so that enabling moves nothing."""
+        """Make the measured positions the targets, so that enabling moves nothing; return them."""
         self._answer = self._last = None
         self._attached.begin()
         feedback = await self.connection.link.feedback_all()

@@ -423,7 +423,12 @@ class PartsPanel:
             hint="Margin before the action, in a sequence [s]",
         )
         self._after = gui.add_number(
-            "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after the action [s]"
+            "After [s]",
+            0.0,
+            min=0.0,
+            max=60.0,
+            step=0.1,
+            hint="Margin after the action, in a sequence [s]",
         )
         self._action = gui.add_dropdown(
             "Add", (NOTHING,), hint="The action to append to the list, with the settings above"

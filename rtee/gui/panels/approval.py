@@ -51,7 +51,7 @@ class Approval:
             group.cancel_scope.cancel()
 
     async def ask(self, question: str) -> bool:
-        """Show a question until a person answers it, and return the answer."""
+        """Show a question until it is answered or this call is cancelled; return the answer."""
         gui, answered, said = self._bridge.stage.gui, anyio.Event(), False
 
         async def answer(yes: bool) -> None:

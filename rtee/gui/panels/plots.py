@@ -75,7 +75,7 @@ def chart(
             uplot.Axis(font=_SMALL, size=24, space=50, label="s", labelFont=_SMALL, labelSize=12),
             uplot.Axis(font=_SMALL, size=42, space=24, label=unit, labelFont=_SMALL, labelSize=14),
         ),
-        legend=uplot.Legend(show=True, live=True),  # shown over the plots under the pointer
+        legend=uplot.Legend(show=True, live=True),  # shown while a plot is pointed at
         cursor=uplot.Cursor(sync={"key": "time"}),  # one cursor and one zoom for all plots
         height=height,
         padding=(10, 12, 0, 0),
