@@ -389,7 +389,7 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     # The way around has taught what free motion takes; only the speed is told, beforehand.
     [told] = [item for item in controller.outbox.items if isinstance(item, Event)]
     assert (told.kind, told.stamp) == ("slowed", time_began)
-    assert "meet the object at 7.79 mm/s instead of 10 mm/s" in told.text
+    assert "meet the object at 8.03 mm/s instead of 10 mm/s" in told.text
     assert plan.grip is not None
     estimate = ForceEstimate(hand, plan.grip, Tare())
     efforts, one = [plan.effort.get(i, 0.0) for i in range(size)], list(plan.effort)[:1]
