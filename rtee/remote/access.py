@@ -44,6 +44,10 @@ _MESSAGES = (
 _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 """Protocols that admit anybody who reaches the endpoint."""
 
+_HELLOS = 25.0
+"""Most often that a session may say hello to a hand [1/s]: a client says it once, and repeats it
+after 0.05 s if it came too fast."""
+
 _ROUTER = "router"
 """Subject of a router that a hand connects to, whose certificate the hand has checked."""
 
@@ -98,6 +102,16 @@ def gate_access_control(hand: str, zid: str, name: str, role: Role) -> dict[str,
     settings["subjects"].append({"id": "hand", "zids": [zid]})
     settings["policies"].append({"rules": ["all"], "subjects": ["hand"]})
     return settings
+
+
+def hello_limit(hand: str) -> list[dict[str, Any]]:
+    """Return Zenoh's ``downsampling``, which limits how often a session may say hello to a hand.
+
+    What is beyond the limit ends where it arrives: the hand has a single thread that receives for
+    all its clients.
+    """
+    hello = {"key_expr": network_key(hand, f"{HELLO}/**"), "freq": _HELLOS}
+    return [{"id": HELLO, "flows": ["ingress"], "messages": ["query"], "rules": [hello]}]
 
 
 def _all(name: str, keys: str) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from rtee import child, monotonic
 from rtee.errors import ConfigError, NoHand
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, REQUESTS, STOP
+from rtee.remote.access import hello_limit
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.connections import raise_file_limit
 from rtee.remote.rates import CONNECTIONS_FOR_STOPS, CONNECTIONS_OF_CERTIFICATE
@@ -216,7 +217,11 @@ class _Gate:
         self._stops = CallQueue(f"stop {name}")
         # A gateway passes messages between its two sides only: the hand, and all others.
         others = {"negated": True, "zids": [zid]}
-        settings = {"access_control": rules, "gateway": {"south": [{"filters": [others]}]}}
+        settings = {
+            "access_control": rules,
+            "downsampling": hello_limit(hand_name),
+            "gateway": {"south": [{"filters": [others]}]},
+        }
         self._session = open_listening([local_endpoint(self.path)], [hand], settings)
         until = monotonic.now() + _LINK_WITHIN
         # Clients look for this token first, which arrives some time after the link is open.

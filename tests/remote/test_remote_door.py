@@ -174,13 +174,14 @@ import sys, time
 import zenoh
 from rtee.remote.session import open_client
 
-session = open_client([sys.argv[1]])
+sessions = [open_client([sys.argv[1]]) for _ in range(8)]
 print("flooding", flush=True)
 while True:
-    session.get(sys.argv[2], zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
+    for session in sessions:
+        session.get(sys.argv[2], zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
     time.sleep(0.001)
 """
-"""Greets the hand at an address with junk, under a key."""
+"""Greets the hand at an address with junk, under a key, in eight sessions."""
 
 
 @asynccontextmanager
