@@ -19,20 +19,20 @@ from rtee.gui.colours import CONTACT, FORCE, OBJECT, PREVIEW, REFERENCE, Colour,
 from rtee.hand.frames import origin, pose_in_hand, quaternion, tip_pose_and_jacobian, turn
 from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.hand.tessellation import Triangles, joined, solid
 from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
-from rtee.objects.description import CONTACTS, ObjectDescription, ObjectPart, contact_rows
+from rtee.objects.description import (
+    CONTACTS,
+    ObjectDescription,
+    ObjectPart,
+    contact_rows,
+    force_arrows,
+)
 from rtee.sample import FloatArray
 from rtee.touch import NEWTON, TouchSensor, TouchState
 
 _UNSEEN_POSE: Final = 1e-4
 """Largest motion of the object that is not redrawn [m, and per component of the quaternion]."""
-
-_LONGEST: Final = 0.35
-"""Length that arrows approach at large forces, as a share of the hand's size."""
-
-_HALF: Final = 10.0
-"""Force whose arrow has half that length [N]: shows light touches, and fits crushing forces."""
 
 _CLEAR: Final = 0.6
 """Opacity of the object: the arrows of forces inside it stay visible."""
@@ -123,17 +123,12 @@ class ObjectView:
 
 
 def arrows_of(rows: FloatArray, size: float) -> FloatArray:
-    """Return arrows ``(k, 2, 3)`` from the contact points along the forces [m].
+    """Return arrows ``(k, 2, 3)`` from the contact points along the forces, see `force_arrows` [m].
 
-    The length of an arrow grows with the force F as F / (F + 10 N), and with the size of the hand
-    [m]. The contacts are rows of `rtee.objects.description.CONTACTS`.
+    The contacts are rows of `rtee.objects.description.CONTACTS`, the size is the hand's [m].
     """
-    points, forces = rows[:, :3], rows[:, 3:6]
-    strength = np.linalg.norm(forces, axis=1, keepdims=True)
-    length = _LONGEST * size * strength / (strength + _HALF)
-    # The least divisor keeps 0/0 from becoming NaN for a contact without force.
-    shafts = forces / np.maximum(strength, math.ulp(1.0)) * length
-    return np.stack([points, points + shafts], axis=1)
+    points = rows[:, :3]
+    return np.stack([points, points + size * force_arrows(rows[:, 3:6])], axis=1)
 
 
 def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
@@ -154,24 +149,36 @@ def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
 
 def _add_part(scene: viser.SceneApi, name: str, part: ObjectPart) -> None:
     at: dict[str, Any] = {"wxyz": part.pose[3:], "position": part.pose[:3], "opacity": _CLEAR}
-    match part.kind:
-        case "box":
-            w, d, h = part.size
-            scene.add_box(name, color=OBJECT, dimensions=(w, d, h), **at)
-        case "cylinder":
-            scene.add_cylinder(name, part.size[0], part.size[1], OBJECT, **at)
-        case "sphere":
-            scene.add_icosphere(name, part.size[0], OBJECT, **at)
-        case _:
-            scene.add_mesh_simple(
-                name,
-                part.vertices,
-                part.faces,
-                color=OBJECT,
-                flat_shading=True,
-                side="double",
-                **at,
-            )
+    if part.kind != "mesh":
+        _add_solid(scene, name, part.kind, part.size, OBJECT, at)
+        return
+    scene.add_mesh_simple(
+        name,
+        part.vertices,
+        part.faces,
+        color=OBJECT,
+        flat_shading=True,
+        side="double",
+        **at,
+    )
+
+
+def _add_solid(
+    scene: viser.SceneApi,
+    name: str,
+    kind: str,
+    dimensions: tuple[float, ...],
+    colour: Colour,
+    at: Mapping[str, Any],
+) -> None:
+    """Add a solid, given as for `rtee.hand.tessellation.solid`."""
+    if kind == "box":
+        w, d, h = dimensions
+        scene.add_box(name, color=colour, dimensions=(w, d, h), **at)
+    elif kind == "sphere":
+        scene.add_icosphere(name, *dimensions, colour, **at)
+    else:
+        scene.add_cylinder(name, *dimensions, colour, **at)
 
 
 _SHADES: Final = 32
@@ -328,25 +335,15 @@ def link_triangles(hand: Hand) -> LinkTriangles:
 
     @cache
     def triangles(link: str) -> Triangles:
-        vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
-        for shape in hand.urdf.links[link].collisions:
-            points, corners = _of_shape(hand, shape)
-            pose = origin(shape.xyz, shape.rpy)
-            vertices.append(points @ pose[:3, :3].T + pose[:3, 3])
-            faces.append(corners + count)
-            count += len(points)
-        return np.concatenate(vertices), np.concatenate(faces)
+        shapes = hand.urdf.links[link].collisions
+        return joined((_of_shape(hand, each), origin(each.xyz, each.rpy)) for each in shapes)
 
     return triangles
 
 
 def _of_shape(hand: Hand, shape: UrdfGeometry) -> Triangles:
-    if shape.kind == "box":
-        return box(shape.size)
-    if shape.kind == "sphere":
-        return sphere(shape.radius)
-    if shape.kind == "cylinder":
-        return cylinder(shape.radius, shape.length)
+    if shape.kind != "mesh":
+        return solid(shape.kind, shape.dimensions)
     path = check_mesh(shape, hand.urdf, hand.package_dirs)
     try:
         # Unprocessed, since merging vertices takes seconds and makes no visible difference.
@@ -419,37 +416,24 @@ class HandBody:
     def _add_shapes(
         self, urdf: Urdf, link: str, path: str, triangles: LinkTriangles, colour: Colour
     ) -> None:
-        shapes = urdf.links[link].collisions
+        scene, shapes = self._scene, urdf.links[link].collisions
+        look: dict[str, Any] = {"opacity": self._opacity, "cast_shadow": self._opacity is None}
         # The browser draws simple shapes from their sizes; only meshes are sent as triangles.
-        if not any(shape.kind == "mesh" for shape in shapes):
-            for index, shape in enumerate(shapes):
-                self._add_shape(f"{path}/shape{index}", shape, colour)
-        else:
+        if any(shape.kind == "mesh" for shape in shapes):
             vertices, faces = triangles(link)
-            self._scene.add_mesh_simple(
+            scene.add_mesh_simple(
                 f"{path}/mesh",
                 np.asarray(vertices, dtype=np.float32),
                 np.asarray(faces, dtype=np.uint32),
                 color=colour,
-                opacity=self._opacity,
                 flat_shading=True,
                 side="double",
-                cast_shadow=self._opacity is None,
+                **look,
             )
-
-    def _add_shape(self, name: str, shape: UrdfGeometry, colour: Colour) -> None:
-        at: dict[str, Any] = {
-            "wxyz": quaternion(shape.rpy),
-            "position": shape.xyz,
-            "opacity": self._opacity,
-            "cast_shadow": self._opacity is None,
-        }
-        if shape.kind == "box":
-            self._scene.add_box(name, color=colour, dimensions=shape.size, **at)
-        elif shape.kind == "sphere":
-            self._scene.add_icosphere(name, shape.radius, colour, **at)
-        else:
-            self._scene.add_cylinder(name, shape.radius, shape.length, colour, **at)
+            return
+        for index, shape in enumerate(shapes):
+            at = {"wxyz": quaternion(shape.rpy), "position": shape.xyz, **look}
+            _add_solid(scene, f"{path}/shape{index}", shape.kind, shape.dimensions, colour, at)
 
     @property
     def visible(self) -> bool:
@@ -663,28 +647,19 @@ class HandScene:
             strength = min(max(share.get(finger.name, 0.0), 0.0), 1.0)
             if handle is None:
                 handle = self._stage.scene.add_icosphere(
-                    f"/pressure/{finger.name}", 0.04 * self._size, ramp(strength), opacity=0.6
+                    f"{self._body.frames[finger.tip]}/pressure",
+                    0.04 * self._size,
+                    ramp(strength),
+                    opacity=0.6,
                 )
                 self._pressures[finger.name] = handle
             handle.color = ramp(strength)
             handle.visible = strength > 0.01
-
-    def place_pressures(self, actuators: FloatArray) -> None:
-        """Move the pressure spheres to the tips at actuator positions ``(n,)``."""
-        if not self._pressures or not np.isfinite(actuators).all():
-            return
-        for finger in self.hand.fingers:
-            handle = self._pressures.get(finger.name)
-            if handle is not None and finger.tip is not None:
-                pose, _ = tip_pose_and_jacobian(self.hand, finger.tip, actuators)
-                handle.position = tuple(pose[:3, 3])
 
     def remove(self) -> None:
         """Remove everything of this hand from the scene."""
         self.show_contacts(())
         self.seen.remove()
         self.taxels.remove()
-        for handle in self._pressures.values():
-            handle.remove()
         for body in (self._body, self._reference, self._preview):
             body.remove()

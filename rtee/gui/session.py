@@ -269,7 +269,6 @@ class HandSession:
         if pressure or self._pressed:  # once more after the last contact, to hide the spheres
             self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
-            self._scene.place_pressures(state.position)
         playback = self._playback
         held = self._watch.described if playback is None else playback.object_description
         self._scene.seen.describe(held if view["Object"] else None)

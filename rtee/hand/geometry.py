@@ -19,10 +19,10 @@ from rtee.errors import ModelError
 from rtee.hand.coarse import MOST, coarsened, welded
 from rtee.hand.halton import halton
 from rtee.hand.kinematics import Kinematics, pose
-from rtee.hand.linalg import norm, rotated
+from rtee.hand.linalg import norm
 from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import Triangles, binary_stl, box, cylinder, sphere, stl_corners
+from rtee.hand.tessellation import Triangles, binary_stl, joined, solid, stl_corners
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.hand.urdfread import FARTHEST
 from rtee.sample import FloatArray
@@ -167,14 +167,9 @@ class Shape:
     @cached_property
     def triangles(self) -> Triangles:
         """Vertices ``(v, 3)`` [m] in the shape's frame, and faces as vertex indices ``(f, 3)``."""
-        kind, source = self.source.kind, self.source
-        if kind == "box":
-            return box(source.size)
-        if kind == "sphere":
-            return sphere(source.radius)
-        if kind == "cylinder":
-            return cylinder(source.radius, source.length)
-        return _triangles(self.exact)
+        if self.is_mesh:
+            return _triangles(self.exact)
+        return solid(self.source.kind, self.source.dimensions)
 
     @cached_property
     def box(self) -> tuple[FloatArray, FloatArray]:
@@ -296,14 +291,8 @@ class HandGeometry:
             Vertices ``(v, 3)`` [m] in the link's frame, and faces as vertex indices ``(f, 3)``:
             counter-clockwise seen from outside, if they are so in the source.
         """
-        vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
-        for i in self.of_links(link):
-            shape = self.shapes[i]
-            points, triangles = shape.triangles
-            vertices.append(rotated(points, shape.in_link.rotation) + shape.in_link.translation)
-            faces.append(triangles + count)
-            count += len(points)
-        return np.concatenate(vertices), np.concatenate(faces)
+        shapes = (self.shapes[i] for i in self.of_links(link))
+        return joined((shape.triangles, shape.in_link.homogeneous) for shape in shapes)
 
 
 def _triangles(mesh: coal.BVHModelBase) -> Triangles:
@@ -416,13 +405,10 @@ def _of_link(
 
 
 def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:
-    if source.kind == "box":
-        return coal.Box(*source.size)
-    if source.kind == "sphere":
-        return coal.Sphere(source.radius)
-    if source.kind == "cylinder":
-        return coal.Cylinder(source.radius, source.length)
-    return meshes.load(source)
+    if source.kind == "mesh":
+        return meshes.load(source)
+    solids = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder}
+    return solids[source.kind](*source.dimensions)
 
 
 def hull_of(points: FloatArray) -> coal.ConvexBase:

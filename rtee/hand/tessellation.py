@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtee.hand.linalg import rotated
 from rtee.sample import FloatArray
 
 Triangles = tuple[FloatArray, NDArray[np.int64]]
@@ -36,6 +38,27 @@ def sphere(radius: float) -> Triangles:
     """Return a sphere of a radius [m], centred at the origin."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, _RINGS + 1)
     return _revolve([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in angles])
+
+
+def solid(kind: str, dimensions: tuple[float, ...]) -> Triangles:
+    """Return a box, sphere or cylinder of dimensions [m], as `UrdfGeometry` and objects have them.
+
+    Those are its edge lengths; its radius; or its radius and its length.
+    """
+    if kind == "box":
+        x, y, z = dimensions
+        return box((x, y, z))
+    return sphere(*dimensions) if kind == "sphere" else cylinder(*dimensions)
+
+
+def joined(parts: Iterable[tuple[Triangles, FloatArray]]) -> Triangles:
+    """Return solids as one, each with its pose ``(4, 4)`` in the common frame [m]."""
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+    for (points, corners), pose in parts:
+        vertices.append(rotated(points, pose[:3, :3]) + pose[:3, 3])
+        faces.append(corners + count)
+        count += len(points)
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 def subdivided(corners: FloatArray, longest: float) -> FloatArray:

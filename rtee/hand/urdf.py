@@ -42,6 +42,12 @@ class UrdfGeometry:
     rpy: Triple = _ZERO
     line: int = 0
 
+    @property
+    def dimensions(self) -> tuple[float, ...]:
+        """Edge lengths of a box, radius of a sphere, radius and length of a cylinder [m]."""
+        of_kind = {"box": self.size, "sphere": (self.radius,)}
+        return of_kind.get(self.kind, (self.radius, self.length))
+
 
 @dataclass(frozen=True, slots=True)
 class UrdfInertia:

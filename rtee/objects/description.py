@@ -42,6 +42,13 @@ MOST_TRIANGLES: Final = 20_000
 """Maximum number of triangles of a part: a message of 0.5 MB. The hull replaces a larger mesh."""
 
 
+_LONGEST: Final = 0.35
+"""Length that arrows approach at large forces, as a share of the hand's size."""
+
+_HALF: Final = 10.0
+"""Force whose arrow has half that length [N]: shows light touches, and fits crushing forces."""
+
+
 @dataclass(frozen=True, slots=True)
 class ObjectPart(Value):
     """A rigid part of an object.
@@ -103,3 +110,14 @@ def contact_rows(values: FloatArray) -> FloatArray:
     if len(values) % CONTACT_COLUMNS or not np.isfinite(values).all():
         return np.zeros((0, CONTACT_COLUMNS))
     return values.reshape(-1, CONTACT_COLUMNS)
+
+
+def force_arrows(forces: FloatArray) -> FloatArray:
+    """Return the arrows ``(..., 3)`` that stand for forces ``(..., 3)`` [N] in pictures.
+
+    Their lengths are shares of the hand's size, and saturate, so that a hard contact's arrow stays
+    in the picture.
+    """
+    strength = np.linalg.norm(forces, axis=-1, keepdims=True)
+    arrows: FloatArray = _LONGEST * forces / (strength + _HALF)
+    return arrows

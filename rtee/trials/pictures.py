@@ -114,14 +114,14 @@ class SimulationRenderer:
 
 def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
     """Return the triangles of a geom in its own frame."""
-    size = model.geom_size[geom]
+    x, y, z = (float(half) for half in model.geom_size[geom])
     match int(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
-            return box((2.0 * size[0], 2.0 * size[1], 2.0 * size[2]))
+            return box((2.0 * x, 2.0 * y, 2.0 * z))
         case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return sphere(float(size[0]))
+            return sphere(x)
         case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return cylinder(float(size[0]), 2.0 * float(size[1]))
+            return cylinder(x, 2.0 * y)
     mesh = int(model.geom_dataid[geom])
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)

@@ -13,10 +13,10 @@ from rtee.hand.frames import homogeneous, pose_in_hand, pose_matrix
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.hand.tessellation import Triangles, cylinder, solid
 from rtee.log.playback import write_hand
 from rtee.log.recording import Recording
-from rtee.objects.description import CONTACTS, ObjectPart, contact_rows
+from rtee.objects.description import CONTACTS, ObjectPart, contact_rows, force_arrows
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
 from rtee.render.image import encode, linear_rgb
@@ -31,12 +31,6 @@ MOST: Final = 6
 
 _OBJECT: Final = "#bd9970"
 _FORCE: Final = "#a3195b"
-_LONGEST: Final = 0.35
-"""Length of the arrow of the largest force, as a share of the hand's size."""
-
-_HALF: Final = 10.0
-"""Force whose arrow is half as long [N]: a firm pinch."""
-
 _THICK: Final = 0.006
 """Radius of an arrow's shaft, as a share of the hand's size."""
 
@@ -120,16 +114,11 @@ class _Strip:
         if pose is not None:
             meshes += [part.placed(pose_matrix(pose) @ place) for part, place in self._parts]
         for row in contact_rows(channels.get(CONTACTS, np.zeros(0))):
-            length = self._arrow(row)
+            length = self._size * float(np.linalg.norm(force_arrows(row[3:6])))
             if length > 0.0:
                 shaft = Mesh.of(cylinder(_THICK * self._size, length), self._force)
                 meshes.append(shaft.placed(_along(row[:3], row[3:6], length)))
         return Mesh.joined(meshes)
-
-    def _arrow(self, row: FloatArray) -> float:
-        strength = float(np.linalg.norm(row[3:6]))
-        # It saturates, so that a hard contact's arrow stays in the picture.
-        return _LONGEST * self._size * strength / (strength + _HALF)
 
 
 def _row(times: FloatArray, at: float) -> int:
@@ -149,12 +138,6 @@ def _along(point: FloatArray, force: FloatArray, length: float) -> FloatArray:
 def _triangles(part: ObjectPart) -> tuple[Triangles, FloatArray]:
     """Return the triangles of a part, and its pose ``(4, 4)`` in the object's frame."""
     pose = pose_matrix(part.pose)
-    match part.kind:
-        case "box":
-            w, d, h = part.size
-            return box((w, d, h)), pose
-        case "cylinder":
-            return cylinder(part.size[0], part.size[1]), pose
-        case "sphere":
-            return sphere(part.size[0]), pose
+    if part.kind != "mesh":
+        return solid(part.kind, part.size), pose
     return (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)), pose

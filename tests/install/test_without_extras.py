@@ -54,7 +54,6 @@ for name in ("schunk_svh", "leap_hand", "robotiq_2f_85"):
     scene = HandScene(server, load_hand(name))
     scene.show_preview(scene.hand.upper)
     scene.show_pressure({finger.name: 0.5 for finger in scene.hand.fingers})
-    scene.place_pressures(scene.hand.rest)
     scene.remove()
 server.stop()
 print("shown")
