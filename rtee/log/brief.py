@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
+from mcap.records import Attachment, AttachmentIndex, Footer, SummaryOffset
 
 from rtee.errors import LogError
-
-MAGIC = b"\x89MCAP0\r\n"
+from rtee.log.record_scanner import HEAD, MAGIC, R, parsed, records_of
 
 DIGEST = "digest"
 """Name of the last attachment: goals, results, events and counts, as lines of JSON in a stream of
@@ -29,13 +28,7 @@ SECOND = 1_000_000_000
 INDEX_ENTRY = 16
 """Bytes of an entry of a message index: log time and offset."""
 
-_FIRST = 65536  # bytes in which the metadata are, behind the header alone
-_HEAD = struct.Struct("<BQ")  # opcode and length of a record
-_FOOTER = struct.Struct("<BQQQI")  # its head, beginning of the summary, of its offsets, checksum
-_OFFSET = struct.Struct("<BQBQQ")  # head of an offset, opcode of its group, begin, length
-_ATTACHED = struct.Struct("<BQQQ")  # head of an attachment's index, its offset, its length
-_TAIL = len(MAGIC) + _FOOTER.size
-_NAMED = struct.pack("<I", len(DIGEST)) + DIGEST.encode()
+_TAIL = HEAD.size + 20 + len(MAGIC)  # bytes of the footer and what follows it
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,38 +77,28 @@ def brief(path: Path) -> Brief | None:
             if stream.read(len(MAGIC)) != MAGIC:
                 return None
             size = path.stat().st_size
-            stream.seek(size - _TAIL)
-            tail = stream.read()
-            opcode, length, _, offsets, _ = _FOOTER.unpack(tail[: _FOOTER.size])
-            if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _HEAD.size):
-                return None
-            stream.seek(offsets)
-            groups = {
-                group: (begin, length)
-                for _, _, group, begin, length in _OFFSET.iter_unpack(
-                    stream.read(size - _TAIL - offsets)
-                )
-            }
-            begin, length = groups[Opcode.ATTACHMENT_INDEX]
-            stream.seek(begin)
-            indexes = stream.read(length)
-            at = indexes.rindex(_NAMED) - _ATTACHED.size - 24  # two times and the size
-            _, _, begin, length = _ATTACHED.unpack_from(indexes, at)
-            stream.seek(begin)
-            record = stream.read(min(length, LARGEST_DIGEST))
-        content, checksum = record[_HEAD.size : -4], record[-4:]
-        if zlib.crc32(content) != int.from_bytes(checksum, "little"):
-            return None
-        data = content[content.index(_NAMED) + len(_NAMED) :]
-        data = data[
-            4 + int.from_bytes(data[:4], "little") + 8 :
-        ]  # media type, and size of the data
-        lines = zlib.decompressobj().decompress(data, 2 * LARGEST_DIGEST)
+            (footer,) = _found(Footer, Opcode.FOOTER, stream, size - _TAIL, _TAIL)
+            begin = footer.summary_offset_start
+            left = size - _TAIL - begin
+            offsets = _found(SummaryOffset, Opcode.SUMMARY_OFFSET, stream, begin, left)
+            group = {each.group_opcode: each for each in offsets}[Opcode.ATTACHMENT_INDEX]
+            begin, length = group.group_start, group.group_length
+            indexes = _found(AttachmentIndex, Opcode.ATTACHMENT_INDEX, stream, begin, length)
+            index = {each.name: each for each in indexes}[DIGEST]
+            length = min(index.length, LARGEST_DIGEST)
+            (digest,) = _found(Attachment, Opcode.ATTACHMENT, stream, index.offset, length)
+        lines = zlib.decompressobj().decompress(digest.data, 2 * LARGEST_DIGEST)
         *told, own = json.loads(b"[" + lines.rstrip().replace(b"\n", b",") + b"]")
         return Brief(path=path, size=size, told=told, **own)
     # Readers of the whole file report the damage.
-    except (OSError, ValueError, KeyError, TypeError, struct.error, zlib.error):
+    except (OSError, ValueError, KeyError, TypeError, zlib.error):
         return None
+
+
+def _found(kind: type[R], opcode: Opcode, stream: BinaryIO, begin: int, size: int) -> list[R]:
+    """Return the records of a kind in a part of a file, of ``size`` bytes."""
+    stream.seek(begin)
+    return [parsed(kind, content) for _, content in records_of(stream.read(size), opcode)]
 
 
 def check_hands(hands: Mapping[Path, str]) -> None:
@@ -124,41 +107,6 @@ def check_hands(hands: Mapping[Path, str]) -> None:
     for path, other in others:
         if other != first:
             raise LogError(f"is a recording of '{other}', not of '{first}'", path=path)
-
-
-def metadata_of(path: Path, name: str) -> dict[str, str] | None:
-    """Return one of a file's first metadata records; ``None`` if it is not there, or not intact.
-
-    Raises `OSError` if the file cannot be read.
-    """
-    with path.open("rb") as stream:
-        data = stream.read(_FIRST)
-    position = len(MAGIC)
-    try:
-        while data.startswith(MAGIC):
-            opcode, length = _HEAD.unpack_from(data, position)
-            position += _HEAD.size
-            if opcode == Opcode.METADATA:
-                found, at = _text(data, position)
-                texts, end = [], at + 4 + int.from_bytes(data[at : at + 4], "little")
-                at += 4
-                while at < end:
-                    text, at = _text(data, at)
-                    texts.append(text)
-                if found == name:
-                    return dict(zip(texts[::2], texts[1::2], strict=True))
-            position += length
-    except (ValueError, struct.error):
-        pass
-    return None
-
-
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return the text at a position, behind its length, and where it ends."""
-    end = at + 4 + int.from_bytes(data[at : at + 4], "little")
-    if not at + 4 <= end <= len(data):
-        raise ValueError("is cut off")
-    return data[at + 4 : end].decode(), end
 
 
 def actuators_of(metadata: Mapping[str, str]) -> list[str]:

@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema
 
 from rtee.errors import LogError
 from rtee.hand.files import reason
-from rtee.log.brief import DIGEST, INDEX_ENTRY, MAGIC, SECOND
+from rtee.log.brief import DIGEST, INDEX_ENTRY, SECOND
 from rtee.log.record_scanner import (
     DAMAGE,
     HEAD,
     LATEST,
+    MAGIC,
     DamagedRecordError,
     Record,
     messages_of,
@@ -32,7 +33,6 @@ from rtee.log.rotation import METADATA
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
 _CHUNK_TIMES = struct.Struct("<QQ")
-_FOOTER = struct.Struct("<QQI")
 _CHECKSUM = 4  # bytes of the checksum at the end of the footer
 _BLOCK = 1 << 20  # most bytes read at once for a checksum, which bounds the memory
 
@@ -166,10 +166,10 @@ def damaged_chunks(file: FileIndex) -> Iterator[tuple[ChunkPlace, DamagedRecordE
 
 def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
     """Return whether the checksum of the summary and the footer is right, or absent (0)."""
-    start, _, checksum = _FOOTER.unpack(footer.read(stream))
-    if not checksum:
+    said = parsed(Footer, footer.read(stream))
+    if not said.summary_crc:
         return True
-    position = start or footer.offset - HEAD.size
+    position = said.summary_start or footer.offset - HEAD.size
     end = footer.end - _CHECKSUM
     if not 0 < position < end:
         return False
@@ -181,7 +181,7 @@ def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
             return False
         found = zlib.crc32(block, found)
         position += len(block)
-    return found == int(checksum)
+    return found == said.summary_crc
 
 
 class _Indexer:

@@ -36,9 +36,10 @@ from mcap.records import (
 )
 
 from rtee.hand.files import sync_folder
-from rtee.log.brief import DIGEST, LARGEST_DIGEST, MAGIC
+from rtee.log.brief import DIGEST, LARGEST_DIGEST
 from rtee.log.chunks import PackedChunk, record_bytes
 from rtee.log.digest import Digest
+from rtee.log.record_scanner import MAGIC
 
 PROFILE = "ros2"
 

@@ -14,10 +14,11 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.records import Attachment, Chunk, McapRecord
 
-from rtee.log.brief import MAGIC
 from rtee.messages.mcap_chunk import LARGEST_CHUNK, DamagedChunkError, decompressed
+
+MAGIC = b"\x89MCAP0\r\n"
 
 HEAD = struct.Struct("<BQ")
 """Layout of the head of a record: opcode and length of the content."""
@@ -226,7 +227,7 @@ class Finder:
         return (summary, position) if 0 < summary < position else (position,)
 
 
-R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
+R = TypeVar("R", bound=McapRecord)
 
 
 def scan(stream: BinaryIO) -> Iterator[Record]:
@@ -252,7 +253,8 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
 def parsed(kind: type[R], content: bytes) -> R:
     """Return the record of a kind in a content; raise `DamagedRecordError` if it is invalid."""
     try:
-        record: R = kind.read(ReadDataStream(BytesIO(content)))
+        # Every kind of record has it, but not their base.
+        record: R = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]
     except (McapError, ValueError, OverflowError, struct.error, EOFError) as error:
         raise DamagedRecordError(f"damaged record: {error}") from error
     # Only attachments have a checksum of their own; chunks are checked when decompressed.

@@ -13,8 +13,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mcap.opcode import Opcode
+from mcap.records import Metadata
+
 from rtee.errors import LogError
-from rtee.log.brief import SECOND, metadata_of
+from rtee.log.brief import SECOND
+from rtee.log.record_scanner import MAGIC, parsed, records_of
 
 if TYPE_CHECKING:
     from rtee.log.settings import RecorderSettings
@@ -28,6 +32,7 @@ MESHES = "meshes"
 FLIGHT = "flight"
 """Replaces the number of the part in the names of the flight recorder's files."""
 
+_FIRST = 65536  # bytes in which the metadata are, behind the header alone
 _STAMP = r"\d{8}T\d{9}Z"
 _NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
 
@@ -110,10 +115,15 @@ def _head(path: Path, inode: int) -> tuple[str, int]:
     """Return hand and run in a file's metadata; an empty name if rtee did not write it."""
     if (path, inode) not in _heads:
         try:
-            values = metadata_of(path, METADATA)
-            if values is not None:
-                # Read once, since the head of a recording never changes.
-                _heads[path, inode] = values.get("hand", ""), int(values.get("run", 0))
+            with path.open("rb") as stream:
+                data = stream.read(_FIRST)
+            records = records_of(data.removeprefix(MAGIC), Opcode.METADATA)
+            for first in (parsed(Metadata, content) for _, content in records):
+                if data.startswith(MAGIC) and first.name == METADATA:
+                    # Read once, since the head of a recording never changes.
+                    values = first.metadata
+                    _heads[path, inode] = values.get("hand", ""), int(values.get("run", 0))
+                    break
         except (OSError, ValueError):
             return "", 0
     return _heads.get((path, inode), ("", 0))

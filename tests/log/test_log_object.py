@@ -33,7 +33,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ready = bench(HAND)
     with recorder_for(ready, folder) as recorder:
         trial = Trial("Grasp", (), "box:0.04x0.04x0.1")
-        result = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[recorder])
+        result = run_trial(ready, trial, observers=[recorder])
     assert result.held
     (path,) = folder.glob("*.mcap")
     return path

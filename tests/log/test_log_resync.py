@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 from rtee.cli.log import app
 from rtee.errors import LogError
 from rtee.log import Recording, read
-from rtee.log.brief import MAGIC
 from rtee.log.file_index import index_file
-from rtee.log.record_scanner import DAMAGE, HEAD, Record, scan
+from rtee.log.record_scanner import DAMAGE, HEAD, MAGIC, Record, scan
 from rtee.log.recover import recover
 
 HUGE = struct.pack("<Q", 2**63 + 5)
