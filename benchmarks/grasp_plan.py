@@ -65,7 +65,7 @@ def tried(ready: TrialBench, action: Action, obj: GraspObject, places: int) -> b
     """Return whether an action holds an object at one of the places that `rtee try` finds."""
     trial = Trial(action.name, action.elements, obj.name, mass=obj.mass, places=places)
     try:
-        return run_trial(ready.hand, ready.library, ready.settings, trial).held
+        return run_trial(ready, trial).held
     except RteeError:
         return False
 
@@ -84,7 +84,7 @@ def planned(ready: TrialBench, obj: GraspObject) -> tuple[str, bool, bool, float
     if not ranking.plans:
         return "", False, False, *took
     label = ranking.plans[0].label
-    tried = checked(ready.hand, ready.library, ready.settings, obj, ranking, CHECKED).plans
+    tried = checked(ready, obj, ranking, CHECKED).plans
     held = [plan.label for plan in tried if plan.check is not None and plan.check.held]
     return label, label in held, bool(held), *took
 
@@ -110,10 +110,7 @@ def from_table(hands: list[str], only: str) -> None:
                 continue
             plan, draws = ranking.plans[0], [None, *(_small(number) for number in range(VARIED))]
             first, *others = [
-                check_plan(
-                    ready.hand, ready.library, ready.settings, target, ranking, plan, variation
-                )
-                for variation in draws
+                check_plan(ready, target, ranking, plan, variation) for variation in draws
             ]
             count = sum(check.held for check in others)
             held, varied = held + first.held, varied + count

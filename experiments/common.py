@@ -241,8 +241,7 @@ def steadiest(ready: TrialBench, trial: Trial) -> int:
     obj = read_object(trial.object, trial.mass)
     count = len(robust_places(simulation, library, action, obj, trial.places))
     tried = [
-        run_trial(hand, library, settings, replace(trial, places=number + 1), skip=number)
-        for number in range(count)
+        run_trial(ready, replace(trial, places=number + 1), skip=number) for number in range(count)
     ]
     held = [result for result in tried if result.held]
     return min(held, key=lambda result: result.slip).places - 1 if held else 0
@@ -282,9 +281,7 @@ def hold(
 
     with recording(ready, folder, outcome) as recorder:
         result = run_trial(
-            ready.hand,
-            ready.library,
-            ready.settings,
+            ready,
             replace(trial, places=skip + 1),
             observers=[recorder] if stills is None else [recorder, stills.steps],
             watch=watch,

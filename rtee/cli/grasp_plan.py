@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from rtee.cli._common import Hand, JsonOption, actions_of
+from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder
 from rtee.cli._sweep import meshes_in
 from rtee.cli._table import Column, Row, TextTable
 from rtee.cli.define import Replace
@@ -129,14 +129,16 @@ def _axis(text: str) -> tuple[float, ...]:
 
 def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ranking) -> Ranking:
     """Return the ranking with the best grasps tried in dynamics."""
-    from rtee.hand.load import hand_folder, load_configured
+    from rtee.hand.load import load_configured
     from rtee.loop.settings import loop_settings
 
     with needing_extra("trying grasps in simulation", "sim"):
-        from rtee.trials.bench import RATE
+        from rtee.trials.bench import RATE, TrialBench
         from rtee.trials.planned import checked
-    settings = loop_settings(load_configured(hand_folder(name)[0])[1], rate=RATE)
-    return checked(library.hand, library, settings, target, ranking, _CHECKED)
+    folder = hand_folder(name)
+    settings = loop_settings(load_configured(folder)[1], rate=RATE)
+    ready = TrialBench(library.hand, library, settings, folder)
+    return checked(ready, target, ranking, _CHECKED)
 
 
 def _show(ranking: Ranking, top: int) -> None:

@@ -185,12 +185,10 @@ def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> Tr
         make_folder(pictures)
         stills = Stills.of_trial(ready.hand)
     if log is None:
-        result = run_trial(ready.hand, ready.library, ready.settings, trial, watch=stills)
+        result = run_trial(ready, trial, watch=stills)
     else:
         with recorder_for(ready, log) as recorder:
-            result = run_trial(
-                ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=stills
-            )
+            result = run_trial(ready, trial, observers=[recorder], watch=stills)
     # There are no pictures of an object that fits nowhere.
     if pictures is not None and stills is not None and stills.taken:
         from rtee.trials.pictures import write_strip

@@ -33,8 +33,6 @@ _MOST_CONTACTS: Final = 10
 _LONGEST_SHAPE: Final = 500
 """Longest text that may name a shape [characters]: real ones have up to forty."""
 
-_PACKAGES: Final = str(Path(__file__).resolve().parents[2])
-
 
 @dataclass(frozen=True, slots=True)
 class Question:

@@ -7,7 +7,6 @@ import json
 import os
 import sys
 import threading
-from pathlib import Path
 from typing import Any, TextIO
 
 from rtee.errors import RteeError, needing_extra
@@ -70,7 +69,7 @@ def _try(job: TrialJob, actions: tuple[tuple[str, tuple[str, ...]], ...], out: T
 
         trial = Trial(name, elements, job.object, 1.0, job.mass, 3, job.friction, job.variations)
         try:
-            found = run_trial(ready.hand, ready.library, ready.settings, trial, progress=tell)
+            found = run_trial(ready, trial, progress=tell)
         except RteeError as error:
             # The only trial's error is the job's; among several, it is the result of that one.
             if count == 1:
@@ -85,27 +84,22 @@ def _plan(job: TrialJob, out: TextIO) -> None:
         from rtee.planning.objects import read_object
         from rtee.planning.plan import plan_grasps
         from rtee.planning.planner import FRICTION
-    from rtee.actions.library import ActionLibrary
-    from rtee.hand.load import load_configured
-    from rtee.loop.settings import loop_settings
     from rtee.planning.result import to_document
+    from rtee.trials.bench import bench
 
     _write(out, {"progress": 0.05, "text": "looking for grasps"})
-    folder = Path(job.folder)
-    hand, config = load_configured(folder)
-    library = ActionLibrary.load(hand, folder / "actions")
+    ready = bench(job.folder)
     thing = read_object(job.object, job.mass)
     friction = FRICTION if job.friction is None else job.friction
-    ranking = plan_grasps(hand, library, thing, friction=friction, table=job.table)
+    ranking = plan_grasps(ready.hand, ready.library, thing, friction=friction, table=job.table)
     _write(out, {"ranking": to_document(ranking)})
     if not job.checked or not ranking.plans:
         return
     with needing_extra("trying grasps in simulation", "sim"):
-        from rtee.trials.bench import RATE
         from rtee.trials.planned import checked
     most = min(job.checked, len(ranking.plans))
     _write(out, {"progress": 0.4, "text": f"trying the best {most} in simulation"})
-    ranking = checked(hand, library, loop_settings(config, rate=RATE), thing, ranking, most)
+    ranking = checked(ready, thing, ranking, most)
     _write(out, {"ranking": to_document(ranking)})
 
 

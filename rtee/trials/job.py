@@ -37,8 +37,6 @@ LONGEST_LINE: Final = 1 << 24
 _LIGHTEST, _HEAVIEST = 0.001, 100.0
 """Masses of objects [kg]: a simulation is stable with these, and no hand holds more."""
 
-_PACKAGES: Final = str(Path(__file__).resolve().parents[2])
-
 
 @dataclass(frozen=True, slots=True)
 class TrialJob:

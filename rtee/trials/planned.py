@@ -15,12 +15,12 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, add_table, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
-from rtee.loop.settings import LoopSettings
 from rtee.objects.shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
 from rtee.planning.objects import GraspObject
 from rtee.planning.result import GraspCheck, GraspPlan, Ranking
 from rtee.sample import FloatArray
+from rtee.trials.bench import TrialBench
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial
@@ -35,9 +35,7 @@ _DOWN: Final = np.array([0.0, 0.0, -1.0])
 
 
 def check_plan(
-    hand: Hand,
-    library: ActionLibrary,
-    settings: LoopSettings,
+    ready: TrialBench,
     thing: GraspObject,
     ranking: Ranking,
     plan: GraspPlan,
@@ -52,6 +50,7 @@ def check_plan(
         UnknownAction: if the library does not have the action.
         ModelError: if the hand cannot be simulated.
     """
+    hand, library, settings = ready.hand, ready.library, ready.settings
     name = plan.action or DRAFT
     if not plan.action:
         library = ActionLibrary(hand, (*library, library.compose(DRAFT, plan.parts)))
@@ -89,14 +88,7 @@ def check_plan(
     return GraspCheck(not reason, reason, result.slip, result.peak, round(pressed, 3))
 
 
-def checked(
-    hand: Hand,
-    library: ActionLibrary,
-    settings: LoopSettings,
-    thing: GraspObject,
-    ranking: Ranking,
-    most: int,
-) -> Ranking:
+def checked(ready: TrialBench, thing: GraspObject, ranking: Ranking, most: int) -> Ranking:
     """Return a ranking whose ``most`` best plans were tried in dynamics; successes come first.
 
     If none of these holds, the others are tried, too, until one does: geometry does not see how the
@@ -107,7 +99,7 @@ def checked(
     for number, plan in enumerate(plans):
         if number >= most and held:
             break
-        check = check_plan(hand, library, settings, thing, ranking, plan)
+        check = check_plan(ready, thing, ranking, plan)
         said = (
             f"held in dynamics, slip {check.slip * 1e3:.1f} mm"
             if check.held

@@ -9,16 +9,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from msgspec import structs
 
-from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.model import Built
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import build_hand, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError
-from rtee.hand.model import Hand
 from rtee.loop.observer import Observer
-from rtee.loop.settings import LoopSettings
 from rtee.planning.objects import read_object
+from rtee.trials.bench import TrialBench
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import CHOOSING
@@ -81,9 +79,7 @@ _ROUNDS = 2
 
 
 def run_trial(
-    hand: Hand,
-    library: ActionLibrary,
-    settings: LoopSettings,
+    ready: TrialBench,
     trial: Trial,
     *,
     observers: Sequence[Observer] = (),
@@ -94,9 +90,7 @@ def run_trial(
     """Try an action on an object at one place after the other until one is held.
 
     Args:
-        hand: The hand.
-        library: Its actions.
-        settings: Its loop's settings.
+        ready: The hand.
         trial: The trial to run.
         observers: Observers of every tick, as in the loop.
         watch: Called at the moments of the trial.
@@ -115,10 +109,11 @@ def run_trial(
         ConfigError: if the object is invalid, or no place is left.
         ModelError: if the hand cannot be simulated.
     """
+    hand, library, settings = ready.hand, ready.library, ready.settings
     action = library.find(trial.action, trial.elements)
     # Built once: the variations differ only in the object and the friction.
     built = build_hand(hand, SimOptions())
-    simulation = _simulation(hand, settings, trial, built=built)
+    simulation = _simulation(ready, trial, built=built)
     thing = read_object(trial.object, trial.mass)
     unfit = misfit(library, action, thing, trial.variations)
     if unfit:
@@ -131,7 +126,7 @@ def run_trial(
         raise ConfigError(
             f"there are {len(places)} places for the object, so that leaving out {skip} leaves none"
         )
-    varied = _Varied(hand, library, settings, trial, progress, built)
+    varied = _Varied(ready, trial, progress, built)
     tried: list[_Tried] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
@@ -284,8 +279,7 @@ class _Tried:
 
 
 def _simulation(
-    hand: Hand,
-    settings: LoopSettings,
+    ready: TrialBench,
     trial: Trial,
     variation: Variation | None = None,
     built: Built | None = None,
@@ -303,7 +297,8 @@ def _simulation(
         if trial.friction is not None:  # values that the user gives do not vary
             del changes["friction"]
         options = structs.replace(options, **changes)
-    return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)
+    hand, period = ready.hand, ready.settings.period
+    return make_simulation(hand, options, hand.actuator_names, period, built=built)
 
 
 class _Varied:
@@ -315,27 +310,25 @@ class _Varied:
 
     def __init__(
         self,
-        hand: Hand,
-        library: ActionLibrary,
-        settings: LoopSettings,
+        ready: TrialBench,
         trial: Trial,
         progress: Progress | None,
         built: Built | None = None,
     ) -> None:
-        self._hand, self._library, self._settings = hand, library, settings
+        self._ready, self._built = ready, built
         self._trial, self._progress = trial, progress
-        self._built = built
         self.choosing = trial.choosing
 
     def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
         """Return the trial at a place, or a variation of it, ready to start."""
         # Size, mass and friction are compiled into the model, so each variation needs its own.
-        simulation = _simulation(self._hand, self._settings, self._trial, variation, self._built)
+        ready = self._ready
+        simulation = _simulation(ready, self._trial, variation, self._built)
         around = simulation.surroundings
         if variation is not None:
             place = replace(place, pose=variation.moved(place.pose))
         around.place(around.base_pose @ place.pose)
-        headless = HeadlessHand(self._hand, self._library, self._settings, simulation)
+        headless = HeadlessHand(ready.hand, ready.library, ready.settings, simulation)
         return TrialRun(headless, self._trial, place)
 
     def good(self, here: _Tried, best: _Tried | None) -> bool:

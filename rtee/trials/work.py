@@ -210,7 +210,7 @@ def attempt(name: str, trial: Trial) -> TrialResult:
     """Run one trial of a hand; the result of a trial that cannot be run says why."""
     ready = bench(name)
     try:
-        return run_trial(ready.hand, ready.library, ready.settings, trial)
+        return run_trial(ready, trial)
     except RteeError as error:
         return TrialResult(trial, False, str(error))
 
@@ -237,7 +237,7 @@ def _portrait(name: str, task: Portrait) -> Picture:
 
     skip = max(0, task.places - 1)
     try:
-        run_trial(ready.hand, ready.library, ready.settings, task.trial, watch=watch, skip=skip)
+        run_trial(ready, task.trial, watch=watch, skip=skip)
     except RteeError:
         return Picture("")
     return Picture(base64.b64encode(taken[0]).decode())

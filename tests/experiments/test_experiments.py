@@ -153,9 +153,7 @@ def test_the_steps_of_a_timed_action_get_their_pictures(tmp_path: Path) -> None:
     ready = bench("robotiq_3f")
     stills = TrialStills(Stills.of_trial(ready.hand))
     trial = wide_grasp.TRIALS[0][1]
-    run_trial(
-        ready.hand, ready.library, ready.settings, trial, observers=[stills.steps], watch=stills
-    )
+    run_trial(ready, trial, observers=[stills.steps], watch=stills)
     names = [name for name, _ in stills.stills.taken]
     assert names == ["start", "approach", wide_grasp.WIDE, "grasp", "lift", "shake"]
 
@@ -166,9 +164,7 @@ def test_two_runs_of_an_experiment_are_recorded_bit_for_bit_alike(tmp_path: Path
     for run in ("one", "two"):
         folder = tmp_path / run
         with recorder_for(ready, folder) as recorder:
-            run_trial(
-                ready.hand, ready.library, ready.settings, Trial("Grasp"), observers=[recorder]
-            )
+            run_trial(ready, Trial("Grasp"), observers=[recorder])
         recordings.append(read(next(folder.glob("*.mcap"))))
     first, second = recordings
     assert first.channels.keys() == second.channels.keys()

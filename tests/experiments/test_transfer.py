@@ -83,7 +83,7 @@ def test_attempts_are_recorded_one_after_the_other(tmp_path: Path) -> None:
     ready = bench(GRIPPER)
     lost = Trial("Grasp", object="sphere:0.03", intensity=0.0, places=2)
     with recorder_for(ready, tmp_path) as recorder:
-        result = run_trial(ready.hand, ready.library, ready.settings, lost, observers=[recorder])
+        result = run_trial(ready, lost, observers=[recorder])
     assert not result.held
     recording = read(next(tmp_path.glob("*.mcap")))
     assert len(recording.results) == 2

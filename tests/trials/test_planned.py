@@ -26,7 +26,7 @@ def gripper(repository: Path) -> TrialBench:
 def test_a_planned_grasp_holds(gripper: TrialBench, text: str) -> None:
     thing = read_object(text)
     ranking = plan_grasps(gripper.hand, gripper.library, thing)
-    found = checked(gripper.hand, gripper.library, gripper.settings, thing, ranking, 1)
+    found = checked(gripper, thing, ranking, 1)
     check = found.plans[0].check
     assert check is not None
     assert check.held
@@ -45,7 +45,7 @@ def test_what_stands_on_a_table_is_held_without_pressing_on_it(
     ranking = plan_grasps(gripper.hand, gripper.library, thing, table=Table((0.0, 0.0, 1.0)))
     plan = ranking.plans[0]
     assert plan.overhang == pytest.approx(0.064 if "0.16" in text else 0.0)
-    check = check_plan(gripper.hand, gripper.library, gripper.settings, thing, ranking, plan)
+    check = check_plan(gripper, thing, ranking, plan)
     assert check.held
     assert check.pressed < 1.0
 
@@ -53,9 +53,7 @@ def test_what_stands_on_a_table_is_held_without_pressing_on_it(
 def test_pieces_of_a_mesh_are_held(gripper: TrialBench, repository: Path) -> None:
     thing = read_object(str(repository / "experiments/objects/marker.stl"), mass=0.02)
     ranking = plan_grasps(gripper.hand, gripper.library, thing)
-    check = check_plan(
-        gripper.hand, gripper.library, gripper.settings, thing, ranking, ranking.plans[0]
-    )
+    check = check_plan(gripper, thing, ranking, ranking.plans[0])
     assert check.held
 
 
@@ -67,7 +65,7 @@ def test_a_grasp_that_is_lost_is_ranked_last(gripper: TrialBench) -> None:
     away[2, 3] += 0.3  # out of the fingers' reach
     missed = dataclasses.replace(first, pose=tuple(tuple(row) for row in away.tolist()))
     wrong = dataclasses.replace(ranking, plans=(missed, *ranking.plans[1:]))
-    found = checked(gripper.hand, gripper.library, gripper.settings, thing, wrong, 1)
+    found = checked(gripper, thing, wrong, 1)
     # The next one is tried, too, since the first was lost, and no other after it holds.
     assert [plan.check and plan.check.held for plan in found.plans[:2]] == [True, None]
     assert found.plans[-1].check is not None
@@ -79,8 +77,6 @@ def test_the_weight_pulls_along_the_axis_that_is_asked_for(gripper: TrialBench) 
     # Held sideways, the object's weight lies on the edges of the pads.
     thing = read_object("box:0.04x0.04x0.06")
     ranking = plan_grasps(gripper.hand, gripper.library, thing, weight_axis=(1.0, 0.0, 0.0))
-    check = check_plan(
-        gripper.hand, gripper.library, gripper.settings, thing, ranking, ranking.plans[0]
-    )
+    check = check_plan(gripper, thing, ranking, ranking.plans[0])
     assert ranking.weight_axis == (1.0, 0.0, 0.0)
     assert check.held

@@ -52,7 +52,7 @@ BALL = Trial("Grasp", object="sphere:0.03")
 @pytest.fixture(scope="module")
 def held() -> TrialResult:
     ready = bench(GRIPPER)
-    return run_trial(ready.hand, ready.library, ready.settings, BALL)
+    return run_trial(ready, BALL)
 
 
 def test_a_gripper_holds_a_ball(held: TrialResult) -> None:
@@ -75,7 +75,7 @@ class Results(Observer):
 def test_only_fingers_whose_tips_touch_have_grasped() -> None:
     ready, results = bench("schunk_svh"), Results()
     trial = Trial("Grasp", object="cylinder:0.03x0.15", places=1)
-    ended = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[results])
+    ended = run_trial(ready, trial, observers=[results])
     touching = tuple(name for name, force in ended.forces if force > 1.0)
     assert 0 < len(touching) < len(ready.hand.fingers)
     assert [result.grasped_fingers for result in results.seen] == [touching]
@@ -88,7 +88,7 @@ def test_no_finger_has_surely_grasped_where_the_empty_hands_tips_would_press_on_
     # Bent around a ball, the qb SoftHand's one motor is beyond where its empty tips meet.
     ready, results = bench("qb_softhand"), Results()
     trial = Trial("Grasp", object="sphere:0.03", places=1)
-    ended = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[results])
+    ended = run_trial(ready, trial, observers=[results])
     # It stays in the hand, which is soft: shaken, the ball slips by some millimetres.
     assert "fell" not in ended.reason
     assert any(force > 1.0 for _, force in ended.forces)
@@ -98,7 +98,7 @@ def test_no_finger_has_surely_grasped_where_the_empty_hands_tips_would_press_on_
 
 def test_the_same_trial_gives_the_same_result(held: TrialResult) -> None:
     ready = bench(GRIPPER)
-    assert run_trial(ready.hand, ready.library, ready.settings, BALL) == held
+    assert run_trial(ready, BALL) == held
 
 
 def test_what_is_wider_than_the_gripper_does_not_fit() -> None:
@@ -166,7 +166,7 @@ def test_what_chooses_the_place_does_not_count(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(variation_module, "draw", noted)  # what chooses draws there
     ready = bench(GRIPPER)
     trial = replace(BALL, variations=2)
-    result = run_trial(ready.hand, ready.library, ready.settings, trial)
+    result = run_trial(ready, trial)
     assert result.survived == 2
     counted = [number for number in drawn if number < CHOOSING_FROM]
     assert counted == [0, 1]
@@ -200,13 +200,13 @@ def test_a_simulation_that_blows_up_holds_nothing(monkeypatch: pytest.MonkeyPatc
 def test_places_cannot_all_be_left_out() -> None:
     ready = bench(GRIPPER)
     with pytest.raises(ConfigError, match=r"there are \d+ places .* leaving out 100 leaves none"):
-        run_trial(ready.hand, ready.library, ready.settings, BALL, skip=100)
+        run_trial(ready, BALL, skip=100)
 
 
 def test_an_unknown_action_is_refused() -> None:
     ready = bench(GRIPPER)
     with pytest.raises(UnknownAction):
-        run_trial(ready.hand, ready.library, ready.settings, Trial("Wave"))
+        run_trial(ready, Trial("Wave"))
 
 
 @pytest.mark.parametrize("shape", ["sphere:0.015", "box:0.03x0.03x0.08", "cylinder:0.02x0.1"])
@@ -340,7 +340,7 @@ def test_a_resumed_sweep_finds_what_an_uninterrupted_one_does(tmp_path: Path) ->
 def test_the_recorder_drops_nothing(tmp_path: Path) -> None:
     ready = bench(GRIPPER)
     with recorder_for(ready, tmp_path) as recorder:
-        run_trial(ready.hand, ready.library, ready.settings, BALL, observers=[recorder])
+        run_trial(ready, BALL, observers=[recorder])
     assert recorder.dropped == 0
 
 

@@ -207,8 +207,8 @@ def test_a_place_is_chosen_by_more_tries() -> None:
 def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
     ready = bench(GRIPPER)
     trial = Trial("Grasp", object="sphere:0.02", variations=2, choosing=20)
-    varied = _Varied(ready.hand, ready.library, ready.settings, trial, None)
-    simulation = _simulation(ready.hand, ready.settings, trial)
+    varied = _Varied(ready, trial, None)
+    simulation = _simulation(ready, trial)
     action = ready.library.find("Grasp", ())
     thing = read_object(trial.object, trial.mass)
     middle = robust_places(simulation, ready.library, action, thing, 1)[0]
@@ -254,7 +254,7 @@ def scanned_in(low: FloatArray, high: FloatArray, monkeypatch: pytest.MonkeyPatc
     """Return the place that is found from one at the origin, which its tries choose first."""
     ready = bench(GRIPPER)
     trial = Trial("Grasp", object="sphere:0.03", variations=20, choosing=40)
-    varied = _Varied(ready.hand, ready.library, ready.settings, trial, None)
+    varied = _Varied(ready, trial, None)
     monkeypatch.setattr(varied, "run", Region(trial, low, high))
     start = _Tried(Place(np.eye(4), 0.0, np.zeros(3)), TrialResult(trial, True))
     varied.choose(start, 40)
@@ -314,17 +314,17 @@ def test_moved_places_are_freed_of_the_hand_where_it_began(
     monkeypatch.setattr("rtee.trials.trial._carefully", compare)
     monkeypatch.setattr("rtee.trials.trial._scanned", lambda best, varied, free: best)
     trial = Trial("Grasp", object="sphere:0.05", places=1, variations=1, choosing=choosing)
-    assert run_trial(ready.hand, ready.library, ready.settings, trial).held
+    assert run_trial(ready, trial).held
     assert np.array(moved) == pytest.approx(np.zeros((1, 4, 4)))
 
 
 def place_for(trial: Trial) -> tuple[_Varied, Place]:
     ready = bench(GRIPPER)
-    simulation = _simulation(ready.hand, ready.settings, trial)
+    simulation = _simulation(ready, trial)
     thing = read_object(trial.object, trial.mass)
     action = ready.library.find(trial.action, ())
     place = robust_places(simulation, ready.library, action, thing, 1)[0]
-    return _Varied(ready.hand, ready.library, ready.settings, trial, None), place
+    return _Varied(ready, trial, None), place
 
 
 @pytest.mark.parametrize(
@@ -361,7 +361,7 @@ def test_tries_that_decide_nothing_are_left_out(monkeypatch: pytest.MonkeyPatch)
     """Whatever the tries would show, the same places are good, and the same one is the best."""
     ready = bench(GRIPPER)
     trial = Trial("Grasp", object="sphere:0.03", variations=20)
-    varied, pose = _Varied(ready.hand, ready.library, ready.settings, trial, None), np.eye(4)
+    varied, pose = _Varied(ready, trial, None), np.eye(4)
     random = np.random.default_rng(7)
     made = needed = 0
     for rate in np.repeat((0.2, 0.6, 0.8, 0.95), 40):
