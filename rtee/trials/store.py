@@ -10,8 +10,9 @@ from rtee.actions.fingerprints import Fingerprints
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.own_copy import TRIALS
+from rtee.hand.validation import validated
 from rtee.hand.yamlfile import YamlDocument, emit, parse_yaml, read_yaml
-from rtee.trials.result import CHOOSING, Trial, TrialResult
+from rtee.trials.result import CHOOSING, TrialResult
 from rtee.trials.variation import interval
 
 FILE_NAME = TRIALS
@@ -77,39 +78,23 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
     Raises:
         KeyError, TypeError, ValueError: if it is not one.
     """
-    varied = entry.get("variations")
-    trial = Trial(
-        str(entry["action"]),
-        tuple(str(name) for name in entry["elements"]),
-        str(entry["object"]),
-        float(entry["intensity"]),
-        float(entry["mass"]),
-        friction=None if "friction" not in entry else float(entry["friction"]),
-        variations=int(varied.get("of", varied["tried"])) if varied else 0,
-        seed=int(varied["seed"]) if varied else 0,
-        choosing=int(varied.get("choosing", CHOOSING)) if varied else CHOOSING,
-        wanted=float(varied["wanted"]) if varied and "wanted" in varied else None,
+    varied = entry.get("variations", {})
+    tried = varied.get("tried", 0)
+    # The number of places is that of the result, not the trial's limit.
+    asked = {name: value for name, value in entry.items() if name != "places"}
+    found = validated(
+        TrialResult,
+        {
+            **entry,
+            "trial": {**asked, **varied, "variations": varied.get("of", tried)},
+            "forces": [*entry.get("forces", {}).items()],
+            "survived": varied.get("held", 0),
+            "left": varied.get("of", tried) - tried,
+        },
     )
-    survived = int(varied["held"]) if varied else 0
-    left = trial.variations - int(varied["tried"]) if varied else 0
-    if not 0 <= survived <= trial.variations - left:
-        raise ValueError(f"{survived} of {trial.variations} variations were held")
-    x, y, z = (float(value) for value in entry["position"])
-    return TrialResult(
-        trial,
-        bool(entry["held"]),
-        str(entry["reason"]),
-        str(entry["outcome"]),
-        float(entry["slip"]),
-        tuple((str(name), float(force)) for name, force in entry.get("forces", {}).items()),
-        float(entry["peak"]),
-        float(entry["duration"]),
-        int(entry["places"]),
-        (x, y, z),
-        survived,
-        bool(entry.get("fits", True)),
-        left,
-    )
+    if not 0 <= found.survived <= found.tries:
+        raise ValueError(f"{found.survived} of {found.trial.variations} variations were held")
+    return found
 
 
 def write_results(path: Path, made_with: Fingerprints, results: Iterable[TrialResult]) -> None:
