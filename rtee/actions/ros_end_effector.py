@@ -27,7 +27,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import Action, ActionReference, Posture, Primitive, PrimitiveKind, Timed
 from rtee.errors import ActionError, suggestion
-from rtee.hand.files import reason
+from rtee.hand.files import failing
 from rtee.hand.model import Hand
 from rtee.hand.names import safe_name
 from rtee.hand.validation import Amount, Finite, checked
@@ -161,10 +161,9 @@ def import_folder(hand: Hand, folder: Path) -> ImportedActions:
         ActionError: if there are no files, the folder cannot be searched, or a file has a mistake;
             names file and line.
     """
-    try:
+    # A folder may vanish during the search, such as below /proc.
+    with failing("cannot be searched", folder, ActionError):
         paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
-    except OSError as error:  # a folder may vanish during the search, such as below /proc
-        raise ActionError(f"cannot be searched: {reason(error)}", path=folder) from None
     reader = _ActionReader(hand)
     entries: list[_Source] = []
     for path in paths:

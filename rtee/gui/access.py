@@ -31,7 +31,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from rtee.errors import ConfigError
-from rtee.hand.files import reason
+from rtee.hand.files import failing, reason
 
 _TOKEN_BYTES: Final = 24
 """Random bytes of a token or a cookie [bytes]: 192 bits cannot be guessed."""
@@ -122,10 +122,8 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     for path in (certificate, key):
-        try:
+        with failing("cannot be read", path):
             path.read_bytes()
-        except OSError as error:
-            raise ConfigError(f"cannot be read: {reason(error)}", path=path) from None
     try:
         # Without an empty passphrase, OpenSSL would ask for one on the terminal.
         context.load_cert_chain(certificate, key, password="")

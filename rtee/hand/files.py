@@ -131,6 +131,38 @@ def new_folder(path: Path | str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
+def replaced(target: Path) -> Iterator[Path]:
+    """Yield a path beside a file or folder, whose content replaces it at the end of the block.
+
+    Nothing is left of it if the block fails. Errors of the operating system are not converted; see
+    `failing`.
+    """
+    # Beside the target, since nothing can be renamed across file systems. In a folder of its own,
+    # which gives a folder the usual permissions: those of a temporary one are its owner's only.
+    with tempfile.TemporaryDirectory(prefix=f".{target.name[:40]}.", dir=target.parent) as scratch:
+        temporary = Path(scratch, target.name)
+        yield temporary
+        # Before the rename, so that a power cut cannot leave an empty file at the path.
+        sync_folder(temporary)
+        os.replace(temporary, target)
+
+
+@contextlib.contextmanager
+def failing(text: str, path: Path, raised: type[UserError] = ConfigError) -> Iterator[None]:
+    """Raise an error of the operating system in the block as one sentence about a file.
+
+    Args:
+        text: What fails, such as ``"cannot be read"``; the system's reason follows.
+        path: The file.
+        raised: The class of the error.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise raised(f"{text}: {reason(error)}", path=path) from error
+
+
+@contextlib.contextmanager
 def new_tree(target: Path) -> Iterator[Path]:
     """Make a folder completely or not at all: inside the block it has a temporary name.
 
@@ -144,14 +176,9 @@ def new_tree(target: Path) -> Iterator[Path]:
         raise ConfigError("already exists; remove the folder first", path=target)
     with new_folder(target.parent) as place:
         try:
-            # Next to the target, since a folder can be renamed only within its file system.
-            with tempfile.TemporaryDirectory(prefix=f".{target.name[:40]}.", dir=place) as scratch:
-                # A folder inside, since the context removes the temporary one itself. It also gets
-                # the usual permissions: those of a temporary folder are its owner's only.
-                filled = Path(scratch) / target.name
+            with replaced(place / target.name) as filled:
                 filled.mkdir()
                 yield filled
-                filled.rename(target)
         except (OSError, shutil.Error) as error:
             # `shutil.copytree` goes on after a failure and raises one error with a list of them
             # all.
@@ -180,10 +207,8 @@ def write_all(
         write_together(files)
     # Only now, so that a failed write leaves the old files.
     for path in gone:
-        try:
+        with failing("cannot be deleted", path):
             path.unlink(missing_ok=True)
-        except OSError as error:
-            raise ConfigError(f"cannot be deleted: {reason(error)}", path=path) from None
 
 
 def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None) -> bytes:
@@ -298,9 +323,9 @@ def _mode_of(target: Path) -> int:
         return 0o666 & ~mask
 
 
-def sync_folder(folder: Path) -> None:
-    """Flush a folder to the disk, so that renamed files survive a power cut; raises `OSError`."""
-    descriptor = os.open(folder, os.O_RDONLY)
+def sync_folder(path: Path) -> None:
+    """Flush a folder, with the names in it, or a file to the disk; raises `OSError`."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import dataclasses
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -17,7 +16,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, needing_extra, suggestion
-from rtee.hand.files import reason
+from rtee.hand.files import failing, replaced
 from rtee.log.brief import actuators_of
 from rtee.log.reader import windows
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
@@ -158,23 +157,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
     If the file cannot be written, removes it and raises `LogError`.
     """
-    with _failing(path):
+    with failing("cannot be written", path, LogError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export.") as folder:
-            temporary = Path(folder, path.name)
+        with replaced(path) as temporary:
             yield temporary
-            with temporary.open("rb") as stream:
-                # Before the rename, so that a power cut cannot leave an empty file at the path.
-                os.fsync(stream.fileno())
-            os.replace(temporary, path)
-
-
-@contextlib.contextmanager
-def _failing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise LogError(f"cannot be written: {reason(error)}", path=path) from error
 
 
 def read_for(paths: Sequence[Path], only: Sequence[str] = ()) -> Iterator[Recording]:
@@ -201,7 +187,7 @@ def export(
         _parquet()
     folder = output.parent if kind is Format.NPZ else output
     path, spools = output, dict[str, Spool]()
-    with _failing(output), contextlib.ExitStack() as stack:
+    with failing("cannot be written", output, LogError), contextlib.ExitStack() as stack:
         folder.mkdir(parents=True, exist_ok=True)
         temporary = stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix=".export."))
         for piece in (recording,) if isinstance(recording, Recording) else recording:

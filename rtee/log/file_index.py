@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema
 
 from rtee.errors import LogError
-from rtee.hand.files import reason
+from rtee.hand.files import failing
 from rtee.log.brief import DIGEST, INDEX_ENTRY, SECOND
 from rtee.log.record_scanner import (
     DAMAGE,
@@ -140,12 +140,10 @@ class FileIndex:
 def index_file(path: Path | str) -> FileIndex:
     """Index the content of a file; raises `LogError` if it cannot be opened or is not MCAP."""
     path = Path(path)
-    try:
+    with failing("cannot be read", path, LogError):
         if path.exists() and not path.is_file():
             raise LogError("is not a file", path=path)
         return _Indexer(path).look()
-    except OSError as error:
-        raise LogError(f"cannot be read: {reason(error)}", path=path) from error
 
 
 def damaged_chunks(file: FileIndex) -> Iterator[tuple[ChunkPlace, DamagedRecordError]]:
@@ -153,15 +151,12 @@ def damaged_chunks(file: FileIndex) -> Iterator[tuple[ChunkPlace, DamagedRecordE
 
     Raises `LogError` if the file cannot be read.
     """
-    try:
-        with file.path.open("rb") as stream:
-            for place in file.chunks:
-                try:
-                    messages_of(place.record.read(stream))
-                except DamagedRecordError as error:
-                    yield place, error
-    except OSError as error:
-        raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
+    with failing("cannot be read", file.path, LogError), file.path.open("rb") as stream:
+        for place in file.chunks:
+            try:
+                messages_of(place.record.read(stream))
+            except DamagedRecordError as error:
+                yield place, error
 
 
 def _summary_sound(footer: Record, stream: BinaryIO) -> bool:

@@ -13,8 +13,7 @@ from typing import Any
 
 from rtee import monotonic
 from rtee.drivers.diagnosis.contact_report import Conclusion, ContactReport
-from rtee.errors import ConfigError
-from rtee.hand.files import write_together
+from rtee.hand.files import write_all
 from rtee.sample import MEASURED
 from rtee.values import plain
 
@@ -34,13 +33,9 @@ def write(report: ContactReport, actuators: Iterable[str], folder: Path) -> tupl
     Raises:
         ConfigError: if they cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"the folder cannot be created: {error.strerror}", path=folder) from error
     name = f"first-contact-{report.device}-{time.strftime('%Y%m%d-%H%M%S')}"
     recording, page = folder / f"{name}.mcap", folder / f"{name}.md"
-    write_together({recording: _recorded(report, list(actuators)), page: text_of(report)})
+    write_all({recording: _recorded(report, list(actuators)), page: text_of(report)})
     return recording, page
 
 

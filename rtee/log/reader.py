@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 import numpy as np
 
 from rtee.errors import GoalRejected, LogError, MessageError
-from rtee.hand.files import reason
+from rtee.hand.files import failing
 from rtee.log import column_reader
 from rtee.log.brief import Brief, actuators_of, brief, check_hands
 from rtee.log.file_index import (
@@ -244,17 +244,17 @@ class _Collector:
             for place in places
             if self._every or not place.indexes or channels.keys() & place.indexes.keys()
         ]
-        try:
-            with file.path.open("rb") as stream:
-                for place, data in _chunks_ahead(file.path, wanted):
-                    if not isinstance(data, DamagedRecordError):
-                        self._chunk(place, data, stream, channels)
-                    elif id(place) not in self._told:  # not yet reported by the previous piece
-                        self._told.add(id(place))
-                        if len(self._told) <= MOST_TOLD:
-                            self._note_damage(f"{file.path.name}: {file.lost(place, data)}")
-        except OSError as error:
-            raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
+        with (
+            failing("cannot be read", file.path, LogError),
+            file.path.open("rb") as stream,
+        ):
+            for place, data in _chunks_ahead(file.path, wanted):
+                if not isinstance(data, DamagedRecordError):
+                    self._chunk(place, data, stream, channels)
+                elif id(place) not in self._told:  # not yet reported by the previous piece
+                    self._told.add(id(place))
+                    if len(self._told) <= MOST_TOLD:
+                        self._note_damage(f"{file.path.name}: {file.lost(place, data)}")
 
     def _chunk(
         self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, _Topic]

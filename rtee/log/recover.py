@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from rtee.errors import LogError
-from rtee.hand.files import reason
+from rtee.hand.files import failing, replaced
 from rtee.log import column_reader
 from rtee.log.chunks import PackedChunk, index_records
 from rtee.log.digest import lines_of
@@ -77,40 +74,29 @@ def recover(
     content = index_file(path)
     beside = path if in_place else path.with_name(f"{path.stem}_recovered{path.suffix}")
     target = beside if output is None else Path(output)
-    temporary: Path | None = None
-    try:
-        with path.open("rb") as stream:
-            damaged = sum(1 for _ in damaged_chunks(content))
-            whole = content.finished and not damaged and not content.repairable
-            if whole and output is None:
-                return _report(content, path, 0, untouched=True)
-            if target.exists() and not in_place:
-                raise LogError("exists already; give another file with --out", path=target)
-            if whole:
-                shutil.copyfile(path, target)
-                return _report(content, target, 0, untouched=True)
-            if content.loose:
-                raise LogError(
-                    "has messages outside of chunks, which rtee never writes; recovering would "
-                    "lose them",
-                    path=path,
-                )
-            # Beside the target, since a file can be renamed only within its file system.
-            folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".recover."))
-            temporary = folder / target.name
+    with failing("cannot be recovered", path, LogError), path.open("rb") as stream:
+        damaged = sum(1 for _ in damaged_chunks(content))
+        whole = content.finished and not damaged and not content.repairable
+        if whole and output is None:
+            return _report(content, path, 0, untouched=True)
+        if target.exists() and not in_place:
+            raise LogError("exists already; give another file with --out", path=target)
+        if whole:
+            shutil.copyfile(path, target)
+            return _report(content, target, 0, untouched=True)
+        if content.loose:
+            raise LogError(
+                "has messages outside of chunks, which rtee never writes; recovering would lose "
+                "them",
+                path=path,
+            )
+        with replaced(target) as temporary:
             file = McapFile(temporary, _preamble(content), sync=False)
             try:
                 for chunk in _chunks(content, stream):
                     file.write(chunk)
             finally:
                 file.close()
-        os.replace(temporary, target)
-    except OSError as error:
-        raise LogError(f"cannot be recovered: {reason(error)}", path=path) from error
-    finally:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                shutil.rmtree(temporary.parent)
     # Behind the data of a file that was closed is its summary, which is written again.
     lost = 0 if content.finished else content.size - content.good
     done = _report(index_file(target), target, damaged, untouched=False, lost=lost)

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.records import Schema
 
 from rtee.errors import LogError, MessageError
-from rtee.hand.files import reason
+from rtee.hand.files import failing
 from rtee.log.dataset.signals import Signal, Times, lasting
 from rtee.messages.schema import MessageType, parse
 
@@ -171,15 +171,13 @@ def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[Camera
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[Any]:
-    try:
-        with path.open("rb") as stream:
+    with failing("cannot be read", path, LogError), path.open("rb") as stream:
+        try:
             yield make_reader(stream)
-    except McapError as error:
-        raise LogError(
-            "is damaged, or was never closed: run `rtee log recover` first", path=path
-        ) from error
-    except OSError as error:
-        raise LogError(f"cannot be read: {reason(error)}", path=path) from error
+        except McapError as error:
+            raise LogError(
+                "is damaged, or was never closed: run `rtee log recover` first", path=path
+            ) from error
 
 
 def _image(schema: Schema, content: bytes) -> tuple[str, bytes]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from rtee.errors import LogError, needing_extra
-from rtee.hand.files import reason
 from rtee.log.brief import check_hands
 from rtee.log.dataset.cameras import CameraTopic, cameras_in
 from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
+from rtee.log.export import replacing
 from rtee.log.file_index import FileIndex, index_file
 from rtee.log.reader import read
 from rtee.log.recording import Recording
@@ -181,13 +179,8 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
     if not kept:
         raise LogError(f"no episode remains: {notes[0]}", path=hands[0][0])
     features = _features(kept, choice, notes)
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=output.parent, prefix=".dataset.") as folder:
-            _write(Path(folder, "dataset"), kept, features, cameras, choice)
-            os.replace(Path(folder, "dataset"), output)
-    except OSError as error:
-        raise LogError(f"cannot be written: {reason(error)}", path=output) from error
+    with replacing(output) as folder:
+        _write(folder, kept, features, cameras, choice)
     return Made(len(kept), sum(len(shot.when) for shot in kept), features, tuple(notes))
 
 
