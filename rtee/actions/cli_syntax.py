@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rtee.actions.build import StepPlan
 from rtee.actions.types import ActionReference
@@ -115,10 +116,11 @@ def _number(text: str, what: str, word: str) -> float:
         raise ActionError(f"the {what} in '{word}' must be a number, not '{text}'") from None
 
 
-def read_on_contact(texts: Sequence[str]) -> dict[str, str]:
+def read_on_contact(texts: Sequence[str]) -> dict[str, Any]:
     """Return reactions to contact by finger, from texts such as ``hold`` or ``thumb=stop``.
 
-    A text without a finger gets the name ``""`` and applies to all other fingers.
+    A text without a finger gets the name ``""`` and applies to all other fingers. The goal checks
+    the words.
     """
     split = [text.rpartition("=") for text in texts]
     return {finger.strip(): word.strip() for finger, _, word in split}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
-from collections.abc import Awaitable, Callable, Coroutine
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 # Imported before a goal begins: a signal that arrives during an import would not cancel it.
 import anyio
@@ -98,9 +98,7 @@ def do(
         goal = action_goal(action, *chosen, **options)
         return await follow(remote, remote.start_goal(goal), label(action, chosen))
 
-    result = with_hand(hand, connect, "do", execute, wait=wait)
-    print(result_json(result) if as_json else sentence(result, chosen))
-    raise typer.Exit(0 if result.succeeded else 1)
+    _end(with_hand(hand, connect, "do", execute, wait=wait), as_json, chosen)
 
 
 def open_(
@@ -114,8 +112,14 @@ def open_(
     async def execute(remote: RemoteHand) -> Result:
         return await follow(remote, remote.start("open"), "open")
 
-    result = with_hand(hand, connect, "open", execute, wait=wait)
-    print(result_json(result) if as_json else sentence(result))
+    _end(with_hand(hand, connect, "open", execute, wait=wait), as_json)
+
+
+def _end(result: Result, as_json: bool, elements: Sequence[str] = (), remark: str = "") -> NoReturn:
+    """Print a result, with a remark behind its sentence, and end with its exit status."""
+    print(result_json(result) if as_json else sentence(result, elements))
+    if remark and not as_json:
+        print(remark)
     raise typer.Exit(0 if result.succeeded else 1)
 
 
@@ -233,7 +237,6 @@ def grasp(
     from rtee.actions.cli_syntax import read_on_contact
     from rtee.remote.goal_values import grasp_goal
 
-    options: dict[str, Any] = {"on_contact": read_on_contact(on_contact or [])}
     goal = grasp_goal(
         width,
         force=force,
@@ -243,7 +246,7 @@ def grasp(
         action=action,
         timeout=timeout,
         max_force=max_force,
-        **options,
+        on_contact=read_on_contact(on_contact or []),
     )
     asked = goal.to if isinstance(goal.to, Around) else Around(math.nan)
 
@@ -251,15 +254,12 @@ def grasp(
         return await follow(remote, remote.start_goal(goal), f"grasp {asked.width * 1e3:g} mm")
 
     result = with_hand(hand, connect, "grasp", execute, wait=wait)
-    if as_json:
-        print(result_json(result))
-    else:
-        print(sentence(result, result.elements))
-        # The exit status alone would not say why it is a failure.
-        if result.outcome is Outcome.WRONG_WIDTH:
-            least, most = (1e3 * (asked.width + by) for by in (-asked.narrower, asked.wider))
-            print(f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked")
-    raise typer.Exit(0 if result.succeeded else 1)
+    remark = ""
+    # The exit status alone would not say why it is a failure.
+    if result.outcome is Outcome.WRONG_WIDTH:
+        least, most = (1e3 * (asked.width + by) for by in (-asked.narrower, asked.wider))
+        remark = f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked"
+    _end(result, as_json, result.elements, remark)
 
 
 def touch(
@@ -292,11 +292,6 @@ def touch(
         return await follow(remote, remote.start_goal(goal), "touch")
 
     result = with_hand(hand, connect, "touch", execute, wait=wait)
-    if as_json:
-        print(result_json(result))
-    else:
-        print(sentence(result, result.elements))
-        # A goal that was cancelled or stopped has its own outcome, but may have touched nothing.
-        if not result.touched and result.outcome not in (Outcome.EMPTY, Outcome.UNKNOWN):
-            print("nothing was touched")
-    raise typer.Exit(0 if result.succeeded else 1)
+    # A goal that was cancelled or stopped has its own outcome, but may have touched nothing.
+    nothing = not result.touched and result.outcome not in (Outcome.EMPTY, Outcome.UNKNOWN)
+    _end(result, as_json, result.elements, "nothing was touched" if nothing else "")

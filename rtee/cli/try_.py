@@ -21,6 +21,7 @@ from rtee.cli._sweep import (
     tell_of_limits,
     tell_of_meshes,
 )
+from rtee.cli._table import Column, Row, TextTable, on_terminal
 from rtee.errors import ConfigError, needing_extra, suggestion
 from rtee.hand.files import make_folder
 from rtee.units import FORCE as NEWTONS
@@ -382,22 +383,16 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
 
 def _rate(result: TrialResult) -> str:
     """Return in how many variations an object was held, as text; ``""`` without variations."""
-    from rtee.trials.variation import interval
+    from rtee.trials.variation import interval_text
 
     tries = result.tries
     if tries == 0:
         return ""
-    low, high = interval(result.survived, tries)
-    return (
-        f"; with variations {result.survived} of {tries} "
-        f"(95 % confidence: {low * 100:.0f} to {high * 100:.0f} %)"
-    )
+    likely = interval_text(result.survived, tries)
+    return f"; with variations {result.survived} of {tries} (95 % confidence: {likely})"
 
 
 def _table(results: Sequence[TrialResult]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     shapes = list(dict.fromkeys(result.trial.object for result in results))
     rows: dict[str, dict[str, Any]] = {}
     for result in results:
@@ -409,14 +404,12 @@ def _table(results: Sequence[TrialResult]) -> None:
     held, fitting = sum(r.held for r in results), sum(r.fits for r in results)
     varied = any(result.trial.variations for result in results)
     what = "variations survived by" if varied else "slip [mm] of"
-    table = Table(title=f"{what} what was held: {held} of {fitting} that fit", box=None)
-    table.add_column("action")
-    for shape in shapes:
-        table.add_column(shape.replace(":", "\n"), justify="right")
-    for name, row in rows.items():
-        table.add_row(name, *(row.get(shape, "") for shape in shapes))
-    # In a pipe, rich would assume 80 columns and cut the table.
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+    print(f"{what} what was held: {held} of {fitting} that fit")
+    # On a terminal there is room for the size only below the kind of an object.
+    names = [shape.replace(":", "\n") if on_terminal() else shape for shape in shapes]
+    columns = (Column("action"), *(Column(name, right=True) for name in names))
+    lines = [Row((name, *(row.get(shape, "") for shape in shapes))) for name, row in rows.items()]
+    TextTable(columns, tuple(lines)).show()
 
 
 _TASK_VARIATIONS: Final = 6
@@ -520,10 +513,10 @@ def _trials(
 
 def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
     from rtee.trials.tasks import End, GraspMode
-    from rtee.trials.variation import interval
+    from rtee.trials.variation import interval_text
 
     held = sum(result.end is End.HELD for result in results)
-    low, high = interval(held, len(results))
+    likely = interval_text(held, len(results))
     ends = Counter(result.end for result in results if result.end is not End.HELD)
     others = "".join(f"; {count} {end}" for end, count in ends.items())
     conditions = {
@@ -537,7 +530,7 @@ def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
         others += " (the effort for this force hardly moves the hand; try a larger --force)"
     return (
         f"{trial.task}, {grasp} on {trial.object}, {conditions}: {held} of {len(results)} succeed "
-        f"(95 % confidence: {low * 100:.0f} to {high * 100:.0f} %){others}; at most {peak:.1f} N"
+        f"(95 % confidence: {likely}){others}; at most {peak:.1f} N"
     )
 
 

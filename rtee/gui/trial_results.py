@@ -10,7 +10,7 @@ from pathlib import Path
 from rtee.actions.types import Action
 from rtee.trials.result import TrialResult
 from rtee.trials.store import FILE_NAME, outdated, parse_results
-from rtee.trials.variation import interval
+from rtee.trials.variation import interval_text
 
 Key = tuple[str, tuple[str, ...]]
 """Name and elements of an action."""
@@ -68,8 +68,9 @@ def rate(result: TrialResult) -> str:
     tries = result.tries
     if not (tries and result.held):
         return ""
-    low, high = interval(result.survived, tries)
-    return f"{result.survived} of {tries} variations (95 %: {low * 100:.0f} to {high * 100:.0f} %)"
+    return (
+        f"{result.survived} of {tries} variations (95 %: {interval_text(result.survived, tries)})"
+    )
 
 
 def verdict(result: TrialResult) -> str:

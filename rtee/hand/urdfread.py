@@ -172,6 +172,10 @@ def _geometry(element: Element, link: str) -> tuple[UrdfGeometry, ...]:
         raise element.error(f"<{element.tag}> of link '{link}' has no geometry")
     xyz, rpy = _origin(element)
     made = partial(UrdfGeometry, xyz=xyz, rpy=rpy, line=shape.line)
+
+    def measure(name: str) -> float:
+        return _positive(shape, shape.number(name, most=FARTHEST))
+
     # A program's prefix: drake:capsule was there before the capsule of URDF 1.1.
     match shape.tag.rpartition(":")[2]:
         case "mesh":
@@ -181,15 +185,11 @@ def _geometry(element: Element, link: str) -> tuple[UrdfGeometry, ...]:
             _positive(shape, min(size))
             return (made("box", size=size),)
         case "sphere":
-            radius = _positive(shape, shape.number("radius", most=FARTHEST))
-            return (made("sphere", radius=radius),)
+            return (made("sphere", radius=measure("radius")),)
         case "cylinder":
-            radius = _positive(shape, shape.number("radius", most=FARTHEST))
-            length = _positive(shape, shape.number("length", most=FARTHEST))
-            return (made("cylinder", radius=radius, length=length),)
+            return (made("cylinder", radius=measure("radius"), length=measure("length")),)
         case "capsule":
-            radius = _positive(shape, shape.number("radius", most=FARTHEST))
-            length = _positive(shape, shape.number("length", most=FARTHEST))
+            radius, length = measure("radius"), measure("length")
             # The cylinder's length counts, as in Pinocchio and urdfdom; the caps stand out of it.
             ends = ((origin(xyz, rpy) @ [0, 0, way, 1])[:3] for way in (-length / 2, length / 2))
             caps = (made("sphere", radius=radius, xyz=_triple(tuple(end))) for end in ends)

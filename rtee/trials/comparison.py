@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rtee.errors import needing_extra
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.sweep import Sweep
-from rtee.trials.variation import interval
+from rtee.trials.variation import interval, interval_text
 from rtee.trials.work import Answer, Picture, Planned, Planning, Portrait, Task, object_of
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ class Cell:
             return ""
         if not self.best.tries:
             return "held once, not varied"
-        low, high = (100.0 * each for each in self.interval)
-        return f"{self.best.survived} of {self.best.tries} ({low:.0f} to {high:.0f} %)"
+        survived, tries = self.best.survived, self.best.tries
+        return f"{survived} of {tries} ({interval_text(survived, tries)})"
 
     @property
     def missing(self) -> str:

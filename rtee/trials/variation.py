@@ -138,6 +138,12 @@ def interval(successes: int, tries: int) -> tuple[float, float]:
     return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
 
 
+def interval_text(successes: int, tries: int) -> str:
+    """Return that interval as text, such as ``70 to 97 %``."""
+    low, high = interval(successes, tries)
+    return f"{low * 100:.0f} to {high * 100:.0f} %"
+
+
 def decided(successes: int, tries: int, wanted: float | None) -> bool:
     """Return whether the interval of a rate lies to one side of the rate that is wanted, if any."""
     low, high = interval(successes, tries)
