@@ -18,8 +18,11 @@ from rtee.errors import ConfigError, ModelError, UnknownLink
 from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import ParsedModel, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, ModelMotion, joint_name, joint_range
+from rtee.exchange.reading import ReadableModel
 from rtee.hand.files import make_folder, write_atomically
-from rtee.hand.names import free_name, safe_name
+from rtee.hand.frames import angles
+from rtee.hand.model import DisabledPair
+from rtee.hand.names import safe_name, unique_names
 from rtee.hand.tessellation import binary_stl, sphere
 from rtee.sample import FloatArray
 
@@ -34,26 +37,6 @@ _SEEN = 2
 
 _ANY: Final = 1e3
 """Limits of a follower without limits of its own [rad | m]; those of its actuator decide."""
-
-_GIMBAL = 1e-12
-"""Cosine of the pitch below which roll and yaw have the same axis."""
-
-
-@dataclass(frozen=True, slots=True)
-class ImportedModel:
-    """An MJCF model as a URDF.
-
-    Attributes:
-        urdf: The URDF.
-        passive: Joints without a motor; ``None`` if the model has no motors at all.
-        excluded: Pairs of links that are never checked for collision, with the reason.
-        notes: Sentences about choices and omissions.
-    """
-
-    urdf: Path
-    passive: tuple[str, ...] | None
-    excluded: tuple[tuple[str, str, str], ...]
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +61,7 @@ def import_mjcf(
     *,
     root: str | None = None,
     radians: bool | None = None,
-) -> ImportedModel:
+) -> ReadableModel:
     """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
     Args:
@@ -123,7 +106,7 @@ def import_mjcf(
     writer = _Writer(model, source, motion, folder)
     urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
     write_atomically(urdf, writer.text())
-    return ImportedModel(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))
+    return ReadableModel(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))
 
 
 def _still(source: ParsedModel, root: str) -> list[str]:
@@ -198,9 +181,10 @@ class _Writer:
         self.notes = [*source.notes, *motion.notes]
         self._lines: list[str] = []
         self._meshes: dict[int, str] = {}
-        self._joint_names = _unique([joint_name(model, j) for j in range(model.njnt)])
+        # Names that are generated may be equal.
+        self._joint_names = unique_names([joint_name(model, j) for j in range(model.njnt)])
         names = [str(model.body(b).name) or f"body_{b}" for b in range(model.nbody)]
-        self._names = _unique(names)
+        self._names = unique_names(names)
         children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
         dropped = {int(model.jnt_bodyid[joint]) for joint in motion.dropped}
         for body in range(1, model.nbody):
@@ -450,21 +434,13 @@ class _Writer:
             return None
         return tuple(self._joint_names[joint] for joint in self._motion.passive)
 
-    def excluded(self) -> tuple[tuple[str, str, str], ...]:
+    def excluded(self) -> tuple[DisabledPair, ...]:
         """Return the pairs of links that the model excludes."""
         # MuJoCo packs both bodies into one number.
         return tuple(
-            (self._names[signature >> 16], self._names[signature & 0xFFFF], EXCLUDED)
+            DisabledPair(self._names[signature >> 16], self._names[signature & 0xFFFF], EXCLUDED)
             for signature in self._model.exclude_signature.tolist()
         )
-
-
-def _unique(names: Sequence[str]) -> list[str]:
-    """Return names with numbers appended to equal ones: generated names may be equal."""
-    unique: list[str] = []
-    for name in names:
-        unique.append(free_name(name, unique))
-    return unique
 
 
 def _cylinder(size: FloatArray) -> str:
@@ -479,15 +455,7 @@ def _matrix(turn: FloatArray) -> FloatArray:
 
 def _origin(place: FloatArray, turn: FloatArray) -> str:
     """Return the element ``origin`` of a position [m] and a unit quaternion (w, x, y, z)."""
-    m = _matrix(turn)
-    # Cosine of the pitch; if it vanishes, the yaw is arbitrary and set to 0.
-    level = math.hypot(m[0, 0], m[1, 0])
-    pitch = math.atan2(-m[2, 0], level)
-    yaw = math.atan2(m[1, 0], m[0, 0]) if level > _GIMBAL else 0.0
-    # From the chosen yaw, since near a pitch of 90° only the sum of both is well-defined.
-    s, c = math.sin(yaw), math.cos(yaw)
-    roll = math.atan2(s * m[0, 2] - c * m[1, 2], c * m[1, 1] - s * m[0, 1])
-    return f'<origin xyz="{_numbers(place)}" rpy="{_numbers((roll, pitch, yaw))}"/>'
+    return f'<origin xyz="{_numbers(place)}" rpy="{_numbers(angles(_matrix(turn)))}"/>'
 
 
 def _number(value: float) -> str:

@@ -11,6 +11,7 @@ from typing import Final
 from rtee.errors import ConfigError, needing_extra
 from rtee.exchange.xacro_expand import arguments_of, expand
 from rtee.hand.files import temporary_folder
+from rtee.hand.model import DisabledPair
 from rtee.units import AngleUnit
 
 XACRO: Final = ".xacro"
@@ -23,7 +24,7 @@ class ReadableModel:
 
     Attributes:
         urdf: The URDF.
-        passive: Joints without a motor; ``None`` if unknown.
+        passive: Joints without a motor; ``None`` if unknown, as for an MJCF without any motor.
         excluded: Pairs of links that are never checked for collision, with the reason.
         notes: Sentences about choices and omissions.
         package_dirs: Folders of mesh packages.
@@ -31,7 +32,7 @@ class ReadableModel:
 
     urdf: Path
     passive: tuple[str, ...] | None = None
-    excluded: tuple[tuple[str, str, str], ...] = ()
+    excluded: tuple[DisabledPair, ...] = ()
     notes: tuple[str, ...] = ()
     package_dirs: tuple[Path, ...] = ()
 
@@ -135,5 +136,4 @@ def mjcf_as_urdf(
         from rtee.exchange.mjcf_import import import_mjcf
     with temporary_folder(path) as folder:
         radians = None if angle is None else angle is AngleUnit.RADIAN
-        imported = import_mjcf(path, folder, folders, root=root, radians=radians)
-        yield ReadableModel(imported.urdf, imported.passive, imported.excluded, imported.notes)
+        yield import_mjcf(path, folder, folders, root=root, radians=radians)

@@ -150,11 +150,7 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
     if chosen is None:
         chains = [_chain(srdf, each, urdf, "chain") for each in srdf.groups.values()]
         found = [chain for chain in chains if chain is not None]
-        carried = {
-            link
-            for chain in found
-            for link in (urdf.root, *(joint.child for joint in urdf.path_to(chain.links[0])))
-        }
+        carried = {link for chain in found for link in urdf.links_to(chain.links[0])}
         return tuple(chain for chain in found if chain.links[-1] not in carried)
     group, why = chosen
     if not group.subgroups:
@@ -267,7 +263,7 @@ def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
         return None
     # Sorted, so that equally deep links give the same result on every run.
     deepest = max(sorted(links), key=lambda link: len(urdf.path_to(link)))
-    path = (urdf.root, *(joint.child for joint in urdf.path_to(deepest)))
+    path = urdf.links_to(deepest)
     if not links <= set(path):
         return None
     first = min(path.index(link) for link in links)

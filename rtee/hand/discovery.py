@@ -11,7 +11,7 @@ from rtee.errors import ModelError
 from rtee.hand.chains import Chain, fingers_of, tip_links
 from rtee.hand.linkages import Linked, Mover, join_linkages
 from rtee.hand.model import Finger
-from rtee.hand.names import check_name, safe_name, shared_length
+from rtee.hand.names import check_name, safe_name, shared_length, unique_names
 from rtee.hand.srdf import Srdf
 from rtee.hand.urdf import Urdf
 from rtee.hand.whole_robot import without_geometry
@@ -175,7 +175,7 @@ def find_branches(urdf: Urdf, moved: Container[str]) -> list[Chain]:
     """
     ends = _ends(urdf, moved)
     if len(ends) == 1:
-        links = (urdf.root, *(joint.child for joint in urdf.path_to(ends[0])))
+        links = urdf.links_to(ends[0])
         first = next(j for j in urdf.path_to(ends[0]) if j.name in moved)
         return [Chain("", links[links.index(first.parent) :], "")]
     return [Chain("", _branch(end, ends, urdf), "") for end in ends]
@@ -209,12 +209,12 @@ def _body(link: str, urdf: Urdf, moved: Container[str]) -> str | None:
 
 def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
     """Return the links of a branch, from where it separates from all others down to its end."""
-    path = (urdf.root, *(joint.child for joint in urdf.path_to(end)))
+    path = urdf.links_to(end)
     shared = 0
     for other in ends:
         if other == end:
             continue
-        way = (urdf.root, *(joint.child for joint in urdf.path_to(other)))
+        way = urdf.links_to(other)
         common = sum(1 for a, b in zip(path, way, strict=False) if a == b)
         # The last common link is the base at which both separate.
         shared = max(shared, common - 1)
@@ -242,7 +242,7 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
             why = "named after the distinct part of its end's name"
             shared = "" if each is None else f", as another finger is called '{each[0]}', too"
             found.append((part, why + shared))
-    names = _unique([name for name, _ in found])
+    names = unique_names(name for name, _ in found)
     return [(name, why) for name, (_, why) in zip(names, found, strict=True)]
 
 
@@ -280,13 +280,3 @@ def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
         kept = "_".join(part[head : len(part) - tail])
         # A number alone would not be a name for people.
         yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name
-
-
-def _unique(names: Sequence[str]) -> list[str]:
-    seen: dict[str, int] = {}
-    unique = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        # Numbered from the second on; the first keeps its name.
-        unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
-    return unique

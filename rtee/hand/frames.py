@@ -51,9 +51,11 @@ def angles(turn: FloatArray) -> Triple:
     level = math.hypot(turn[0, 0], turn[1, 0])
     # From sine and cosine, as an arcsine would lose half of the digits near a quarter turn.
     pitch = math.atan2(-turn[2, 0], level)
-    if level < _LEVEL:
-        return math.atan2(-turn[1, 2], turn[1, 1]), pitch, 0.0
-    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
+    yaw = math.atan2(turn[1, 0], turn[0, 0]) if level > _LEVEL else 0.0
+    # From the chosen yaw, since near a pitch of 90° only the sum of both is well-defined.
+    s, c = math.sin(yaw), math.cos(yaw)
+    roll = math.atan2(s * turn[0, 2] - c * turn[1, 2], c * turn[1, 1] - s * turn[0, 1])
+    return roll, pitch, yaw
 
 
 def quaternion(rpy: Triple) -> FloatArray:

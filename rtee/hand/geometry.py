@@ -8,7 +8,7 @@ from functools import cached_property
 from itertools import combinations, product
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Final, NamedTuple
+from typing import Final
 
 import coal
 import numpy as np
@@ -21,7 +21,7 @@ from rtee.hand.halton import halton
 from rtee.hand.kinematics import Kinematics, pose
 from rtee.hand.linalg import norm
 from rtee.hand.meshes import check_mesh, unit_of
-from rtee.hand.model import Hand
+from rtee.hand.model import DisabledPair, Hand
 from rtee.hand.tessellation import Triangles, binary_stl, joined, solid, stl_corners
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.hand.urdfread import FARTHEST
@@ -46,18 +46,27 @@ def repaired(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelB
         mesh: A mesh from Coal's loader.
         loader: A loader, which determines the kind of bounding volumes of the result.
     """
-    corners = np.array(mesh.vertices())
-    triangles = (mesh.tri_indices(i) for i in range(mesh.num_tris))
-    faces = np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.int64)
+    corners, faces = triangles_of(mesh)
     if len(faces) == 0 or len(corners) - (int(faces.max()) + 1) < _FEWEST:
         return mesh
     apart = split_parts(faces, len(corners))
-    if apart is None:
-        return mesh
+    return mesh if apart is None else _with_volumes(corners[apart], loader)
+
+
+def triangles_of(mesh: coal.BVHModelBase) -> Triangles:
+    """Return the corners ``(v, 3)`` and faces ``(f, 3)`` of a mesh from Coal's loader."""
+    corners = (mesh.tri_indices(i) for i in range(mesh.num_tris))
+    faces = [(c[0], c[1], c[2]) for c in corners]
+    return np.array(mesh.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
+
+
+def _with_volumes(corners: FloatArray, loader: coal.MeshLoader) -> coal.BVHModelBase:
+    """Return a mesh of the corners of triangles ``(f, 3, 3)`` with the loader's bounding volumes.
+
+    Through a file, since Coal's Python bindings make these only when they load a mesh.
+    """
     with NamedTemporaryFile(suffix=".stl") as file:
-        # Through a file, since Coal's Python bindings make these bounding volumes only when they
-        # load a mesh.
-        file.write(binary_stl(corners[apart]))
+        file.write(binary_stl(corners))
         file.flush()
         return loader.load(file.name, np.ones(3))
 
@@ -168,7 +177,7 @@ class Shape:
     def triangles(self) -> Triangles:
         """Vertices ``(v, 3)`` [m] in the shape's frame, and faces as vertex indices ``(f, 3)``."""
         if self.is_mesh:
-            return _triangles(self.exact)
+            return triangles_of(self.exact)
         return solid(self.source.kind, self.source.dimensions)
 
     @cached_property
@@ -295,12 +304,6 @@ class HandGeometry:
         return joined((shape.triangles, shape.in_link.homogeneous) for shape in shapes)
 
 
-def _triangles(mesh: coal.BVHModelBase) -> Triangles:
-    corners = (mesh.tri_indices(i) for i in range(mesh.num_tris))
-    faces = [(c[0], c[1], c[2]) for c in corners]
-    return np.array(mesh.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
-
-
 class _Meshes:
     """Loads meshes; equal meshes are loaded once."""
 
@@ -338,7 +341,7 @@ class _Meshes:
             # `mesh_repair`).
             mesh = repaired(draft, self._loader if draft.num_tris <= MOST else self._draft)
             if draft.num_tris > MOST:
-                return self._coarse(*_triangles(mesh), source)
+                return self._coarse(*triangles_of(mesh), source)
             if mesh is not draft:
                 return mesh
         return self._loaded(self._loader, path, scale, source)
@@ -352,11 +355,7 @@ class _Meshes:
         self.notes.append(
             f"mesh '{source.mesh}' has {len(faces)} triangles; it is coarsened to {len(corners)}"
         )
-        with NamedTemporaryFile(suffix=".stl") as file:
-            # Coal's Python bindings make bounding volumes only when they load a mesh.
-            file.write(binary_stl(corners))
-            file.flush()
-            return self._loader.load(file.name, np.ones(3))
+        return _with_volumes(corners, self._loader)
 
     def _loaded(
         self, loader: coal.MeshLoader, path: Path, scale: FloatArray, source: UrdfGeometry
@@ -454,21 +453,7 @@ _CONFIGURATIONS: Final = 64
 at all do so in a large part of their range."""
 
 
-class AllowedCollision(NamedTuple):
-    """Two links that need not be checked for collision.
-
-    Attributes:
-        link1: The first link.
-        link2: The second link.
-        reason: ``adjacent``, ``touching at every configuration`` or ``touching at rest``.
-    """
-
-    link1: str
-    link2: str
-    reason: str
-
-
-def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
+def allowed_collisions(hand: Hand) -> tuple[DisabledPair, ...]:
     """Find the pairs of links that may touch without being in collision.
 
     Adjacent links are connected by one moving joint. Other pairs are checked with the exact
@@ -489,7 +474,7 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
         if first == second:
             continue
         if parents[first] == second or parents[second] == first:
-            pairs.append(AllowedCollision(*links, ADJACENT))
+            pairs.append(DisabledPair(*links, ADJACENT))
             continue
         if links[0] in tips and links[1] in tips:
             continue
@@ -498,7 +483,7 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
             # Only pairs that touch at rest are checked at other postures, since each check of
             # meshes is expensive.
             always = all(geometry.touching(sides, kinematics.placements(u)) for u in spread)
-            pairs.append(AllowedCollision(*links, ALWAYS if always else AT_REST))
+            pairs.append(DisabledPair(*links, ALWAYS if always else AT_REST))
     return tuple(pairs)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
 from rtee.hand.config_schema import ActuatorDynamics, FlangeSection, TouchSection
@@ -29,6 +29,14 @@ class JointRole(StrEnum):
     MIMIC = "mimic"
     PASSIVE = "passive"
     IGNORED = "ignored"
+
+
+class DisabledPair(NamedTuple):
+    """Two links that are never checked for collision, and the reason."""
+
+    link1: str
+    link2: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Container, Sequence
+from collections.abc import Collection, Container, Iterable, Sequence
 from itertools import chain, count, takewhile
 from pathlib import Path
 from typing import Final
@@ -60,6 +60,14 @@ def free_name(stem: str, taken: Container[str], suffix: str = "") -> str:
     """Return ``stem`` with a suffix, and with a number from 2 on if that is taken already."""
     numbered = (f"{stem}_{number}{suffix}" for number in count(2))
     return next(name for name in chain([stem + suffix], numbered) if name not in taken)
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Return names with numbers from 2 on appended to those that were there already."""
+    unique: list[str] = []
+    for name in names:
+        unique.append(free_name(name, unique))
+    return unique
 
 
 def _why_not(name: str) -> str | None:

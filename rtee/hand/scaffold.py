@@ -23,14 +23,14 @@ from rtee.hand.catalog import FILE_NAME
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.embedded_meshes import as_utf8, with_local_meshes
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
-from rtee.hand.geometry import AllowedCollision, allowed_collisions
+from rtee.hand.geometry import allowed_collisions
 from rtee.hand.load import load_hand, load_model
-from rtee.hand.model import Finger, Hand, JointRole
+from rtee.hand.model import DisabledPair, Finger, Hand, JointRole
 from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
-from rtee.hand.srdfwrite import DisabledPair, format_srdf, with_disabled, with_passive
+from rtee.hand.srdfwrite import format_srdf, with_disabled, with_passive
 from rtee.hand.subtree import Subtree
 from rtee.hand.urdfread import Edit, read_urdf
 from rtee.hand.whole_robot import check_one_hand
@@ -56,7 +56,7 @@ class NewHand:
     folder: Path
     hand: Hand
     reasons: tuple[str, ...]
-    pairs: tuple[AllowedCollision, ...]
+    pairs: tuple[DisabledPair, ...]
     notes: tuple[str, ...]
 
 
@@ -131,18 +131,18 @@ class _Settled:
     """
 
     hand: Hand
-    pairs: tuple[AllowedCollision, ...]
+    pairs: tuple[DisabledPair, ...]
     ignored: tuple[str, ...]
     rest: Mapping[str, float]
     notes: list[str]
 
 
-def _with(excluded: Sequence[DisabledPair], settled: _Settled) -> tuple[AllowedCollision, ...]:
+def _with(excluded: Sequence[DisabledPair], settled: _Settled) -> tuple[DisabledPair, ...]:
     """Return the pairs of a hand and those excluded besides."""
     there = {frozenset(pair[:2]) for pair in settled.pairs}
     links = settled.hand.urdf.links
     return settled.pairs + tuple(
-        AllowedCollision(*pair)
+        pair
         for pair in excluded
         if frozenset(pair[:2]) not in there and pair[0] in links and pair[1] in links
     )

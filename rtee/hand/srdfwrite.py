@@ -9,9 +9,6 @@ from xml.sax.saxutils import escape, quoteattr
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.model import Finger, Hand, JointRole
 
-DisabledPair = tuple[str, str, str]
-"""Two links that are never checked for collision, and the reason."""
-
 _END = re.compile(r"<!--.*?-->|(</robot\s*>)", re.DOTALL)
 """Comments, which may contain the end tag, and the end tag."""
 
@@ -20,7 +17,9 @@ _HEAD = """<?xml version="1.0"?>
 """
 
 
-def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = True) -> str:
+def format_srdf(
+    hand: Hand, pairs: Sequence[tuple[str, str, str]], *, with_rest: bool = True
+) -> str:
     """Return the SRDF of a hand.
 
     Args:
@@ -54,7 +53,7 @@ def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = 
 """
 
 
-def _disabled(pairs: Sequence[DisabledPair]) -> str:
+def _disabled(pairs: Sequence[tuple[str, str, str]]) -> str:
     """Return the lines that disable collisions, with a comment."""
     lines = "".join(
         f"  <disable_collisions link1={quoteattr(link1)} link2={quoteattr(link2)} "
@@ -69,7 +68,7 @@ def _passive(joints: Iterable[str]) -> str:
     return "".join(f"  <passive_joint name={quoteattr(joint)}/>\n" for joint in joints)
 
 
-def with_disabled(srdf: str, pairs: Sequence[DisabledPair]) -> str:
+def with_disabled(srdf: str, pairs: Sequence[tuple[str, str, str]]) -> str:
     """Return the text of an SRDF with added pairs."""
     return _with_lines(srdf, _disabled(pairs))
 

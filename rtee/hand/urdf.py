@@ -204,6 +204,10 @@ class Urdf:
             joint = self.joint_to.get(joint.parent)
         return tuple(reversed(joints))
 
+    def links_to(self, link: str) -> tuple[str, ...]:
+        """Return the links from the root to a link, both included; see `path_to`."""
+        return self.root, *(joint.child for joint in self.path_to(link))
+
     def chain(self, base: str, tip: str) -> tuple[str, ...] | None:
         """Return the links from ``base`` down to ``tip``, or ``None`` if tip is not below base.
 
@@ -212,7 +216,7 @@ class Urdf:
         """
         if base not in self.links:
             raise UnknownLink(base, tuple(self.links), path=self.path)
-        links = (self.root, *(joint.child for joint in self.path_to(tip)))
+        links = self.links_to(tip)
         return links[links.index(base) :] if base in links else None
 
     def master(self, joint: str) -> str:

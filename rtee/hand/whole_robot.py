@@ -159,7 +159,7 @@ def _below(
 ) -> list[FoundHand]:
     above = urdf.joint_to.get(link)
     arm = [above.name] if above is not None and above.name in movers else []
-    paths = {end: [*(j.child for j in urdf.path_to(end))] for end in ends}
+    paths = {end: urdf.links_to(end) for end in ends}
     while len(ends) > 1:
         parts: dict[str, list[str]] = {}
         for end in ends:

@@ -17,7 +17,7 @@ from rtee.errors import ConfigError, ModelError
 from rtee.hand.coarse import welded
 from rtee.hand.convex import convex_solids
 from rtee.hand.files import read_bytes
-from rtee.hand.geometry import hull_of, repaired
+from rtee.hand.geometry import hull_of, repaired, triangles_of
 from rtee.hand.meshes import FORMATS, why_no_mesh
 from rtee.hand.tessellation import stl_corners
 from rtee.objects.shape import (
@@ -280,8 +280,7 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
         )
     if path.suffix.lower() != ".stl":  # a single part
         mesh = repaired(mesh, loader)
-    corners = np.array(mesh.vertices())
+    corners, faces = triangles_of(mesh)
     if not np.isfinite(corners).all():
         raise ModelError("the mesh has a vertex that is not finite", path=path)
-    found = (mesh.tri_indices(i) for i in range(mesh.num_tris))
-    return corners, np.array([(t[0], t[1], t[2]) for t in found], dtype=np.int64)
+    return corners, faces

@@ -143,10 +143,7 @@ def farthest(hand: Hand) -> FloatArray:
 
 def _palm(hand: Hand) -> str:
     """Return the deepest link from which all fingers start."""
-    paths = [
-        [hand.base, *(joint.child for joint in hand.urdf.path_to(finger.base))]
-        for finger in hand.fingers
-    ]
+    paths = [hand.urdf.links_to(finger.base) for finger in hand.fingers]
     palm = hand.base
     for links in zip(*paths, strict=False):
         if len(set(links)) > 1:

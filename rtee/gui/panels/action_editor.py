@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -21,6 +20,7 @@ from rtee.gui.panels.actions import Show
 from rtee.gui.panels.execution import Execution
 from rtee.gui.wording import NOTHING, described, mark, offer, short_names, small
 from rtee.hand.model import Hand
+from rtee.hand.names import free_name
 from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
@@ -414,22 +414,9 @@ class PartsPanel:
             100,
             hint="Percentage of the way from rest to the action's posture [%]",
         )
-        self._before = gui.add_number(
-            "Before [s]",
-            0.0,
-            min=0.0,
-            max=60.0,
-            step=0.1,
-            hint="Margin before the action, in a sequence [s]",
-        )
-        self._after = gui.add_number(
-            "After [s]",
-            0.0,
-            min=0.0,
-            max=60.0,
-            step=0.1,
-            hint="Margin after the action, in a sequence [s]",
-        )
+        margin = partial(gui.add_number, initial_value=0.0, min=0.0, max=60.0, step=0.1)
+        self._before = margin("Before [s]", hint="Margin before the action, in a sequence [s]")
+        self._after = margin("After [s]", hint="Margin after the action, in a sequence [s]")
         self._action = gui.add_dropdown(
             "Add", (NOTHING,), hint="The action to append to the list, with the settings above"
         )
@@ -467,7 +454,7 @@ class PartsPanel:
         if self._action.value in self._uses:
             use = replace(self._uses[str(self._action.value)], scale=self._scale.value / 100.0)
             # Aliases identify the steps of a sequence, and must differ.
-            alias = _free(use.action, {part.alias for part in self._parts})
+            alias = free_name(use.action, {part.alias for part in self._parts})
             self._parts.append(
                 StepPlan(use, alias, float(self._before.value), float(self._after.value))
             )
@@ -502,7 +489,7 @@ class PartsPanel:
     async def _make_action(self, button: str) -> None:
         parts = [ActionReference.of(part.use).action for part in self._parts]
         known = {use.action for use in self._uses.values()}
-        name = str(self._name.value).strip() or _free("_".join(parts), known)
+        name = str(self._name.value).strip() or free_name("_".join(parts), known)
         store = bool(self._store.value)
         if button == "Compose":
             await self._remote.add_composed(name, [part.use for part in self._parts], store=store)
@@ -519,12 +506,3 @@ class PartsPanel:
         self._show(None, 0.0, None)
         if self._made is not None:
             await self._execution.do(self._made, GoalOptions(), 1.0)
-
-
-def _free(name: str, taken: Collection[str]) -> str:
-    """Return a free name: the given one, with a number appended if it is taken."""
-    numbers = itertools.count(2)
-    first = name
-    while name in taken:
-        name = f"{first}_{next(numbers)}"
-    return name

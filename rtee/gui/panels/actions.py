@@ -443,12 +443,10 @@ class ContactChoice:
 
     def limit(self, most: float) -> None:
         """Limit the force after a slip to the largest that a goal may request [N]; 0 hides it."""
-        # Round down to the step of the slider, so that the hand accepts the largest value.
-        top = math.floor(most * 10.0) / 10.0
-        self._slip.visible = top > 0.0
-        if top > 0.0:
-            self._slip.max = top
-        self._slip.value = min(float(self._slip.value), max(top, 0.0))
+        self._slip.visible = most > 0.0
+        if most > 0.0:
+            self._slip.max = most
+        self._slip.value = min(float(self._slip.value), max(most, 0.0))
 
     def add_to(self, options: GoalOptions) -> None:
         """Add the settings to the options of a goal."""
