@@ -24,6 +24,7 @@ from rtee.actions.naming import label
 from rtee.actions.openings import MARGIN, Opening, best_for
 from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
+from rtee.hand.frames import homogeneous
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionPath
 from rtee.planning.collisions import GraspCollisions
@@ -89,9 +90,8 @@ def from_graspnet(array: ArrayLike) -> list[GripperPose]:
         raise ConfigError(f"a GraspNet array has {_COLUMNS} columns, not the shape {found.shape}")
     made = []
     for number, row in enumerate(found):
-        pose = np.eye(4)
-        pose[:3, :3] = row[4:13].reshape(3, 3)
-        pose[:3, 3] = row[13:16] + row[3] * pose[:3, 0]
+        turned = row[4:13].reshape(3, 3)
+        pose = homogeneous(turned, row[13:16] + row[3] * turned[:, 0])
         made.append(_grasp(pose, row[1], row[0], number))
     return made
 
@@ -140,9 +140,8 @@ def from_base_poses(
     for number, base in enumerate(found):
         checked = checked_pose(base, f"the pose of grasp {number}")
         x, y = checked[:3, _AXES[approach]], checked[:3, _AXES[closing]]
-        pose = np.eye(4)
-        pose[:3, :3] = np.column_stack([x, y, np.cross(x, y)])
-        pose[:3, 3] = checked[:3, 3] + depth * x
+        turned = np.column_stack([x, y, np.cross(x, y)])
+        pose = homogeneous(turned, checked[:3, 3] + depth * x)
         made.append(_grasp(pose, wide[number], good[number], number))
     return made
 
@@ -328,10 +327,8 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     )
     # The side that reaches less decides: beyond it, only the other side would touch.
     reach = min(max(tips.reach(f, along) for f in side) for side in (one, other))
-    frame = np.eye(4)
-    frame[:3, :3] = np.column_stack([along, closing, np.cross(along, closing)])
-    frame[:3, 3] = middle + (reach - float(middle @ along)) * along
-    return frame
+    turned = np.column_stack([along, closing, np.cross(along, closing)])
+    return homogeneous(turned, middle + (reach - float(middle @ along)) * along)
 
 
 def _positions(hand: Hand, action: Action, opening: Opening, intensity: float) -> dict[str, float]:

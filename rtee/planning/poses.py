@@ -12,6 +12,7 @@ import coal
 import numpy as np
 
 from rtee.actions.types import Action, Timed
+from rtee.hand.frames import homogeneous
 from rtee.hand.linalg import cross
 from rtee.planning.approaches import (
     APPROACH_LENGTH,
@@ -447,10 +448,8 @@ class Poses:
     ) -> Iterator[Found]:
         """Yield poses of the turned object ``(3, 3)`` at the fingertips' middle, and approaches."""
         middle, _ = self._at(step)
-        pose = np.eye(4)
-        pose[:3, :3] = turned
         # The middle of its box, since a mesh may have its origin anywhere.
-        pose[:3, 3] = middle - turned @ self._scene.object.box[0]
+        pose = homogeneous(turned, middle - turned @ self._scene.object.box[0])
         opening = float(self.gaps.max())
         for direction, shift in directions:
             begin = pose.copy()

@@ -12,6 +12,7 @@ from rtee.actions.types import Action
 from rtee.actions.types import Primitive as PrimitiveAction
 from rtee.drivers.mujoco.scene import approach, tip_geoms, tip_middles
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.frames import homogeneous
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionPath, opposition
 from rtee.sample import FloatArray
@@ -179,13 +180,10 @@ class Places:
             closing = np.eye(3)[int(np.argmin(np.abs(outward)))]
         closing = closing / np.linalg.norm(closing)
         side = np.cross(outward, closing)
-        poses = []
-        for z, x in ((side, closing), (outward, closing), (closing, side)):
-            pose = np.eye(4)
-            pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-            pose[:3, 3] = middle
-            poses.append(pose)
-        return poses
+        return [
+            homogeneous(np.stack([x, np.cross(z, x), z], axis=1), middle)
+            for z, x in ((side, closing), (outward, closing), (closing, side))
+        ]
 
     def _tips(self, intensity: float) -> FloatArray:
         """Return the middles ``(k, 3)`` of the fingertips' geometry in the base frame."""

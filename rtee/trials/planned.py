@@ -14,6 +14,7 @@ from rtee.drivers.mujoco.objects import add_body, add_hulls, add_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, add_table, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.frames import homogeneous
 from rtee.hand.model import Hand
 from rtee.objects.shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
@@ -129,9 +130,9 @@ def _simulation(
     """
     built = build_hand(hand, options)
     # Turning the hand instead of gravity leaves the world as a trial has it.
-    pose = np.eye(4)
-    pose[:3, :3] = _turned(weight_axis)
-    add_carrier(built.spec, pose[:3, :3], options)
+    turned = _turned(weight_axis)
+    pose = homogeneous(turned, np.zeros(3))
+    add_carrier(built.spec, turned, options)
     if table is not None:
         add_table(built.spec, pose @ table, edge=edge)
     _add_object(built.spec, thing, pose @ place)
