@@ -7,13 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.hand.frames import PARALLEL, tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, JointKind
-
-_PARALLEL: Final = 0.9
-"""Least cosine of the angle between parallel axes: 26 degrees."""
 
 _ACROSS: Final = 0.5
 """Largest cosine of the angle between transverse axes: 60 degrees."""
@@ -65,7 +62,7 @@ def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
 def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
     """Return the actuators with parallel axes that together bend the finger farthest."""
     groups = [
-        tuple(name for name, axis in axes.items() if abs(float(axis @ axes[first])) >= _PARALLEL)
+        tuple(name for name, axis in axes.items() if abs(float(axis @ axes[first])) >= PARALLEL)
         for first in axes
     ]
     # By the sum of their ranges, not their number, so that joints of small range count less.
@@ -74,10 +71,9 @@ def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
 
 def _joints(hand: Hand, tip: str, actuators: Sequence[str]) -> int:
     """Return how many joints on the path to a fingertip are moved by some actuators."""
-    rows = {joint.name: row for row, joint in enumerate(hand.joints)}
     moving = {hand.actuator_index(name) for name in actuators}
-    way = (rows[joint.name] for joint in hand.urdf.path_to(tip) if joint.moving)
-    return sum(hand.transmission.moves(row) in moving for row in way)
+    rows = (hand.joint_index(joint.name) for joint in hand.urdf.path_to(tip) if joint.moving)
+    return sum(hand.transmission.moves(row) in moving for row in rows)
 
 
 def _span(actuator: ActuatorSpec) -> float:

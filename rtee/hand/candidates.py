@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from rtee.hand.chains import Chain
-from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.hand.frames import PARALLEL, tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
 from rtee.hand.urdf import Urdf
 from rtee.hand.xmlfile import Element, read_xml
@@ -29,9 +29,6 @@ _PLAY: Final = 0.25
 
 _SAME: Final = 0.01
 """Difference of the limits of two jaws that mirror each other [fraction of the range]."""
-
-_PARALLEL: Final = 0.9
-"""Least cosine of the angle between parallel axes: 26 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +148,7 @@ def _outer(hand: Hand) -> dict[str, str]:
             axes = [turning[:, hand.actuator_index(name)] for name in (inner, outer)]
             lengths = [float(np.linalg.norm(axis)) for axis in axes]
             # A prismatic joint has the angular velocity 0 here.
-            if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= _PARALLEL * lengths[0] * lengths[1]:
+            if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= PARALLEL * lengths[0] * lengths[1]:
                 found[outer] = f"bends parallel to '{inner}', and one tendon may bend both"
     return found
 

@@ -210,15 +210,9 @@ def _body(link: str, urdf: Urdf, moved: Container[str]) -> str | None:
 def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
     """Return the links of a branch, from where it separates from all others down to its end."""
     path = urdf.links_to(end)
-    shared = 0
-    for other in ends:
-        if other == end:
-            continue
-        way = urdf.links_to(other)
-        common = sum(1 for a, b in zip(path, way, strict=False) if a == b)
-        # The last common link is the base at which both separate.
-        shared = max(shared, common - 1)
-    return path[shared:]
+    others = (urdf.links_to(other) for other in ends if other != end)
+    # The last common link is the base at which both separate.
+    return path[max((shared_length([path, other]) - 1 for other in others), default=0) :]
 
 
 def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:

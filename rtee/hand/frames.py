@@ -14,6 +14,9 @@ from rtee.hand.urdf import Triple
 from rtee.objects.description import BASE_POSE, OBJECT_POSE
 from rtee.sample import FloatArray
 
+PARALLEL: Final = 0.9
+"""Least cosine of the angle between parallel axes: 26 degrees."""
+
 _LEVEL: Final = 1e-9
 """Cosine of the pitch below which it counts as a quarter turn: roll and yaw then share an axis."""
 

@@ -9,12 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rtee.hand.chains import Chain
-from rtee.hand.frames import origin
+from rtee.hand.frames import PARALLEL, origin
 from rtee.hand.urdf import Urdf, UrdfJoint
 from rtee.sample import FloatArray
-
-_PARALLEL: Final = 0.9
-"""Least cosine of the angle between parallel axes: 26 degrees."""
 
 _TOGETHER: Final = 0.5
 """Least cosine of the angle between the paths of the ends of a linkage's bars: 60 degrees. The
@@ -125,7 +122,7 @@ class _Branch:
             velocity += np.cross(motion, end - pose[:3, 3])
             if not turning.any():
                 turning, at = motion, pose[:3, 3]
-            planar &= abs(_cosine(turning, motion)) >= _PARALLEL
+            planar &= abs(_cosine(turning, motion)) >= PARALLEL
         reach = float(np.linalg.norm(end - poses[chain.links[0]][:3, 3]))
         return cls(
             chain,
@@ -151,14 +148,14 @@ class _Branch:
             return False
         if not self.turning.any() or not other.turning.any():
             return False
-        if _cosine(self.turning, other.turning) < _PARALLEL:
+        if _cosine(self.turning, other.turning) < PARALLEL:
             return False
         if self.velocity.any() and other.velocity.any():
             together = _cosine(self.velocity, other.velocity) >= _TOGETHER
         else:
             # The two sides of a linkage turn against each other; those of an iris do not.
             same = (each for each in all_ if each.actuators == self.actuators)
-            together = any(_cosine(self.turning, each.turning) <= -_PARALLEL for each in same)
+            together = any(_cosine(self.turning, each.turning) <= -PARALLEL for each in same)
         if not together:
             return False
         axis = self.turning / np.linalg.norm(self.turning)

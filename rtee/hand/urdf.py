@@ -13,7 +13,7 @@ GeometryKind = Literal["mesh", "box", "sphere", "cylinder"]
 UrdfJointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
 Triple = tuple[float, float, float]
 
-_ZERO: Final[Triple] = (0.0, 0.0, 0.0)
+ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +33,13 @@ class UrdfGeometry:
     """
 
     kind: GeometryKind
-    size: Triple = _ZERO
+    size: Triple = ZERO
     radius: float = 0.0
     length: float = 0.0
     mesh: str = ""
     scale: Triple = (1.0, 1.0, 1.0)
-    xyz: Triple = _ZERO
-    rpy: Triple = _ZERO
+    xyz: Triple = ZERO
+    rpy: Triple = ZERO
     line: int = 0
 
     @property
@@ -60,8 +60,8 @@ class UrdfInertia:
             xx, xy, xz, yy, yz, zz [kg·m²].
     """
 
-    xyz: Triple = _ZERO
-    rpy: Triple = _ZERO
+    xyz: Triple = ZERO
+    rpy: Triple = ZERO
     moments: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -138,8 +138,8 @@ class UrdfJoint:
     kind: UrdfJointKind
     parent: str
     child: str
-    xyz: Triple = _ZERO
-    rpy: Triple = _ZERO
+    xyz: Triple = ZERO
+    rpy: Triple = ZERO
     axis: Triple = (1.0, 0.0, 0.0)
     lower: float = 0.0
     upper: float = 0.0

@@ -14,6 +14,7 @@ import numpy as np
 from rtee.errors import UnknownLink
 from rtee.hand.frames import angles, origin, pose_matrix
 from rtee.hand.urdf import (
+    ZERO,
     Triple,
     Urdf,
     UrdfGeometry,
@@ -44,7 +45,6 @@ work on them grows likewise."""
 _NO_AXIS: Final = 1e-9
 """Length below which an axis has no direction, since rounding errors would determine it."""
 
-_ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
 _LIMITED: Final = ("revolute", "prismatic")
 
@@ -217,10 +217,10 @@ def _scale(shape: Element) -> Triple:
 def _origin(element: Element) -> tuple[Triple, Triple]:
     origin = element.first("origin")
     if origin is None:
-        return _ZERO, _ZERO
-    xyz = _triple(origin.numbers("xyz", 3, _ZERO, most=FARTHEST))
+        return ZERO, ZERO
+    xyz = _triple(origin.numbers("xyz", 3, ZERO, most=FARTHEST))
     if "quat_xyzw" not in origin.attributes:
-        return xyz, _triple(origin.numbers("rpy", 3, _ZERO, most=MOST))
+        return xyz, _triple(origin.numbers("rpy", 3, ZERO, most=MOST))
     if "rpy" in origin.attributes:
         raise origin.error("has both rpy and quat_xyzw; one of them gives the orientation")
     x, y, z, w = origin.numbers("quat_xyzw", 4, most=MOST)

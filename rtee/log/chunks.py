@@ -26,7 +26,7 @@ MESSAGE = struct.Struct("<BQHIQQ")
 INDEX = struct.Struct("<BQHI")
 """Layout of the head of a message index record: opcode, length, channel, bytes of entries."""
 
-_AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
+AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _INDEX_AFTER_LENGTH = INDEX.size - 9  # the same of a message index
 _LEAST_ROOM = 65536  # first size of a chunk's buffer [byte]: a second of a small hand
 _SPARE = 1.25
@@ -49,7 +49,7 @@ def _array(values: list[int]) -> NDArray[np.uint64]:
 
 def message_head(channel: int, sequence: int, time: int, size: int) -> bytes:
     """Return the head of the record of a message of ``size`` bytes at ``time`` [ns]."""
-    return MESSAGE.pack(Opcode.MESSAGE, _AFTER_LENGTH + size, channel, sequence, time, time)
+    return MESSAGE.pack(Opcode.MESSAGE, AFTER_LENGTH + size, channel, sequence, time, time)
 
 
 def record_bytes(record: McapRecord) -> bytes:

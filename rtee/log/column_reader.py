@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import MessageError
-from rtee.log.chunks import MESSAGE
+from rtee.log.chunks import AFTER_LENGTH, MESSAGE
 from rtee.log.file_index import ChunkPlace
 from rtee.log.record_scanner import DamagedRecordError
 from rtee.messages.cdr import DTYPES
 from rtee.messages.layout import places
 from rtee.messages.schema import MessageType
 
-_AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _FIELDS = ("opcode", "length", "channel", "sequence", "time", "published")
 _HEADS = np.dtype([*zip(_FIELDS, ("u1", "<u8", "<u2", "<u4", "<i8", "<i8"), strict=True)])
 """Layout of the head of a record, as MESSAGE."""
@@ -37,7 +36,7 @@ def walk(data: bytes) -> dict[int, list[int]]:
         if position + 9 + length > len(data):
             break
         # 5: a message (MCAP specification, "Opcodes").
-        if opcode == 5 and length >= _AFTER_LENGTH:
+        if opcode == 5 and length >= AFTER_LENGTH:
             starts.setdefault(channel, []).append(position)
         position += 9 + length
     return starts
@@ -68,7 +67,7 @@ class Messages(NamedTuple):
     @property
     def sizes(self) -> NDArray[np.int64]:
         """Lengths without the records' heads [bytes]."""
-        sizes: NDArray[np.int64] = self.heads["length"].astype(np.int64) - _AFTER_LENGTH
+        sizes: NDArray[np.int64] = self.heads["length"].astype(np.int64) - AFTER_LENGTH
         return sizes
 
     def where(self, chosen: NDArray[np.bool_]) -> Messages:
