@@ -246,7 +246,7 @@ def is_trusted(status: os.stat_result, *owners: int) -> bool:
     return status.st_uid in owners and not status.st_mode & others
 
 
-def files_below(folder: Path, limit: int = MAX_SIZE) -> Iterator[tuple[Path, bytes]]:
+def files_below(folder: Path) -> Iterator[tuple[Path, bytes]]:
     """Yield the regular files below a folder, with their paths in it and contents, in order.
 
     For a program with more rights than the folder's owner, who may change it meanwhile: links are
@@ -254,20 +254,20 @@ def files_below(folder: Path, limit: int = MAX_SIZE) -> Iterator[tuple[Path, byt
     and folders, and those that begin with two underscores, are left out.
 
     Raises:
-        ConfigError: if a file cannot be read, is larger than ``limit`` [bytes], or belongs to
-            another user than the folder, as a hard link to somebody's file does.
+        ConfigError: if a file cannot be read, is larger than 64 MB, or belongs to another
+            user than the folder, as a hard link to somebody's file does.
     """
     for root, folders, names, descriptor in os.fwalk(folder):  # does not follow links
         folders[:] = sorted(each for each in folders if not each.startswith((".", "__")))
         owner = os.fstat(descriptor).st_uid
         for name in sorted(each for each in names if not each.startswith((".", "__"))):
             path = Path(root, name)
-            content = _regular(path, descriptor, owner, limit)
+            content = _regular(path, descriptor, owner)
             if content is not None:
                 yield path.relative_to(folder), content
 
 
-def _regular(path: Path, folder: int, owner: int, limit: int) -> bytes | None:
+def _regular(path: Path, folder: int, owner: int) -> bytes | None:
     """Return the content of a file in an open folder; ``None`` if it is not a regular file."""
     try:
         # Without blocking, since a named pipe may have taken the file's place.
@@ -283,9 +283,9 @@ def _regular(path: Path, folder: int, owner: int, limit: int) -> bytes | None:
             return None
         if status.st_uid != owner:
             raise ConfigError("must have the same owner as its folder", path=path)
-        content = file.read(limit + 1)
-    if len(content) > limit:
-        raise ConfigError(f"is larger than {limit // 1_000_000} MB", path=path)
+        content = file.read(MAX_SIZE + 1)
+    if len(content) > MAX_SIZE:
+        raise ConfigError(f"is larger than {MAX_SIZE // 1_000_000} MB", path=path)
     return content
 
 

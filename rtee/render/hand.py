@@ -127,8 +127,6 @@ class HandRenderer:
         contact: Contact,
         tips: Collection[str],
         *,
-        size: tuple[int, int] = CLOSE_UP,
-        background: str | None = "#ffffff",
         file_format: FileFormat = "PNG",
     ) -> bytes:
         """Return a picture file of a contact, seen across its normal from an unobstructed side.
@@ -137,8 +135,6 @@ class HandRenderer:
             u: Actuator positions ``(n,)`` [rad | m].
             contact: The contact.
             tips: The links that touch.
-            size: Width and height [pixels].
-            background: Colour behind the hand; ``None`` for transparent.
             file_format: Format of the file.
         """
         caster = self._caster(u)
@@ -149,9 +145,9 @@ class HandRenderer:
         reach = _NEAR * self._extent
         back = self._free_side(point, normal, others)
         ring = _around(back) * reach
-        camera = fit_camera(point + ring, back, self._up, size)
+        camera = fit_camera(point + ring, back, self._up, CLOSE_UP)
         picture = Renderer(caster, camera, self._shading(camera, links=tips)).render()
-        return encode(picture, background, camera, [contact], file_format, large=True)
+        return encode(picture, "#ffffff", camera, [contact], file_format, large=True)
 
     def free_corner(
         self, u: FloatArray, contact: Contact, fingers: Collection[str], share: float

@@ -92,9 +92,6 @@ def _by_goals(recording: Recording) -> Iterator[Episode]:
 STATE, ACTION, SENT = "observation.state", "action", "sent_action"
 """Features of a frame. The last one has no prefix that LeRobot takes for an input or an output."""
 
-_ROBOT: Final = "rtee_hand"
-"""The kind of robot, that of the plugin."""
-
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -290,7 +287,7 @@ def _write(
     from rtee.log.dataset.files import DatasetFiles
 
     folder.mkdir()
-    files = DatasetFiles(folder, choice.fps, _ROBOT, features, [each.name for each in cameras])
+    files = DatasetFiles(folder, choice.fps, features, [each.name for each in cameras])
     every = np.concatenate([shot.when for shot in shots])
     # One pass over the images of each camera, since the episodes follow each other.
     images: dict[str, Iterator[Any]] = {each.name: each.newest(every) for each in cameras}

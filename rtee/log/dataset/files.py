@@ -23,6 +23,9 @@ Vectors = Mapping[str, NDArray[Any]]
 
 Stats = dict[str, NDArray[Any]]
 
+_ROBOT: Final = "rtee_hand"
+"""The kind of robot, that of the plugin."""
+
 _CHUNK: Final = 1000
 """Files in a folder, as LeRobot has it."""
 
@@ -51,7 +54,6 @@ class DatasetFiles:
     Args:
         folder: The folder.
         fps: Frames per second [Hz].
-        robot: The kind of robot.
         names: Names of the numbers by feature.
         cameras: Names of the cameras.
     """
@@ -60,11 +62,10 @@ class DatasetFiles:
         self,
         folder: Path,
         fps: int,
-        robot: str,
         names: Mapping[str, Sequence[str]],
         cameras: Sequence[str],
     ) -> None:
-        self._folder, self._fps, self._robot = folder, fps, robot
+        self._folder, self._fps = folder, fps
         self._names = {key: list(each) for key, each in names.items()}
         self._cameras = {name: f"observation.images.{name}" for name in cameras}
         self._sizes: dict[str, tuple[int, int]] = {}
@@ -225,7 +226,7 @@ class DatasetFiles:
             features[key] = {"dtype": kind, "shape": [1], "names": None}
         return {
             "codebase_version": "v3.0",
-            "robot_type": self._robot,
+            "robot_type": _ROBOT,
             "total_episodes": count,
             "total_frames": self._index,
             "total_tasks": len(self._tasks),
