@@ -339,7 +339,7 @@ class Openings:
         hand: The hand.
         tables: The stored tables.
         meetings: Where the empty hand meets itself, of all actions but timed ones.
-        meetings: Contacts of the empty hand with itself, of all actions but timed ones.
+        made: Whether there is a file of openings.
         outdated: Whether they were made for another model of the hand.
     """
 

@@ -62,7 +62,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
             del staged[target]
         # A renamed file survives a power cut only once its folder is on the disk.
         for folder in folders:
-            sync_folder(folder)
+            flush_to_disk(folder)
     # A ValueError comes from a path with a null character.
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
@@ -143,7 +143,7 @@ def replaced(target: Path) -> Iterator[Path]:
         temporary = Path(scratch, target.name)
         yield temporary
         # Before the rename, so that a power cut cannot leave an empty file at the path.
-        sync_folder(temporary)
+        flush_to_disk(temporary)
         os.replace(temporary, target)
 
 
@@ -323,7 +323,7 @@ def _mode_of(target: Path) -> int:
         return 0o666 & ~mask
 
 
-def sync_folder(path: Path) -> None:
+def flush_to_disk(path: Path) -> None:
     """Flush a folder, with the names in it, or a file to the disk; raises `OSError`."""
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -35,7 +35,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from rtee.hand.files import sync_folder
+from rtee.hand.files import flush_to_disk
 from rtee.log.brief import DIGEST, LARGEST_DIGEST
 from rtee.log.chunks import PackedChunk, record_bytes
 from rtee.log.digest import Digest
@@ -94,7 +94,7 @@ class McapFile:
         try:
             self._append(*begin)
             if sync:
-                sync_folder(path.parent)
+                flush_to_disk(path.parent)
         except OSError:
             os.close(self._descriptor)
             path.unlink(missing_ok=True)

@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rtee.errors import ConfigError
-from rtee.hand.files import reason, sync_folder
+from rtee.hand.files import flush_to_disk, reason
 from rtee.messages.requests import Role
 from rtee.remote.credentials import (
     AUTHORITY,
@@ -201,7 +201,7 @@ def _write_private(path: Path, text: str) -> None:
             # After a power cut, a certificate without its key would be useless.
             os.fsync(file.fileno())
         part.replace(path)
-        sync_folder(path.parent)
+        flush_to_disk(path.parent)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
