@@ -25,6 +25,7 @@ from rtee.gui.bridge import Bridge, Stage
 from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.gui.headset import Follow
 from rtee.gui.panels.approval import Approval
+from rtee.gui.panels.trying import Jobs
 from rtee.gui.session import HandSession
 from rtee.gui.visitors import Visitors
 from rtee.gui.watch import AGAIN, Watch, first_message
@@ -121,7 +122,7 @@ class Page:
                 self.session.remove()
             with self.bridge.stage.atomic():
                 self.session = session = HandSession(
-                    self.bridge, remote, watch, self._top, narrow=self.narrow
+                    self.bridge, remote, watch, self._top, self._app.jobs, narrow=self.narrow
                 )
             watch.watched += 1
             try:
@@ -141,7 +142,7 @@ class Page:
             self.session.fold()
 
     async def close(self) -> None:
-        """Release the hand, and end once the jobs of this window have ended."""
+        """Release the hand, and end once the tasks of its clicks have ended."""
         self._open = False
         if self.session is not None:
             await self.session.leave()
@@ -155,6 +156,7 @@ class App:
     Attributes:
         endpoint: Address of the hand, if it runs on another computer.
         approval: Answers the questions of agents.
+        jobs: Runs the trials of all windows.
         pages: The pages by the number of their window.
     """
 
@@ -170,6 +172,7 @@ class App:
         The ``endpoint`` is needed for a hand on another computer. Windows come from the visitors.
         """
         self.server, self.endpoint = server, endpoint
+        self.jobs = Jobs()
         self.pages: dict[int, Page] = {}
         self._wanted = hand
         self._watches: dict[str, Watch] = {}
@@ -341,7 +344,7 @@ async def serve(
     # imported objects, it does so every few minutes instead of hours, and examines fewer.
     gc.collect()
     gc.freeze()
-    # Jobs started in a window continue after it closes; their messages are discarded.
+    # Tasks of a window's clicks continue after it closes; their messages are discarded.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     give_memory_back()
     visitors = Visitors(access, follow)

@@ -24,7 +24,7 @@ from rtee.gui.panels.header import HeaderPanel
 from rtee.gui.panels.plots import PlotsPanel, TouchPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
-from rtee.gui.panels.trying import TryPanel
+from rtee.gui.panels.trying import Jobs, TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.gui.trial_results import key_of, tried_in
@@ -85,12 +85,13 @@ class HandSession:
         remote: RemoteHand,
         watch: Watch,
         top: viser.GuiFolderHandle,
+        jobs: Jobs,
         *,
         narrow: bool = False,
     ) -> None:
         """Build the panels below the folder ``top``; the watch must have connected before.
 
-        In a narrow window, the plots are folded away.
+        All windows share the ``jobs``. In a narrow window, the plots are folded away.
         """
         assert watch.hand is not None  # noqa: S101
         assert watch.history is not None  # noqa: S101
@@ -110,7 +111,8 @@ class HandSession:
         with self._tabs.add_tab("Teach"):
             self._making = MakingPanel(bridge, remote, hand, self._show)
         with self._tabs.add_tab("Simulate"):
-            self._trying = TryPanel(bridge, remote, hand, self._actions.add_trial, self._show_grasp)
+            add_trial = self._actions.add_trial
+            self._trying = TryPanel(bridge, remote, hand, jobs, add_trial, self._show_grasp)
         with self._tabs.add_tab("Recordings"):
             self._recordings = RecordingsPanel(bridge, remote, hand, self._look_at)
         with self._tabs.add_tab("View"):
@@ -336,7 +338,8 @@ class HandSession:
         return await self._remote.stop()
 
     async def leave(self) -> None:
-        """Release the lease if it is held for jogging."""
+        """End the trials of this window, and release the lease if it is held for jogging."""
+        self._trying.cancel()
         await self._making.jog.leave()
 
     def remove(self) -> None:

@@ -28,13 +28,14 @@ from remote.test_truth import ACTIVE, STATE, status
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionKind, PrimitiveKind
-from rtee.errors import LeaseHeld
+from rtee.errors import LeaseHeld, RequestRejected
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.access import Access
 from rtee.gui.access import PageRole as AccessRole
 from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import StateHistory
+from rtee.gui.panels import trying
 from rtee.gui.panels.action_editor import JogPanel, TuningPanel
 from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.header import HeaderPanel
@@ -211,6 +212,35 @@ async def test_nothing_follows_the_sliders_of_a_hand_that_has_gone(
             await anyio.sleep(0.02)
         group.cancel_scope.cancel()
     assert "a click failed" not in caplog.text
+
+
+async def test_one_trial_runs_at_a_time_in_all_windows(
+    server: viser.ViserServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lasting = 'print(\'{"text": "begun"}\', flush=True); input(); input()'
+    monkeypatch.setattr(trying, "command", lambda: ([sys.executable, "-c", lasting], {}))
+    monkeypatch.setattr(trying, "check_installed", lambda *, planning: None)
+    monkeypatch.setattr(trying, "folder_of", lambda *_: tmp_path)
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        trials, first = session_of(app)._trying, app.pages.pop(0)
+        await shows(app, "small: connected")
+        others = session_of(app)._trying
+        trials._clicked("Try")
+        while "begun" not in trials._report.content:  # noqa: ASYNC110
+            await anyio.sleep(0.02)
+        with pytest.raises(RequestRejected, match="a trial is still running, here or in another"):
+            await others._start(planning=True)
+        with pytest.raises(RequestRejected, match="this window runs no trial"):
+            await others._cancel()
+        others.remove()
+        assert app.jobs.running == "a trial"
+        await first.close()  # which ends its trial, since nobody would see the result
+        assert app.jobs.running == ""
+        group.cancel_scope.cancel()
 
 
 async def test_ending_it_while_jog_is_ticked_is_no_loss(

@@ -11,6 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+import anyio
 import viser
 
 from rtee.actions.types import Action
@@ -48,45 +49,39 @@ _NOTHING: Final = asyncio.subprocess.DEVNULL
 
 
 class Jobs:
-    """Runs one job at a time; call its methods in the event loop.
+    """Runs one job at a time, whichever window it is for; call its methods in the event loop.
 
     `running` is the title of the job, empty if no job runs.
     """
 
     def __init__(self) -> None:
         self.running = ""
-        self._process: asyncio.subprocess.Process | None = None
-        self._cancelled = False
 
     def check_free(self) -> None:
         """Raise `RequestRejected` if a job is running."""
         if self.running:
             raise RequestRejected(
-                f"{self.running} is still running; wait for it to end, or cancel it"
+                f"{self.running} is still running, here or in another window; wait for it to end, "
+                "or cancel it there"
             )
 
-    async def run(self, job: TrialJob, title: str, report: Report) -> bool:
-        """Run a job; return ``True`` at its end, or ``False`` if it was cancelled.
+    async def run(self, job: TrialJob, title: str, report: Report) -> None:
+        """Run a job; cancelling it kills its process.
 
         Raises `RequestRejected` with the reason if another job is running, or this one fails, and
         `ConfigError` if an argument of the job is out of range.
         """
         self.check_free()
         job.check()
-        self.running, self._cancelled = title, False
+        self.running = title
         try:
-            return await self._run(job, report)
+            await self._run(job, report)
         finally:
             self.running = ""
-            # When the GUI ends, it cancels this task while the process is still running.
-            process, self._process = self._process, None
-            if process is not None and process.returncode is None:
-                process.kill()
-                await process.wait()
 
-    async def _run(self, job: TrialJob, report: Report) -> bool:
+    async def _run(self, job: TrialJob, report: Report) -> None:
         arguments, environment = command()
-        process = self._process = await asyncio.create_subprocess_exec(
+        process = await asyncio.create_subprocess_exec(
             *arguments,
             stdin=_PIPE,
             stdout=_PIPE,
@@ -95,27 +90,25 @@ class Jobs:
             limit=LONGEST_LINE,
         )
         assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018
-        process.stdin.write(job.to_json().encode() + b"\n")
-        while not self._cancelled and (line := await process.stdout.readline()):
-            message = read_line(line)
-            if "error" in message:
-                raise RequestRejected(str(message["error"]))
-            if "done" in message:
-                return True
-            report(message)
-        if self._cancelled:
-            return False
-        # The output has ended without "done": the process crashed or was killed.
-        status = await process.wait()
-        raise RequestRejected(
-            f"{self.running} ended with exit status {status}; see rtee try or rtee grasp-plan"
-        )
-
-    def cancel(self) -> None:
-        """Kill the process of the running job, if there is one."""
-        self._cancelled = True
-        if self._process is not None and self._process.returncode is None:
-            self._process.kill()
+        try:
+            process.stdin.write(job.to_json().encode() + b"\n")
+            while line := await process.stdout.readline():
+                message = read_line(line)
+                if "error" in message:
+                    raise RequestRejected(str(message["error"]))
+                if "done" in message:
+                    return
+                report(message)
+            # The output has ended without "done": the process crashed or was killed.
+            status = await process.wait()
+            raise RequestRejected(
+                f"{self.running} ended with exit status {status}; see rtee try or rtee grasp-plan"
+            )
+        finally:
+            if process.returncode is None:
+                process.kill()
+                with anyio.CancelScope(shield=True):
+                    await process.wait()
 
 
 _EVERY: Final = "all actions"
@@ -179,15 +172,23 @@ class TryPanel:
     """Controls for an object and the action to try on it, with the trials' progress and results."""
 
     def __init__(
-        self, bridge: Bridge, remote: RemoteHand, hand: Hand, found: Found, preview: Preview
+        self,
+        bridge: Bridge,
+        remote: RemoteHand,
+        hand: Hand,
+        jobs: Jobs,
+        found: Found,
+        preview: Preview,
     ) -> None:
         """Add the panel to the current container.
 
-        ``found`` receives the results of trials, ``preview`` shows a planned grasp.
+        All windows share the ``jobs``; ``found`` receives the results of trials, ``preview`` shows
+        a planned grasp.
         """
         gui = bridge.stage.gui
         self._bridge, self._remote, self._hand, self._found = bridge, remote, hand, found
-        self._jobs = Jobs()
+        self._jobs = jobs
+        self._own: anyio.CancelScope | None = None
         self._removed = False
         self._actions: dict[str, Action] = {}
         self._meshes: dict[str, Path] = {}
@@ -300,9 +301,14 @@ class TryPanel:
                 self._bridge.call(self._cancel)
 
     async def _cancel(self) -> None:
-        if not self._jobs.running:
-            raise RequestRejected("nothing is running")
-        self._jobs.cancel()
+        if self._own is None:
+            raise RequestRejected("this window runs no trial or planning")
+        self.cancel()
+
+    def cancel(self) -> None:
+        """Cancel the job of this window, if there is one."""
+        if self._own is not None:
+            self._own.cancel()
 
     async def _start(self, *, planning: bool) -> None:
         self._jobs.check_free()
@@ -314,10 +320,14 @@ class TryPanel:
         if planning:
             self._grasps.show(None)
         try:
-            done = await self._jobs.run(job, title, self._receive)
+            with anyio.CancelScope() as self._own:
+                await self._jobs.run(job, title, self._receive)
+            done = not self._own.cancelled_caught
         except RteeError as error:
             self._say(str(error), BAD)
             raise
+        finally:
+            self._own = None
         if self._removed:  # the hand has gone in the meantime, and so have its controls
             return
         self._bar.value = 100.0 if done else 0.0
@@ -402,7 +412,7 @@ class TryPanel:
     def remove(self) -> None:
         """Cancel the running job; the session removes the controls."""
         self._removed = True
-        self._jobs.cancel()
+        self.cancel()
 
 
 Preview = Callable[[GraspPlan | None], None]
