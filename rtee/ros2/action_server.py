@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import anyio
 
 from rtee import monotonic
-from rtee.errors import MessageError, RteeError
+from rtee.errors import RteeError
 from rtee.ros2.actions import (
     NO_GOAL,
     ActionOutcome,
@@ -39,8 +39,8 @@ _MOST_KEPT = 50
 _MOST_ACTIVE = 16
 """Most goals at once: a hand executes one, and some may be about to end."""
 
-_MOST_WAITING = 16
-"""Most requests that wait for the result of a goal."""
+_MOST_WAITING = 256
+"""Most requests that wait for the end of goals, of whichever; later ones wait for their turn."""
 
 _LOGGED_AGAIN = 60.0
 """Time after which the same reason for a refusal is logged again [s]."""
@@ -121,11 +121,10 @@ class _Offered:
         for version in versions(offer.type, node.context.interfaces.distro):
             publisher = node.publisher(called.feedback, version.feedback_message)
             self.feedback.append((publisher, version.feedback))
-        # Room for all requests that may wait, and for one more to be refused at once.
-        at_once = _MOST_ACTIVE * _MOST_WAITING + 1
+        result, at_once = offer.type.get_result, _MOST_WAITING
         self._services = (
             node.service(called.send_goal, offer.type.send_goal, self._send),
-            node.service(called.get_result, offer.type.get_result, self._result, at_once=at_once),
+            node.service(called.get_result, result, self._result, at_once=at_once),
         )
 
     async def _send(self, request: Any) -> Message:
@@ -140,8 +139,6 @@ class _Offered:
         # The result of a goal of another type would have other fields.
         if goal is None or goal.offered is not self:
             return self.type.get_result.response(status=GoalState.UNKNOWN)
-        if goal.waiting >= _MOST_WAITING:
-            raise MessageError(f"{_MOST_WAITING} requests already wait for the end of this goal")
         goal.waiting += 1
         try:
             # Shielded: if this request is cancelled, the others still wait.

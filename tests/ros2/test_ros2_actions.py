@@ -229,6 +229,21 @@ async def test_too_many_goals_at_once(settings: Ros2Settings) -> None:
         await works.send()
 
 
+async def test_everybody_who_waits_for_a_goal_gets_its_result(settings: Ros2Settings) -> None:
+    async with working(settings) as works:
+        goal, states = await works.send(), list[GoalState]()
+
+        async def follow() -> None:
+            states.append((await goal.result(20)).state)
+
+        async with anyio.create_task_group() as group:
+            for _ in range(40):
+                group.start_soon(follow)
+            await until(lambda: works.server.goals[0].waiting == 40)
+            works.jobs[0].end.set()
+        assert states == [GoalState.SUCCEEDED] * 40
+
+
 async def test_a_client_that_goes_leaves_its_goal(settings: Ros2Settings) -> None:
     async with working(settings) as works:
         async with Context.open(settings, {}) as third:
