@@ -29,7 +29,7 @@ _KINDS: tuple[tuple[type, int, str], ...] = (
     (float, 3, "double"),
     (str, 4, "string"),
 )
-_NOT_SET, _DOUBLE, _DOUBLES, _BYTES = 0, 3, 8, 5
+_NOT_SET, _INTEGER, _DOUBLE, _DOUBLES, _BYTES = 0, 2, 3, 8, 5
 _TO_ARRAY = 5
 """Offset of an array's kind from that of its elements."""
 
@@ -81,17 +81,22 @@ class Parameter:
     @property
     def kind(self) -> int:
         """Number of the type in ``rcl_interfaces/msg/ParameterType``."""
-        return kind_of(self.value)
+        value = self.value
+        if isinstance(value, bytes):
+            return _BYTES
+        # The elements of an empty list have no type; it counts as a list of doubles.
+        sample = (value[0] if value else 0.0) if isinstance(value, list) else value
+        kind = next(number for type_, number, _ in _KINDS if isinstance(sample, type_))
+        return kind + _TO_ARRAY if isinstance(value, list) else kind
 
-    def refusal(self, value: Value | None) -> str:
-        """Return the reason why the parameter refuses a value; ``""`` if it accepts the value."""
+    def refusal(self, kind: int, value: Value) -> str:
+        """Return why the parameter refuses a value of this type; ``""`` if it accepts the value."""
         if self.read_only:
             return f"parameter '{self.name}' cannot be set because it is read-only"
-        if value is None or kind_of(value) != self.kind:
-            given = "not set" if value is None else _NAMES[kind_of(value)]
+        if kind != self.kind:
             return (
                 f"Wrong parameter type, parameter '{self.name}' is of type"
-                f" '{_NAMES[self.kind]}', setting it to '{given}' is not allowed."
+                f" '{_NAMES[self.kind]}', setting it to '{_NAMES[kind]}' is not allowed."
             )
         numbers = value if isinstance(value, list) else [value]
         for number in numbers:
@@ -102,16 +107,6 @@ class Parameter:
 
     def _within(self, number: float) -> bool:
         return math.isfinite(number) and self.lower <= number <= self.upper
-
-
-def kind_of(value: Value) -> int:
-    """Return the number of a value's type in ``rcl_interfaces/msg/ParameterType``."""
-    if isinstance(value, bytes):
-        return _BYTES
-    # The elements of an empty list have no type; it counts as a list of doubles.
-    sample = (value[0] if value else 0.0) if isinstance(value, list) else value
-    kind = next(number for type_, number, _ in _KINDS if isinstance(sample, type_))
-    return kind + _TO_ARRAY if isinstance(value, list) else kind
 
 
 class Parameters:
@@ -164,19 +159,19 @@ class Parameters:
         event = self._message("ParameterEvent")(node=self._node.name.full)
         event.stamp.sec, event.stamp.nanosec = seconds, nanoseconds
         parameter = self._message("Parameter")
-        changes = [parameter(name=name, value=self._value(value)) for name, value in values.items()]
+        changes = [parameter(name=name, value=self._value(name, values)) for name in values]
         setattr(event, field, changes)
         self._events.publish(event)
 
-    def _value(self, value: Value | None) -> Message:
+    def _value(self, name: str, values: Mapping[str, Value]) -> Message:
         message = self._message("ParameterValue")()
-        if value is not None:
-            message.type = kind_of(value)
-            setattr(message, _FIELDS[message.type], value)
+        if name in values:
+            message.type = self._declared[name].kind
+            setattr(message, _FIELDS[message.type], values[name])
         return typing.cast("Message", message)
 
     async def _get(self, request: Any) -> dict[str, Any]:
-        return {"values": [self._value(self._values.get(name)) for name in request.names]}
+        return {"values": [self._value(name, self._values) for name in request.names]}
 
     async def _types(self, request: Any) -> dict[str, Any]:
         declared = (self._declared.get(name) for name in request.names)
@@ -230,14 +225,13 @@ class Parameters:
         wanted: dict[str, Value] = {}
         # Check all before changing any, so that a change rarely has to be undone.
         for each in changes:
-            value = self._taken(each.name, _content(each.value))
             declared = self._declared.get(each.name)
             if declared is None:
                 return _result(result, f"parameter '{each.name}' cannot be set: not declared")
-            if refusal := declared.refusal(value):
+            kind, value = _content(each.value, declared.kind)
+            if refusal := declared.refusal(kind, value):
                 return _result(result, refusal)
-            if value is not None:
-                wanted[each.name] = value
+            wanted[each.name] = value
         before: dict[str, Value] = {}
         for name, value in wanted.items():
             try:
@@ -253,18 +247,6 @@ class Parameters:
         self.update(wanted)
         return _result(result, "")
 
-    def _taken(self, name: str, value: Value | None) -> Value | None:
-        """Return a value converted to its parameter's type: an integer is accepted for a double."""
-        declared = self._declared.get(name)
-        # A bool is an int in Python, but must not become a double.
-        if declared is None or value is None or isinstance(value, bool):
-            return value
-        if declared.kind == _DOUBLE and isinstance(value, int):
-            return float(value)
-        if isinstance(value, list) and not value and isinstance(declared.value, list):
-            return value if declared.kind == _DOUBLES else None
-        return value
-
     async def _apply(self, name: str, value: Value) -> None:
         change = self._declared[name].change
         if change is not None:
@@ -273,12 +255,14 @@ class Parameters:
                 await done
 
 
-def _content(value: Any) -> Value | None:
-    """Return the value in a ``ParameterValue``; ``None`` if it is not set or of unknown type."""
-    if not 0 < value.type < len(_FIELDS):
-        return None
-    content: Value | np.ndarray = getattr(value, _FIELDS[value.type])
-    return content.tolist() if isinstance(content, np.ndarray) else content
+def _content(message: Any, wanted: int) -> tuple[int, Value]:
+    """Return type and value of a ``ParameterValue``; an integer becomes a wanted double."""
+    if not 0 < message.type < len(_FIELDS):
+        return _NOT_SET, ""
+    content: Any = getattr(message, _FIELDS[message.type])
+    if (message.type, wanted) == (_INTEGER, _DOUBLE):
+        return _DOUBLE, float(content)
+    return message.type, content.tolist() if isinstance(content, np.ndarray) else content
 
 
 def _result(result: Any, reason: str) -> Message:

@@ -298,6 +298,7 @@ async def test_parameters_are_read_changed_and_described(settings: Ros2Settings)
                 Parameter("serial", "A1", read_only=True),
                 Parameter("gains", [1.0, 2.0], lower=0.0),
                 Parameter("locked", False, change=refused),
+                Parameter("names", ["a"]),
             ],
         )
         asking, kinds = user.node("user"), user.interfaces
@@ -310,7 +311,7 @@ async def test_parameters_are_read_changed_and_described(settings: Ros2Settings)
             return await client.call(client.type.request(**fields), 10)
 
         listed = await ask("list_parameters", "ListParameters")
-        assert listed.result.names == ["filter.order", "gains", "locked", "rate", "serial"]
+        assert listed.result.names == ["filter.order", "gains", "locked", "names", "rate", "serial"]
         assert listed.result.prefixes == ["filter"]
         listed = await ask("list_parameters", "ListParameters", prefixes=["filter"])
         assert listed.result.names == ["filter.order"]
@@ -347,14 +348,18 @@ async def test_parameters_are_read_changed_and_described(settings: Ros2Settings)
             setting("rate", type=99),
             setting("locked", type=1, bool_value=True),
             setting("none", type=1, bool_value=True),
+            setting("names", type=8),
+            setting("names", type=9),
         ]
         results = (await ask("set_parameters", "SetParameters", parameters=wanted)).results
-        assert [each.successful for each in results] == [True, True, *[False] * 3, True] + (
-            [False] * 5
-        )
+        assert [n for n, each in enumerate(results) if each.successful] == [0, 1, 5, 12]
         assert "outside 1 to 1000" in results[2].reason
         assert "read-only" in results[4].reason
         assert results[9].reason == "not now"
+        assert "setting it to 'double_array' is not allowed" in results[11].reason
+        assert parameters.values["names"] == []  # an array of strings still, though it has none
+        got = await ask("get_parameters", "GetParameters", names=["names"])
+        assert [each.type for each in got.values] == [9]
         assert parameters.values["rate"] == 60.0
         assert changes == [50.0, 60.0]
 
