@@ -9,6 +9,7 @@ port or from another process would come too late, since time does not wait for i
 from __future__ import annotations
 
 import asyncio
+import math
 import queue
 import selectors
 import threading
@@ -143,7 +144,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         if self._working:
             # The next action of a thread wakes the loop up.
             return select(None)
-        due = [wait.until for wait in self._waits]
+        due = [wait.until for wait in self._waits if wait.until < math.inf]
         if timeout is not None:
             due.append(self._time + timeout)
         if not due:
@@ -173,8 +174,9 @@ class SimulatedQueue(queue.Queue[Any]):
         self._loop = loop
 
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        """Return the oldest item; raises `queue.Empty`."""
-        if block and not self._loop.wait(lambda: not self.empty(), timeout or 0.0):
+        """Return the oldest item; raises `queue.Empty` after the timeout [s], if there is one."""
+        within = math.inf if timeout is None else timeout
+        if block and not self._loop.wait(lambda: not self.empty(), within):
             raise queue.Empty
         return super().get(block=False)
 

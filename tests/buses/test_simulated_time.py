@@ -105,6 +105,10 @@ async def test_a_queue_gives_what_comes_in_time() -> None:
     with pytest.raises(queue.Empty):
         await asyncio.to_thread(answers.get, True, 4.0)
     assert await asyncio.to_thread(answers.get, True, 4.0) == "late"
+    loop.call_later(A_DAY, answers.put, "much later")
+    begun = monotonic.now()
+    assert await asyncio.to_thread(answers.get) == "much later"
+    assert monotonic.now() - begun == pytest.approx(A_DAY, abs=0.001)
 
 
 def test_outside_of_it_time_is_real_and_threads_that_wait_in_it_end() -> None:
