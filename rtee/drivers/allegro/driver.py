@@ -137,7 +137,7 @@ class AllegroOptions(DeviceOptions, frozen=True):
         max_torque: Largest torque [N·m], besides the hand's own limits.
         smoothing: Time constant of the velocity filter [s].
         info_every: Number of exchanges after which temperature and faults are read.
-        deadline: Longest time to wait for an answer [s].
+        deadline: Longest time to wait for an answer, or for late positions [s].
     """
 
     channel: str = "can0"
@@ -170,9 +170,6 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
         return list(range(JOINTS))
     return numbers_of(spec, "joints", options.joints, "joint")
 
-
-_STALE = 0.25
-"""Age at which the positions count as lost [s]: more than eighty of the default periods."""
 
 _SERVO_OFF = 0x100
 """Code of the driver's own fault "motors off", above the eight status bits of the hand."""
@@ -362,8 +359,10 @@ class AllegroDriver(Driver):
         if self._count % self.options.info_every == 0:
             self._refuse(await self.connection.link.info())
         control = self.control
-        if monotonic.now() - control.stamp > _STALE:
-            raise BusTimeout(bus.name, f"no positions for more than {_STALE:g} s")
+        # Positions are not requested: the next ones are due after a period.
+        longest = self._period(control.scale.version) * 1e-3 + self.options.deadline
+        if monotonic.now() - control.stamp > longest:
+            raise BusTimeout(bus.name, f"no positions for more than {longest:g} s")
         fresh, self._returned = control.sets != self._returned, control.sets
         info = self._info
         temperature = math.nan if info is None else float(info.temperature)

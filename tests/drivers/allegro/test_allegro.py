@@ -365,12 +365,19 @@ async def test_an_activation_that_fails_leaves_the_hand_without_torque(
 
 
 @pytest.mark.anyio
-async def test_a_hand_that_falls_silent_is_noticed() -> None:
-    async with BusPool() as pool, connected(pool, device()) as made:
+@pytest.mark.parametrize(
+    ("options", "late"),
+    [({}, 0.09), ({"period": 50, "deadline": 0.3}, 0.29)],
+    ids=["3 ms", "50 ms"],
+)
+async def test_a_hand_that_falls_silent_is_noticed(options: dict[str, Any], late: float) -> None:
+    async with BusPool() as pool, connected(pool, device(**options)) as made:
         await made.activate()
         hand(pool).inject("silent")
-        await anyio.sleep(0.35)
-        with pytest.raises(BusTimeout, match="no positions"):
+        await anyio.sleep(late)
+        await made.sense()
+        await anyio.sleep(0.07)
+        with pytest.raises(BusTimeout, match=r"no positions for more than 0\.(103|35) s"):
             await made.sense()
 
 
