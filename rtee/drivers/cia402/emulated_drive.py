@@ -171,7 +171,6 @@ class Drive:
             node.add(index, 0, "B", 2, writable=False)
             node.add(index, 1, "I", value)
             node.add(index, 2, "I", 1)
-        node.add(Object.HALT_OPTION, 0, "h", 1)
         node.add(Object.HOMING_METHOD, 0, "b", 0)
         node.add(Object.HOMING_SPEEDS, 0, "B", 2, writable=False)
         node.add(Object.HOMING_SPEEDS, 1, "I", int(made.speed))
