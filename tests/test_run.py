@@ -25,7 +25,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.measured import Measured
 from rtee.remote.directory import claimed
-from rtee.running import free_motion
+from rtee.running import free_motion, run
 from rtee.running.event_lines import EventLines, Fields, entry, line
 from rtee.running.run import RunOptions, prepare, run_hands
 from rtee.types import Event, Goal, Named, Reference, Result
@@ -469,3 +469,17 @@ def test_what_is_not_permitted_is_told_once(folder: Path) -> None:
     output, errors = process.communicate()
     assert process.returncode == 0, errors
     assert (output + errors).count("CPU 4000 cannot be used") == 1
+
+
+def test_hands_of_a_run_are_told_whose_realtime_counts(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_hand(folder, "left", "realtime: {enabled: true, priority: 70}\n")
+    write_hand(folder, "right", "realtime: {enabled: true, priority: 60}\n")
+    made = {name: prepare(name, options(folder)) for name in ("jaw", "left", "right")}
+    assert run._realtime([made["jaw"], made["right"]], enabled=False).priority == 60
+    assert not run._realtime([made["jaw"]], enabled=False).enabled
+    assert caplog.text == ""
+    assert run._realtime(list(made.values()), enabled=False).priority == 70
+    assert "right: its own `realtime` does not count beside that of left" in caplog.text
+    assert "jaw" not in caplog.text, "it wants none"

@@ -114,8 +114,7 @@ async def run_hands(
         beside_all = (*_in_ros2(names, prepared, options), *_metrics(prepared, options))
         companions = (*options.companions, *beside_all)
         options = replace(options, companions=companions)
-    wanted = [realtime_settings(hand.config, enabled=options.realtime) for hand in prepared]
-    realtime = next((settings for settings in wanted if settings.enabled), RealtimeSettings())
+    realtime = _realtime(prepared, enabled=options.realtime)
     collector = Collector()
     service = ServiceReporter.of()
     # Closed in the opposite order: first the network, then the devices and the recorders.
@@ -213,6 +212,23 @@ def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:
             hands.setdefault(words, []).append(one.hand.name)
     for words, names in hands.items():
         log.warning("%s: profile %s", ", ".join(names), words)
+
+
+def _realtime(prepared: Sequence[PreparedHand], *, enabled: bool) -> RealtimeSettings:
+    """Return the real-time settings of the first hand that has any; warn about others."""
+    chosen = RealtimeSettings()
+    for one in prepared:
+        settings = realtime_settings(one.config, enabled=enabled)
+        if not chosen.enabled:
+            chosen, first = settings, one.hand.name
+        elif settings.enabled and settings != chosen:
+            log.warning(
+                "%s: its own `realtime` does not count beside that of %s, since all hands of a run "
+                "share a process",
+                one.hand.name,
+                first,
+            )
+    return chosen
 
 
 async def _open(
