@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
@@ -23,6 +24,14 @@ if TYPE_CHECKING:
     from rtee.log.recording import Recording
 
 app = Commands()
+
+
+@app.callback()
+def _recordings() -> None:
+    """Inspect, plot, export, replay and repair recordings."""
+    # By an exception, which removes temporary files.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+
 
 File = Annotated[
     Path, typer.Argument(metavar="FILE", help="A recording, or a folder: its newest recording.")

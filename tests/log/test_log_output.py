@@ -598,6 +598,17 @@ def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> N
             assert said in told
 
 
+def test_an_export_that_is_ended_leaves_nothing(story: Path, tmp_path: Path) -> None:
+    program = (
+        "import os, signal, rtee.log.export as export\n"
+        "export.tables = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "from rtee.cli import main; main()"
+    )
+    command = [sys.executable, "-c", program, "log", "export", str(story), str(tmp_path)]
+    assert subprocess.run(command, check=False).returncode == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_info_of_a_series(claw: Hand, tmp_path: Path) -> None:
     log = Log(claw, settings(tmp_path, max_file_size=40_000))
     log.run(0, 400)
