@@ -18,14 +18,14 @@ from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.mcpserver.resources import FunctionResource
 from mcp.server.mcpserver.tools import Tool
 from mcp.types import ToolAnnotations
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label
 from rtee.agent import texts
 from rtee.agent.agent import Agent
 from rtee.agent.texts import INSTRUCTIONS
-from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
+from rtee.errors import GoalRejected, RteeError, foreign, needing_extra, suggestion
 from rtee.hand.load import hand_folder, load_configured
 from rtee.messages.goals import goal_of
 from rtee.objects.shape import TABLE, parse_table
@@ -285,6 +285,31 @@ def server_of(agents: Sequence[Agent]) -> MCPServer:
     return server
 
 
+class _Tool(Tool):
+    """A tool that says in a sentence which arguments are wrong, instead of pydantic's lines."""
+
+    async def run(self, arguments: dict[str, Any], *args: Any, **kwargs: Any) -> Any:
+        try:
+            return await super().run(arguments, *args, **kwargs)
+        except ToolError as error:
+            if not isinstance(error.__cause__, ValidationError):
+                raise
+            wrong = "; ".join(map(_wrong, error.__cause__.errors()))
+            raise ToolError(f"Error executing tool {self.name}: {wrong}") from None
+
+
+def _wrong(error: Mapping[str, Any]) -> str:
+    """Return what is wrong with an argument, by one of pydantic's errors."""
+    words = {
+        "extra_forbidden": "is not an argument of this tool",
+        "missing": "is missing",
+        "string_pattern_mismatch": f"should be {_SHAPES}",
+    }
+    name = foreign(".".join(map(str, error["loc"])))
+    # "Input should be …", "List should have …"
+    return f"'{name}' {words.get(error['type'], error['msg'].partition(' ')[2])}"
+
+
 def _tool(method: Callable[..., Awaitable[Any]], agents: Sequence[Agent]) -> Tool:
     @functools.wraps(method)
     async def call(*args: Any, **kwargs: Any) -> Any:
@@ -294,7 +319,7 @@ def _tool(method: Callable[..., Awaitable[Any]], agents: Sequence[Agent]) -> Too
             raise ToolError(str(error)) from None
 
     reads = ToolAnnotations(read_only_hint=method.__name__ in _READING)
-    tool = Tool.from_function(call, annotations=reads)
+    tool = _Tool.from_function(call, annotations=reads)
     # Otherwise, misspelt options would be silently ignored.
     model = tool.fn_metadata.arg_model
     model.model_config["extra"] = "forbid"

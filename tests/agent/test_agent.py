@@ -127,6 +127,8 @@ async def test_hostile_calls_move_nothing(hand: Hand, library: ActionLibrary) ->
         for tool, arguments in HOSTILE:
             refused, text = await agent.call(tool, **arguments)
             assert refused, (tool, arguments, text)
+            assert "\n" not in text
+            assert "pydantic" not in text
         # The client writes null for what JSON has no word for; others may write NaN.
         for key in ("intensity", "effort", "speed"):
             with pytest.raises(ToolError, match="finite"):
@@ -137,6 +139,19 @@ async def test_hostile_calls_move_nothing(hand: Hand, library: ActionLibrary) ->
         (goal,) = served.watcher.goals
         assert goal.effort == {"near": 0.5, "thumb": 0.75, "push": 10.0}
         assert goal.speed == AgentLimits().speed
+
+
+async def test_wrong_arguments_are_named_in_a_sentence(hand: Hand, library: ActionLibrary) -> None:
+    async with both(hand, library, Gate.WATCH) as (_, agent):
+        assert await agent.refused("grasp", width=-1, **{"to\nlerance": 1}) == (
+            "Error executing tool grasp: 'width' should be greater than or equal to 0; 'force' is "
+            "missing; 'to\\nlerance' is not an argument of this tool"
+        )
+        assert await agent.refused("do", action="", elements=["near", 3], object="a.stl") == (
+            "Error executing tool do: 'action' should have at least 1 character; 'elements.1' "
+            "should be a valid string; 'object' should be box:WxDxH, cylinder:RADIUSxHEIGHT, "
+            "sphere:RADIUS or capsule:RADIUSxLENGTH [m]"
+        )
 
 
 async def test_only_allowed_actions_are_done(hand: Hand, library: ActionLibrary) -> None:
