@@ -242,16 +242,12 @@ class ClearSearch:
     def _push_out(self, start: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one, or ``None``.
 
-        If descents do not lead out of the collisions, moves the start back on its path to just
-        before the first contact of the colliding links. Improves the pose from there if its tips do
-        not touch.
+        If descents do not lead out of the collisions, moves the start back on its path until
+        nothing collides. Improves the pose from there if its tips do not touch.
         """
         y, collided = start, list[LinkPair]()
         for _ in range(self._budget.pushes):
-            # Round as in storage: the checked posture must be the stored one.
-            u = self._function.stored(y)
-            # Check nested links, which are costly, only if the others are clear.
-            hits = self._checker.unnested(u) or self._checker.nested(u)
+            hits = self._hits(y)
             collided = collided or hits
             if not hits:
                 return y
@@ -260,12 +256,23 @@ class ClearSearch:
             y = self._descend(y, _EVALUATIONS).y
             if not self._function.reached(y):
                 break
-        path = self._motion.path_to(self._function.stored(start))
-        blocked = self._checker.first_on(path, collided)
-        if blocked is None:
-            return None
-        before = self._before(start, blocked)
-        return before if self._function.reached(before) else self._improve_recalibrated(before)
+        y = start
+        while collided:
+            path = self._motion.path_to(self._function.stored(y))
+            blocked = self._checker.first_on(path, collided)
+            if blocked is None or blocked.at <= _SHORT:
+                return None
+            y = self._before(y, blocked)
+            # Beyond other links there, the path may lead through them.
+            collided = self._hits(y)
+        return y if self._function.reached(y) else self._improve_recalibrated(y)
+
+    def _hits(self, y: FloatArray) -> list[LinkPair]:
+        """Return pairs of links that collide at a pose; none of them if it is clear."""
+        # Round as in storage: the checked posture must be the stored one.
+        u = self._function.stored(y)
+        # Check nested links, which are costly, only if the others are clear.
+        return self._checker.unnested(u) or self._checker.nested(u)
 
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
         """Return the pose on the path just before a collision."""
