@@ -189,7 +189,7 @@ class Fleet:
                 self._troubles.pop(place, None)
                 self._awaited, first = self._awaited - first, 0
                 await gone.wait()
-                self._troubles[place] = "it has gone"
+                self._troubles[place] = "it has ended or no longer answers"
         except RteeError as error:
             self._troubles[place] = str(error)
         finally:

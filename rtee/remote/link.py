@@ -138,7 +138,7 @@ class Link:
         """Return the error for pending and further requests after the hand was lost."""
         if self._left:
             return NoHand(f"this client has left the hand '{self.hand}'; connect again")
-        return NoHand(f"the hand '{self.hand}' is gone")
+        return NoHand(f"the hand '{self.hand}' has ended or no longer answers")
 
     def leave(self) -> None:
         """Fail all pending requests because this client leaves; call it before `close`."""

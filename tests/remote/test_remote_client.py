@@ -433,10 +433,10 @@ async def test_a_hand_that_goes_ends_everything(hand: Hand, library: ActionLibra
             await anext(states)
             running = await remote.start("fist", **LASTING)
             end.set()
-            with pytest.raises(NoHand, match="is gone"):
+            with pytest.raises(NoHand, match="has ended or no longer answers"):
                 async for _ in states:
                     pass
-            with pytest.raises(NoHand, match="is gone"):
+            with pytest.raises(NoHand, match="has ended or no longer answers"):
                 await running.result()
             with pytest.raises(NoHand):
                 await remote.status()
@@ -449,9 +449,9 @@ async def test_what_came_before_a_hand_goes_is_told(hand: Hand, library: ActionL
             remote._monitoring._on_event(EVENT.encode(Event("note", "sim", text, 0.0), wall=0))
         remote._link._on_gone()  # before anybody had a chance to look
         assert [(await anext(events)).text for _ in range(2)] == ["first", "last"]
-        with pytest.raises(NoHand, match="is gone"):
+        with pytest.raises(NoHand, match="has ended or no longer answers"):
             await anext(events)
-        with pytest.raises(NoHand, match="is gone"):
+        with pytest.raises(NoHand, match="has ended or no longer answers"):
             await anext(remote.events())
 
 

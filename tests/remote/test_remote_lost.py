@@ -161,19 +161,22 @@ async def test_leaving_while_a_goal_runs_is_being_lost(hand: Hand, library: Acti
         await until(lambda: [goal.what.action for goal in served.watcher.goals] == ["fist", "open"])
 
 
-async def test_a_killed_hand_is_noticed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_killed_or_frozen_hand_is_noticed(tmp_path: Path, end: signal.Signals) -> None:
     tests = str(Path(__file__).parents[1])
     process = await started(RUN, tests, str(tmp_path))
     async with rtee.connect("small") as remote:
         running = await remote.start("fist", **LASTING)
         states = remote.states(20.0)
         await anext(states)
-        process.kill()
-        with pytest.raises(NoHand, match="is gone"):
+        process.send_signal(end)
+        with pytest.raises(NoHand, match="has ended or no longer answers"):
             await running.result()
-        with pytest.raises(NoHand, match="is gone"):
+        with pytest.raises(NoHand, match="has ended or no longer answers"):
             async for _ in states:
                 pass
+    if end is signal.SIGSTOP:
+        process.kill()
     await process.aclose()
     with pytest.raises(NoHand, match="no hand is running"):
         async with rtee.connect():

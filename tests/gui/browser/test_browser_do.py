@@ -170,7 +170,7 @@ def test_a_killed_loop_is_said_plainly_and_a_new_one_goes_on(
 ) -> None:
     hands.kill(GRIPPER)
     window.says("not connected")
-    window.says(re.compile("no hand|is gone|is not running"))
+    window.says(re.compile("no hand|has ended|is not running"))
     assert hands[GRIPPER].process.poll() is None
     window.says(f"{GRIPPER}: connected")
     card = window.folder("PinchTight", unfold=True)
