@@ -309,7 +309,10 @@ def _read(descriptor: int) -> dict[str, object]:
 
 
 def _hand_in(folder: int, name: str) -> Running | None:
-    """Return the hand of a file, ``None`` if its server has ended."""
+    """Return the hand of a file, ``None`` if its server has ended.
+
+    It has no endpoints if its server has not announced it yet, or no longer does.
+    """
     try:
         descriptor = os.open(name, os.O_RDONLY | _OPEN, dir_fd=folder)
     except OSError:
@@ -320,7 +323,7 @@ def _hand_in(folder: int, name: str) -> Running | None:
         if not stat.S_ISREG(status.st_mode) or not is_trusted(status, owner):
             return None
         entry = _read(descriptor)
-        pid, endpoints = entry.get("pid"), entry.get("endpoints")
+        pid, endpoints = entry.get("pid", 0), entry.get("endpoints", [])
         if not isinstance(pid, int) or not isinstance(endpoints, list):
             return None
         # A shared lock, so that several readers do not mistake each other for the server.
@@ -337,6 +340,18 @@ def running() -> dict[str, Running]:
 
     Raises `ConfigError` if others can write to this user's folder.
     """
+    return {name: hand for name, hand in _served().items() if hand.endpoints}
+
+
+def starting() -> list[str]:
+    """Return the names of hands that a process has, but does not announce: they start or end.
+
+    Raises `ConfigError` if others can write to this user's folder.
+    """
+    return [name for name, hand in _served().items() if not hand.endpoints]
+
+
+def _served() -> dict[str, Running]:
     hands: dict[str, Running] = {}
     # A folder that is given explicitly, as in tests, is the only one.
     services = None if os.environ.get(VARIABLE) else _services()

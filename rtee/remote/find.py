@@ -16,7 +16,7 @@ from rtee.errors import ConfigError, NoHand, suggestion
 from rtee.hand.names import check_name
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
-from rtee.remote.directory import Running, running
+from rtee.remote.directory import Running, running, starting
 from rtee.remote.session import access_path, close_session, open_client
 from rtee.remote.stopping import stop_path
 from rtee.units import longest_wait
@@ -26,6 +26,10 @@ VARIABLE = "RTEE_CONNECT"
 
 _POLL_PERIOD = 0.02
 """Time between two searches for a hand that is not running yet [s]: too short to be noticed."""
+
+_STARTING = 10.0
+"""Longest wait for a hand that is just starting [s]: before clients can reach it, its devices have
+3 s to connect."""
 
 _ANSWER_WITHIN = 3.0
 """Time for the hands at an endpoint to report that they are alive [s]: a round trip or two, but on
@@ -57,7 +61,7 @@ async def open_hand(
     on_wait: Callable[[str], object] | None = None,
     within: float | None = None,
 ) -> FoundSession:
-    """Find a hand and open a session with it.
+    """Find a hand and open a session with it; waits for one that starts on this computer.
 
     Args:
         hand: The hand's name; ``None`` if only one hand runs.
@@ -73,7 +77,7 @@ async def open_hand(
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    until, reported = monotonic.now() + longest_wait(wait, "wait"), ""
+    began, longest, reported = monotonic.now(), longest_wait(wait, "wait"), ""
     while True:
         try:
             return await (
@@ -82,12 +86,18 @@ async def open_hand(
                 else open_here(chosen_here(hand), within)
             )
         except NoHand as error:
-            if monotonic.now() >= until:
+            least = _STARTING if endpoint is None and _starts(hand) else 0.0
+            if monotonic.now() >= began + max(longest, least):
                 raise
             if on_wait is not None and str(error) != reported:
                 reported = str(error)
                 on_wait(reported)
         await anyio.sleep(_POLL_PERIOD)
+
+
+def _starts(hand: str | None) -> bool:
+    names = starting()
+    return bool(names) if hand is None else hand in names
 
 
 def chosen_here(hand: str | None) -> Running:

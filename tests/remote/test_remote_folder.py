@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import multiprocessing
 import os
@@ -15,11 +16,11 @@ from pathlib import Path
 
 import pytest
 
-from rtee.errors import ConfigError
-from rtee.remote import directory
+from rtee.errors import ConfigError, NoHand
+from rtee.remote import directory, find
 from rtee.remote.directory import claimed, running
 
-from .serving import announced
+from .serving import announced, until
 
 NOBODY = 65534
 """The user that owns nothing."""
@@ -190,6 +191,21 @@ def test_a_hand_runs_once_though_its_file_was_removed(
     assert running() == {}
     with claimed("svh"):
         pass
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("name", ["svh", None])
+async def test_a_client_waits_for_a_hand_that_starts(
+    runtime: Path, name: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[str] = []
+    monkeypatch.setattr(find, "running", lambda: looked.append("") or running())
+    with claimed("svh"):
+        opening = asyncio.ensure_future(find.open_hand(name, None, 0.0))
+        await until(lambda: len(looked) > 1 or opening.done())
+        assert not opening.done()
+    with pytest.raises(NoHand, match="running on this computer"):  # it has ended instead
+        await opening
 
 
 def test_who_is_asked_often_still_says_who_it_is(runtime: Path) -> None:
