@@ -99,6 +99,8 @@ S = TypeVar("S", bound=EmulatedServo)
 class ServoLine(Emulator, Grasps, Generic[S]):
     """Servos on one line; all receive every request, each answers for itself.
 
+    Raises `ValueError` if two servos have the same id.
+
     Args:
         parser: The parser of requests.
 
@@ -119,6 +121,8 @@ class ServoLine(Emulator, Grasps, Generic[S]):
     def __init__(self, servos: Sequence[S], parser: Parser[Any]) -> None:
         super().__init__()
         self.ordered = list(servos)
+        if len(self.servos) < len(self.ordered):
+            raise ValueError("two of the servos have the same id")
         self.parser = parser
         self._shown_rate = 0
 
@@ -186,13 +190,14 @@ class ServoLine(Emulator, Grasps, Generic[S]):
     def inject(self, fault: str) -> None:
         """Put a fault into the servos: an error into the first, any other fault into all."""
         super().inject(fault)
-        if fault in self.ERRORS:
-            self.ordered[0].fail(self.ERRORS[fault])
+        for servo in self.ordered[:1] if fault in self.ERRORS else ():
+            servo.fail(self.ERRORS[fault])
 
     def on_faults(self) -> None:
         """Apply the faults: block stuck servos, and set errors and model numbers."""
         super().on_faults()
-        self.ordered[0].cause = sum(bit for name, bit in self.ERRORS.items() if name in self.faults)
+        for servo in self.ordered[:1]:
+            servo.cause = sum(bit for name, bit in self.ERRORS.items() if name in self.faults)
         for servo in self.ordered:
             servo.keep(servo.MODEL, self.STRANGER if "wrong_device" in self.faults else servo.model)
 

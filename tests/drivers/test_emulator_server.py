@@ -106,6 +106,30 @@ def test_typing_makes_faults() -> None:
         assert player.command("  ") == ""
 
 
+@pytest.mark.parametrize("device", ["dynamixel", "feetech"])
+@pytest.mark.parametrize(
+    ("ids", "what"),
+    [
+        ([300], "'ids.0' of the emulated device: input should be less than or equal to 25"),
+        ([1, 254], "'ids.1' of the emulated device: input should be less than or equal to 25"),
+        ([-1], "'ids.0' of the emulated device: input should be greater"),
+        ([1, 2, 1], "two of the servos have the same id"),
+    ],
+)
+def test_a_line_has_servos_with_ids_that_they_can_have(
+    device: str, ids: list[int], what: str
+) -> None:
+    with pytest.raises(ConfigError, match=what):
+        Player(device, {"ids": ids})
+
+
+@pytest.mark.parametrize("device", ["dynamixel", "feetech"])
+def test_an_empty_line_has_no_faults(device: str) -> None:
+    with Player(device, {"ids": []}) as player:
+        assert player.command("fault overload") == ""
+        assert player.emulator.faults == {"overload"}
+
+
 def test_mistakes_are_named() -> None:
     with pytest.raises(ConfigError, match="there is no emulator for 'robotik'"):
         Player("robotik")

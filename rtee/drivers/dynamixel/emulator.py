@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import field
+from msgspec import Meta, field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.dynamixel import codec, table
@@ -45,7 +45,7 @@ class DynamixelProperties(Section, frozen=True):
         baudrate: Rate of the line [baud].
     """
 
-    ids: tuple[int, ...] = (1,)
+    ids: tuple[Annotated[int, Meta(ge=0, le=252)], ...] = (1,)
     servo: DynamixelServoProperties = field(default_factory=DynamixelServoProperties)
     special: dict[int, DynamixelServoProperties] = field(default_factory=dict)
     latency: float = LATENCY

@@ -11,9 +11,9 @@ import functools
 import itertools
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import field
+from msgspec import Meta, field
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
@@ -21,7 +21,7 @@ from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestPar
 from rtee.drivers.feetech.options import Differential, DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, EmulatedFeetech, FeetechServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
-from rtee.drivers.options import Byte, Duration, Rate
+from rtee.drivers.options import Duration, Rate
 from rtee.drivers.servo_emulator import ServoLine
 from rtee.drivers.servo_lines import LATENCY, ServoScale
 from rtee.hand.validation import Section, validated
@@ -44,7 +44,7 @@ class FeetechProperties(Section, frozen=True):
     """
 
     family: FamilyName = "sts"
-    ids: tuple[Byte, ...] = (1,)
+    ids: tuple[Annotated[int, Meta(ge=0, le=253)], ...] = (1,)
     servo: FeetechServoProperties = field(default_factory=FeetechServoProperties)
     special: dict[int, FeetechServoProperties] = field(default_factory=dict)
     latency: Duration = LATENCY
