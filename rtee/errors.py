@@ -273,10 +273,13 @@ def closest(name: str, valid: Iterable[str]) -> str:
     )
 
 
-def suggestion(name: str, valid: Iterable[str], *, most: int = 12) -> str:
-    """Return a hint that names the closest valid name, or lists the valid ones."""
+def suggestion(name: object, valid: Iterable[str], *, most: int = 12) -> str:
+    """Return a hint that names the closest valid name, or lists the valid ones.
+
+    The ``name`` may be anything that somebody gave instead.
+    """
     names = sorted(valid)
-    if close := closest(name, names):
+    if close := closest(str(name), names):
         return f"did you mean '{close}'?"
     if not names:
         return "there are none"

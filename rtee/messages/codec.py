@@ -177,7 +177,7 @@ class Codec(Generic[T]):
         Raises:
             MessageError: if an attribute has the wrong type.
         """
-        writer = Writer(_BEGIN.pack(HEADER, *divmod(wall, SECOND), 1, 0))
+        writer, name = Writer(_BEGIN.pack(HEADER, *divmod(wall, SECOND), 1, 0)), ""
         try:
             fields = self._pack(value, time)
             for name, write, _ in self._writers:
@@ -186,7 +186,9 @@ class Codec(Generic[T]):
             # A MessageError is a ValueError, too, and already has a message.
             if isinstance(error, MessageError):
                 raise
-            raise MessageError(f"{self.kind.name}: {error}") from error
+            if name:
+                raise self.kind.misfit(name, fields) from error
+            raise MessageError(f"{self.kind.name}: {value!r:.100} does not fit: {error}") from error
         return writer.done()
 
     def of(self, fields: Mapping[str, Any]) -> T:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from rtee.errors import GoalRejected
+from rtee.errors import GoalRejected, MessageError
 from rtee.messages.codec import Codec, paired, word
 from rtee.types import (
     Around,
@@ -98,6 +98,8 @@ def goal_of(
 def _fields(goal: Goal) -> dict[str, Any]:
     """Return the fields of the message for a goal, without header and time."""
     what, to, speed = goal.what, goal.to, goal.speed
+    if not isinstance(what, Named | Fingers):
+        raise MessageError(f"a goal is for Named(…) or Fingers(…), not for {what!r:.100}")
     efforts = {} if isinstance(goal.effort, Force) else goal.effort
     optional = {
         "opening": getattr(to, "width", None),

@@ -245,27 +245,31 @@ class MessageType:
 
     def write(self, writer: Writer, values: Any) -> None:
         """Append a message to a writer; see `encode`."""
-        get: Callable[[Any, str], Any] = getattr
-        if self.message is None:
-            get = getitem
-            # With the right number of values, an unknown field implies a missing one, found below.
-            if len(values) != len(self.fields):
-                wrong = set(values).symmetric_difference(field.name for field in self.fields)
-                raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
+        get: Callable[[Any, str], Any] = getattr if self.message is not None else getitem
         name = ""
         try:
+            # With the right number of values, an unknown field implies a missing one, found below.
+            if self.message is None and len(values) != len(self.fields):
+                names = {field.name for field in self.fields}
+                wrong = sorted(map(str, names.symmetric_difference(values.keys())))
+                raise MessageError(f"{self.name}: missing or unknown fields {wrong}")
             for name, write in self._writers:
                 write(writer, get(values, name))
         except MessageError:  # which already names the field of a nested message
             raise
         except (*_WRONG, LookupError, OverflowError) as error:
-            raise MessageError(f"{self.name}.{name}: {self._why(name, error)}") from error
+            raise self.misfit(name, values) from error
 
-    def _why(self, name: str, error: Exception) -> str:
-        if not isinstance(error, struct.error):
-            return str(error)
-        kind = next(field.notation for field in self.fields if field.name == name)
-        return f"a {kind} expected ({error})"
+    def misfit(self, name: str, values: Any) -> MessageError:
+        """Return the error for values of which that of a field has the wrong type."""
+        if not isinstance(values, self.message or Mapping):
+            return MessageError(
+                f"a {self.name}, by its fields' names, expected, not {values!r:.100}"
+            )
+        field = next(field for field in self.fields if field.name == name)
+        kind = f"a {field.kind}" if field.many is Many.ONE else f"a list of {field.kind}s"
+        value = values.get(name) if isinstance(values, Mapping) else getattr(values, name)
+        return MessageError(f"{self.name}.{name}: {kind} expected, not {value!r:.100}")
 
     def read(self, reader: Reader) -> Any:
         """Read a message; see `decode`."""

@@ -20,8 +20,8 @@ import anyio
 import anyio.to_thread
 
 from rtee import monotonic
-from rtee.errors import ConfigError, NoHand, RemoteError
-from rtee.messages.requests import Role
+from rtee.errors import ConfigError, NoHand, RemoteError, RequestRejected, suggestion
+from rtee.messages.requests import REQUESTS, Role
 from rtee.remote.action_client import ActionClient, ReachClient
 from rtee.remote.find import VARIABLE as CONNECT
 from rtee.remote.find import FoundSession, chosen_here, open_hand
@@ -33,6 +33,7 @@ from rtee.remote.session import close_session
 from rtee.remote.stopping import ANSWER_WITHIN as STOPPED_WITHIN
 from rtee.remote.stopping import silent, stop_at, stop_path
 from rtee.remote.stream import StreamClient
+from rtee.units import TIME, quantity
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -217,9 +218,15 @@ class RemoteHand:
             within: Time to wait for the answer [s].
 
         Raises:
-            RequestRejected: if the hand refuses the request, with the reason.
+            RequestRejected: if the hand refuses the request, with the reason; or there is none of
+                this name.
+            MessageError: if the fields are not those of the request.
+            GoalRejected: if the time cannot be used.
             NoHand: if the hand does not answer.
         """
+        if not isinstance(name, str) or name not in REQUESTS:
+            raise RequestRejected(f"no request '{name}'; {suggestion(name, REQUESTS)}")
+        within = quantity(within, TIME, "time to wait")
         return await self._link.ask(name, fields, within=within)
 
     async def hold(self) -> None:

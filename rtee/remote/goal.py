@@ -28,6 +28,7 @@ from rtee.remote.goal_values import (
     GraspOptions,
     TouchOptions,
     action_goal,
+    complete,
     grasp_goal,
     opening_goal,
     share_of,
@@ -321,7 +322,7 @@ class GoalClient:
         Args:
             goal: The goal; its client is replaced by this one.
         """
-        goal = replace(goal, client=self._link.client)
+        goal = replace(complete(goal), client=self._link.client)
         # Sent before anything else is prepared: the answer arrives through this event loop, and so
         # not before the goal is registered.
         if goal.goal_id in self._running:

@@ -210,6 +210,15 @@ def shares(
     return {name: share * limits[name] for name in chosen}
 
 
+def complete(goal: Goal) -> Goal:
+    """Return a goal; raises `GoalRejected` for anything else, such as the name of an action."""
+    if not isinstance(goal, Goal):
+        raise GoalRejected(
+            f"a complete goal is a Goal(…), not {goal!r:.100}; 'do' and 'start' take names"
+        )
+    return goal
+
+
 @spelled_out
 def action_goal(
     action: ActionReference | str, *elements: str, **options: Unpack[GoalOptions]

@@ -27,11 +27,13 @@ from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
+from rtee.messages.goals import GOAL
 from rtee.remote.goal_values import (
     GoalOptions,
     GraspOptions,
     TouchOptions,
     action_goal,
+    complete,
     grasp_goal,
     opening_goal,
     share_of,
@@ -43,6 +45,7 @@ from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.bench import EmulatedDevices, act
 from rtee.types import DeviceStatus, Event, Goal, Lifecycle, Result
+from rtee.units import TIME, quantity
 
 T = TypeVar("T")
 
@@ -194,8 +197,9 @@ class SimulatedHand(EmulatedDevices, Observer):
         return self.execute(touch_goal(**options))
 
     def execute(self, goal: Goal) -> Result:
-        """Execute a complete goal to its end."""
-        return self._run(self._loop.execute(goal))
+        """Execute a complete goal to its end; raises the errors of `do`, and `MessageError`."""
+        # Checked as on its way to a running hand.
+        return self._run(self._loop.execute(GOAL.decode(GOAL.encode(complete(goal)))))
 
     def stop(self) -> dict[str, bool]:
         """Stop all devices; return whether each confirmed it."""
@@ -212,8 +216,8 @@ class SimulatedHand(EmulatedDevices, Observer):
     # --- time and state
 
     def wait(self, seconds: float) -> None:
-        """Let simulated time pass [s]."""
-        self._run(asyncio.sleep(seconds))
+        """Let simulated time pass [s]; raises `GoalRejected` for anything but a time."""
+        self._run(asyncio.sleep(quantity(seconds, TIME, "time to wait")))
 
     def state(self) -> TickRecord:
         """Return the state measured at the last tick."""

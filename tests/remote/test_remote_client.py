@@ -11,13 +11,21 @@ import zenoh
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, GoalRejected, LeaseHeld, NoHand, RequestRejected, RteeError
+from rtee.errors import (
+    ConfigError,
+    GoalRejected,
+    LeaseHeld,
+    MessageError,
+    NoHand,
+    RequestRejected,
+    RteeError,
+)
 from rtee.hand.model import Hand
 from rtee.messages import EVENT
 from rtee.remote.server import Server
 from rtee.remote.session import direct
 from rtee.sample import TickRecord
-from rtee.types import Event, Feedback, Intensity, Lifecycle, Stage
+from rtee.types import Event, Feedback, Goal, Intensity, Lifecycle, Named, Stage
 
 from .serving import (
     LASTING,
@@ -104,6 +112,36 @@ async def test_bad_goals_are_refused_with_a_reason(
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         with pytest.raises(RequestRejected, match=reason):
             await remote.do(action, *elements, **options)
+        assert served.watcher.goals == []
+
+
+async def test_a_wrong_argument_is_a_sentence(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        for goal in ("fist", None, Named("fist")):
+            with pytest.raises(GoalRejected, match=r"a complete goal is a Goal\(…\), not"):
+                await remote.start_goal(goal)
+        with pytest.raises(
+            MessageError, match=r"is for Named\(…\) or Fingers\(…\), not for 'fist'"
+        ):
+            await remote.start_goal(Goal("fist"))
+        for action, what in (
+            (7, "action: a string expected, not 7"),
+            ("fist", r"effort: .*'much'"),
+        ):
+            with pytest.raises(MessageError, match=rf"rtee_msgs/msg/Goal\.{what}"):
+                await remote.start_goal(Goal(Named(action), effort={"near": "much"}))
+        for name in ("statte", None, []):
+            with pytest.raises(RequestRejected, match="no request '"):
+                await remote.ask(name)
+        with pytest.raises(
+            MessageError, match="GoalReference, by its fields' names, expected, not 'all'"
+        ):
+            await remote.ask("cancel", "all")
+        with pytest.raises(MessageError, match=r"missing or unknown fields \['client'\]"):
+            await remote.ask("cancel", {"goal_id": "a"})
+        for within in ("soon", -1.0, math.nan, None):
+            with pytest.raises(GoalRejected, match="the time to wait must"):
+                await remote.ask("status", within=within)
         assert served.watcher.goals == []
 
 

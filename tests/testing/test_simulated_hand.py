@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from rtee.errors import ConfigError, GoalRejected
+from rtee.errors import ConfigError, GoalRejected, MessageError
 from rtee.testing.simulated import StartSimulatedHand
+from rtee.types import Goal, Named
 
 
 def test_a_part_is_pulled_out_and_the_cable_too(rtee_simulated_hand: StartSimulatedHand) -> None:
@@ -39,3 +42,18 @@ def test_only_simulated_time_passes(rtee_simulated_hand: StartSimulatedHand) -> 
 def test_a_mistake_is_raised_by_its_type(rtee_simulated_hand: StartSimulatedHand) -> None:
     with pytest.raises(ConfigError, match="an object 500 mm wide does not fit the fingers"):
         rtee_simulated_hand("robotiq_2f_85", object="500mm")
+
+
+def test_a_wrong_argument_is_a_sentence(rtee_simulated_hand: StartSimulatedHand) -> None:
+    hand = rtee_simulated_hand("robotiq_2f_85")
+    with pytest.raises(GoalRejected, match=r"a complete goal is a Goal\(…\), not 'grasp'"):
+        hand.execute("grasp")  # type: ignore[arg-type]
+    with pytest.raises(MessageError, match="action: a string expected, not None"):
+        hand.execute(Goal(Named(None)))  # type: ignore[arg-type]
+    for seconds in ("long", None, -1.0, math.inf):
+        with pytest.raises(GoalRejected, match="the time to wait must"):
+            hand.wait(seconds)  # type: ignore[arg-type]
+    for call in (hand.unplug, hand.fault, hand.recover):
+        with pytest.raises(ConfigError, match="'3'; valid: "):
+            call(3)  # type: ignore[operator]
+    assert hand.execute(Goal(Named("open"))).reached
