@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
@@ -89,7 +89,7 @@ class DriverContract:
         async with self.session(within) as session:
             await session.start()
             state = await session.reach(posture)
-            assert session.near(state, posture), "it does not get where it is sent"
+            session.check(state, posture, "it does not get where it is sent")
             yield session, state
 
     def needed(self, name: str) -> Any:
@@ -115,13 +115,13 @@ class DriverContract:
         """`configure` identifies the device and sends no motion command."""
         async with self.session() as session:
             await session.connect()
-            assert session.driver.capabilities.identity
-            state = await session.sense()
-            assert state.position.shape == (len(self.case.actuators),)
-            assert all(math.isfinite(q) for q in state.position)
-            assert session.driver.capabilities.best_rate > 0.0
-            if self.case.commands is not None:
-                assert self.case.commands(session.emulator) == 0
+            assert session.driver.capabilities.identity, "`configure` has identified no device"
+            positions = (await session.sense()).position
+            n = len(self.case.actuators)
+            assert positions.shape == (n,), f"{positions.shape} positions for {n} actuators"
+            assert all(map(math.isfinite, positions)), f"not all positions are numbers: {positions}"
+            assert session.driver.capabilities.best_rate > 0.0, "it has no best rate"
+            self._check_commands(session, 0)
 
     async def test_a_wrong_device_is_refused(self) -> None:
         """Another device at the address is an error, and is not driven."""
@@ -130,8 +130,12 @@ class DriverContract:
             await session.before(lambda emulator: emulator.inject("wrong_device"))
             with pytest.raises((HandshakeError, NotConnected)):
                 await session.driver.configure()
-            if self.case.commands is not None:
-                assert self.case.commands(session.emulator) == 0
+            self._check_commands(session, 0)
+
+    def _check_commands(self, session: Session, allowed: int) -> None:
+        if self.case.commands is not None:
+            sent = self.case.commands(session.emulator) - allowed
+            assert not sent, f"it has sent {sent} motion commands where it should send none"
 
     async def test_no_device_is_a_clear_error(self) -> None:
         """A missing port and a silent device raise an error with a message, and do not hang."""
@@ -141,7 +145,7 @@ class DriverContract:
             session.wire.unplug()
             with pytest.raises((BusError, NotConnected)) as caught:
                 await session.driver.configure()
-            assert str(caught.value)
+            assert str(caught.value), "the error for a missing port says nothing"
             session.wire.replug()
             # Now the port exists but nothing answers: the other kind of absence.
             session.wire.faults = Faults(drop=1.0)
@@ -162,8 +166,8 @@ class DriverContract:
                 await session.cycle(here)
                 await asyncio.sleep(0.005)
             after = await session.sense()
-            assert commands(session.emulator) == heard
-            assert session.near(after, state.position.tolist())
+            self._check_commands(session, heard)
+            session.check(after, state.position.tolist(), "connecting has moved it")
 
     async def test_the_first_state_is_measured(self) -> None:
         """The first state after connecting again is measured, not remembered."""
@@ -173,8 +177,8 @@ class DriverContract:
             there = await session.at_rest()
             await session.driver.close()
             again = await session.start()
-            assert again.fresh
-            assert session.near(again, there.position.tolist())
+            assert again.fresh, "the first state is not marked as fresh"
+            session.check(again, there.position.tolist(), "the first state is not measured")
 
     # --- moving ------------------------------------------------------------------------------
 
@@ -186,7 +190,7 @@ class DriverContract:
             await session.start()
             for goal in (near, far, near):
                 state = await session.reach(goal)
-                assert session.near(state, goal), (state.position, goal)
+                session.check(state, goal, "it does not get where it is sent")
 
     async def test_references_beyond_the_limits_do_no_harm(self) -> None:
         """A reference at or past a limit is clamped or refused, never wrapped."""
@@ -199,8 +203,16 @@ class DriverContract:
             # Refused, which is as good as clamped.
             except DriverError:
                 return
-            for q, before, spec in zip(state.position, near, self.case.actuators, strict=True):
-                assert before - self.case.tolerance <= q <= spec.upper + self.case.tolerance
+            bounds = zip(near, (a.upper for a in self.case.actuators), strict=True)
+            self._check_within(state, bounds, "it is sent beyond a limit and goes elsewhere")
+
+    def _check_within(
+        self, state: ActuatorState, bounds: Iterable[tuple[float, float]], wrong: str
+    ) -> None:
+        for q, spec, (least, most) in zip(state.position, self.case.actuators, bounds, strict=True):
+            assert least - self.case.tolerance <= q <= most + self.case.tolerance, (
+                f"{wrong}: {spec.name} is at {q:g}, not within {least:g} to {most:g}"
+            )
 
     def test_no_reference_holds_nan(self) -> None:
         """A reference with NaN cannot be made."""
@@ -219,7 +231,9 @@ class DriverContract:
         async with self._session_at(near) as (session, _):
             await session.reach(far, max_effort=list(wanted))
             found = list(efforts(session.emulator))
-            assert found == pytest.approx(list(wanted), rel=0.05)
+            assert found == pytest.approx(list(wanted), rel=0.05), (
+                f"the device has the effort limits {found} during the motion, not {list(wanted)}"
+            )
 
     async def test_stop_stops(self) -> None:
         """After `stop` during a motion, the position does not change any more."""
@@ -232,7 +246,7 @@ class DriverContract:
             there = await session.sense()
             await asyncio.sleep(0.2)
             later = await session.sense()
-            assert session.near(later, there.position.tolist())
+            session.check(later, there.position.tolist(), "it moved on after the stop")
             assert not session.near(later, far), "it went on to where it was sent"
 
     @pytest.mark.parametrize("seen", [False, True])
@@ -258,9 +272,8 @@ class DriverContract:
             await session.driver.stop()
             for motor, jump in zip(motors, jumps, strict=True):
                 motor.sensor.offset -= jump
-            there = (await session.at_rest()).position
-            for q, n, w in zip(there, near, wanted, strict=True):
-                assert min(n, w) - self.case.tolerance <= q <= max(n, w) + self.case.tolerance
+            bounds = ((min(n, w), max(n, w)) for n, w in zip(near, wanted, strict=True))
+            self._check_within(await session.at_rest(), bounds, "it jumped with its encoders")
 
     async def test_stop_stops_though_answers_get_lost(self) -> None:
         """A lost answer delays `stop` little, and many do not prevent its other commands."""
@@ -336,7 +349,7 @@ class DriverContract:
             for _ in range(20):
                 await session.cycle(Reference.at(list(far)))
                 state = await session.sense()
-                assert session.near(state, there.position.tolist())
+                session.check(state, there.position.tolist(), "a stuck device seems to move")
                 await asyncio.sleep(0.005)
 
     # --- faults of the device ----------------------------------------------------------------
@@ -348,16 +361,16 @@ class DriverContract:
         async with self._session_at(near) as (session, _):
             session.emulator.inject(fault)
             caught = await session.fault()
-            assert caught.name
-            assert caught.hint
-            assert caught.recoverable
+            assert caught.name, "the fault has no name"
+            assert caught.hint, "the fault has no hint that says what to do"
+            assert caught.recoverable, "the fault is not marked as recoverable"
             # The cause still exists, so recovering must fail.
             with pytest.raises(DeviceFault):
                 await self._recover(session)
             session.emulator.clear()
             await self._recover(session)
             here = (await session.sense()).position.tolist()
-            assert session.near(await session.reach(here), here)
+            session.check(await session.reach(here), here, "recovering has moved it")
 
     async def _recover(self, session: Session) -> None:
         await patiently(session.driver.recover)
@@ -376,10 +389,10 @@ class DriverContract:
                 except (DeviceFault, NotConnected, BusTimeout, FrameError):
                     noticed = True
                     break
-                assert session.near(state, there.position.tolist())
+                session.check(state, there.position.tolist(), "a power cycle changes the position")
                 await asyncio.sleep(0.005)
             # A device that homes has lost its zero: without an error, its positions would be wrong.
-            assert noticed or not self.case.homes
+            assert noticed or not self.case.homes, "a device that has lost its zero raises no error"
 
     # --- faults of the wire ------------------------------------------------------------------
 
@@ -400,17 +413,16 @@ class DriverContract:
             session.wire.faults = faults
             done = await self._cycles(session, Reference.at(list(far)))
             session.wire.faults = Faults()
-            assert done >= self.case.share * self.case.cycles
+            cycles = self.case.cycles
+            assert done >= self.case.share * cycles, f"only {done} of {cycles} cycles succeeded"
             # In so few cycles, 5 % may be none at all.
-            assert self.case.cycles < 100 or faults.injected[fault] > 0
-            state = await session.reach(near)
-            assert session.near(state, near)
+            assert cycles < 100 or faults.injected[fault] > 0, "the driver did not use the wire"
+            session.check(await session.reach(near), near, "it does not work after the faults")
             after = dict(session.driver.counters())
             self._check_counters(counters, after, fault, faults)
 
     async def _cycles(self, session: Session, reference: Reference) -> int:
-        low = [a.lower - self.case.tolerance for a in self.case.actuators]
-        high = [a.upper + self.case.tolerance for a in self.case.actuators]
+        limits = [(a.lower, a.upper) for a in self.case.actuators]
         done = 0
         for _ in range(self.case.cycles):
             state = await session.cycle(reference)
@@ -418,20 +430,19 @@ class DriverContract:
             if state is None:
                 continue
             done += 1
-            for least, q, most in zip(low, state.position, high, strict=True):
-                assert least <= q <= most
+            self._check_within(state, limits, "damaged bytes became a position")
         return done
 
     def _check_counters(
         self, before: dict[str, int], after: dict[str, int], fault: str, faults: Faults
     ) -> None:
-        assert after["bytes_received"] > before["bytes_received"]
-        if not self.case.actuators:
-            return
-        assert after["transactions"] > before["transactions"]
-        assert after["bytes_sent"] > before["bytes_sent"]
-        if fault == "drop" and faults.injected["drop"] > 20 and self.case.answers:
-            assert after["timeouts"] > before["timeouts"]
+        grow = ["bytes_received"]
+        if self.case.actuators:
+            grow += ["transactions", "bytes_sent"]
+            if fault == "drop" and faults.injected["drop"] > 20 and self.case.answers:
+                grow.append("timeouts")
+        for name in grow:
+            assert after[name] > before[name], f"the driver does not count its {name}"
 
     async def test_a_cancelled_exchange_leaves_the_driver_usable(self) -> None:
         """An exchange can be cancelled at any moment, and the next one works."""
@@ -445,13 +456,15 @@ class DriverContract:
                 task = asyncio.ensure_future(session.driver.sense())
                 await asyncio.sleep(wait)
                 task.cancel()
-                results = await asyncio.gather(task, return_exceptions=True)
-                assert not isinstance(results[0], Exception) or isinstance(results[0], BusTimeout)
+                (result,) = await asyncio.gather(task, return_exceptions=True)
+                assert not isinstance(result, Exception) or isinstance(result, BusTimeout), (
+                    f"a cancelled exchange raises {result!r}"
+                )
             session.wire.faults = Faults()
             # Longer than the delay, so that late answers of the cancelled exchanges have arrived.
             await asyncio.sleep(0.03)
             state = await session.reach(near)
-            assert session.near(state, near)
+            session.check(state, near, "it does not work after a cancelled exchange")
 
     @pytest.mark.timeout(300)
     async def test_unplugging_again_and_again_leaks_nothing(self) -> None:
@@ -467,10 +480,15 @@ class DriverContract:
                 await session.driver.close()
                 session.wire.replug()
                 state = await session.start()
-                assert session.near(state, here)
-            assert len(asyncio.all_tasks()) == tasks
-            # One more at most: a library may open a file of its own when it is first used.
-            assert open_files() <= files + 1
+                session.check(state, here, "it has moved while it was unplugged")
+            more = len(asyncio.all_tasks()) - tasks
+            assert not more, f"{more} tasks are left behind"
+            self._check_files(files)
+
+    def _check_files(self, before: int) -> None:
+        more = open_files() - before
+        # One more at most: a library may open a file of its own when it is first used.
+        assert more <= 1, f"{more} files are left open"
 
     async def test_a_slow_device_leaves_a_fast_one_its_rate(self) -> None:
         """While one device takes 0.1 s per exchange, those of another one take no longer."""
@@ -483,7 +501,9 @@ class DriverContract:
             waiting = asyncio.ensure_future(self._try(slow.driver.sense, 5))
             beside = await fast.longest_exchange()
             await waiting
-            assert beside <= alone + 0.01
+            assert beside <= alone + 0.01, (
+                f"an exchange takes {beside:.3f} s beside a slow device, {alone:.3f} s alone"
+            )
 
     async def _try(self, call: Callable[[], Any], times: int) -> None:
         for _ in range(times):
@@ -503,7 +523,7 @@ class DriverContract:
         near, _ = self.case.between()
         async with self.session() as session:
             await session.start()
-            assert session.near(await session.reach(near), near)
+            session.check(await session.reach(near), near, "it does not get where it is sent")
             await session.driver.stop()
             files = open_files()
             for _ in range(3):
@@ -512,9 +532,8 @@ class DriverContract:
                 await session.driver.close()
                 session.wire.replug()
                 await session.start()
-            assert session.near(await session.reach(near), near)
-            # One more at most: a library may open a file of its own when it is first used.
-            assert open_files() <= files + 1
+            session.check(await session.reach(near), near, "it does not work after an unplug")
+            self._check_files(files)
 
     # --- closing -----------------------------------------------------------------------------
 
@@ -528,6 +547,6 @@ class DriverContract:
             await session.start()
             await session.driver.close()
             await session.driver.close()
-            assert not session.pool.buses
+            assert not session.pool.buses, "the driver has not detached from its bus"
             with pytest.raises((BusError, DriverError)):
                 await session.driver.sense()

@@ -219,3 +219,8 @@ class Session:
         """Return whether the positions of a state are those of a posture, within the tolerance."""
         pairs = zip(state.position, goal, strict=True)
         return all(abs(float(q) - g) <= self.case.tolerance for q, g in pairs)
+
+    def check(self, state: ActuatorState, goal: Sequence[float], wrong: str) -> None:
+        """Fail with the words ``wrong`` unless the positions of a state are those of a posture."""
+        measured, wanted = ([round(float(q), 5) for q in each] for each in (state.position, goal))
+        assert self.near(state, goal), f"{wrong}: {measured} is measured, not {wanted} [rad | m]"
