@@ -83,6 +83,15 @@ class Writer:
         # The header of four bytes does not change an alignment to four bytes.
         buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(len(data) + 1) + data + b"\0"
 
+    def strings(self, values: Sequence[str]) -> None:
+        """Append a sequence of strings."""
+        # These are also sequences, whose elements would be written one by one.
+        if isinstance(values, (str, bytes)):
+            raise TypeError("a list of strings expected")
+        self.length(len(values))
+        for value in values:
+            self.string(value)
+
     def length(self, count: int) -> None:
         """Append the length of a sequence."""
         buffer = self._buffer
@@ -129,11 +138,11 @@ class Reader:
             raise MessageError(f"{len(data)} bytes is more than any message has")
         # `bytes`, the type of messages from the network, are decoded fastest.
         self._data = data if isinstance(data, bytes) else bytes(data)
-        # The first two bytes name the encoding; the other two are options, unused in this version.
-        if self._data[:2] != HEADER[:2] or len(data) < len(HEADER):
-            raise MessageError("no little-endian CDR header at the start")
         self._end = len(self._data)
-        self._position = len(HEADER)
+        # The first two bytes name the encoding; the other two are options, unused in this version.
+        if self._data[:2] != HEADER[:2] or self._end < 4:
+            raise MessageError("no little-endian CDR header at the start")
+        self._position = 4
 
     @property
     def remaining(self) -> int:
@@ -177,22 +186,26 @@ class Reader:
         value: float = _DOUBLE.unpack_from(self._data, start)[0]
         return value
 
+    def name(self) -> str:
+        """Return a string from outside in which unprintable characters are escaped."""
+        text = self.string()
+        return text if text.isprintable() else foreign(text)
+
     def strings(self) -> list[str]:
         """Return a sequence of strings, which are names in all messages of rtee."""
         # A string takes at least five bytes: its length and the NUL.
-        return [foreign(self.string()) for _ in range(self.length(5))]
+        count = self.length(5)
+        return [self.name() for _ in range(count)] if count else []
 
     def string(self) -> str:
         """Return a string."""
         data, start = self._data, self._position
         length = self.length(1)
-        # The length includes the NUL, so that even an empty string has the length 1.
-        if length == 0:
-            raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
         # `length` has checked that so many bytes are left.
         begin = self._position
         self._position = end = begin + length
-        if data[end - 1] != 0:
+        # The length includes the NUL, so that even an empty string has the length 1.
+        if length == 0 or data[end - 1] != 0:
             raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
         try:
             return data[begin : end - 1].decode()
@@ -203,10 +216,14 @@ class Reader:
 
     def length(self, least: int) -> int:
         """Return the length of a sequence whose elements take at least ``least`` bytes each."""
-        self._position += (4 - self._position) % 4
-        count: int = _LENGTH.unpack_from(self._data, self._take(4))[0]
+        # As `_take` does, without the call.
+        start = self._position + -self._position % 4
+        self._position = end = start + 4
+        if end > self._end:
+            raise self._short(4, start)
+        count: int = _LENGTH.unpack_from(self._data, start)[0]
         # Checked before allocating memory, since a damaged length may mean gigabytes.
-        if count * least > self._end - self._position:
+        if count * least > self._end - end:
             raise MessageError(f"sequence of {count} elements, but {self.remaining} bytes left")
         return count
 
@@ -241,5 +258,7 @@ class Reader:
     def finish(self) -> None:
         """Check that only padding is left."""
         # Padding is shorter than the largest alignment, which is eight bytes.
-        if self.remaining >= 8 or any(self._data[self._position :]):
+        if self._position != self._end and (
+            self.remaining >= 8 or any(self._data[self._position :])
+        ):
             raise MessageError(f"{self.remaining} bytes too many at the end")

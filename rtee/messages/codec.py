@@ -6,6 +6,7 @@ import dataclasses
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
+from functools import partial
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
@@ -64,9 +65,10 @@ def paired(what: str, names: Sequence[str], values: Sequence[Any]) -> dict[str, 
     """Return values by name; raise `MessageError` unless each name occurs once and has a value."""
     if len(names) != len(values):
         raise MessageError(f"{what}: {len(names)} names for {len(values)} values")
-    if len(set(names)) != len(names):
+    found = dict(zip(names, values, strict=True))
+    if len(found) != len(names):
         raise MessageError(f"{what}: a name occurs twice")
-    return dict(zip(names, values, strict=True))
+    return found
 
 
 def mapping(names: str, values: str) -> As:
@@ -118,8 +120,8 @@ class Codec(Generic[T]):
 
     Args:
         cls: The dataclass.
-        whole: Functions that return the fields of an object, and the object for fields, where it
-            takes more than a conversion of each attribute.
+        whole: Functions that return the fields of an object, and the object for fields, which it
+            may change, where it takes more than a conversion of each attribute.
         held: Conversions of the attributes that differ from a field of the same name.
 
     Attributes:
@@ -131,8 +133,7 @@ class Codec(Generic[T]):
         kind: str,
         cls: type[T],
         /,
-        whole: tuple[Callable[[T], Mapping[str, Any]], Callable[[Mapping[str, Any]], T]]
-        | None = None,
+        whole: tuple[Callable[[T], Mapping[str, Any]], Callable[[dict[str, Any]], T]] | None = None,
         **held: As,
     ) -> None:
         self.kind = message_type(kind)
@@ -205,11 +206,7 @@ class Codec(Generic[T]):
         reader.finish()
         return self._value(fields)
 
-    def _value(self, fields: Mapping[str, Any]) -> T:
-        fields = {
-            name: foreign(value) if isinstance(value, str) and not value.isprintable() else value
-            for name, value in fields.items()
-        }
+    def _value(self, fields: dict[str, Any]) -> T:
         if self._whole is not None:
             return self._whole[1](fields)
         values = {name: fields[name] for name in self._same}
@@ -225,9 +222,13 @@ def _packing(attribute: str, pack: Callable[[Any], Any]) -> Callable[[Any], Any]
 def _reader_of(field: Field) -> Callable[[Reader], Any]:
     if field.sequence and field.kind in SCALARS:
         # As a list, since attributes are tuples and mappings of numbers instead of arrays.
-        return lambda reader: reader.numbers(field.kind)
+        return partial(Reader.numbers, kind=field.kind)
+    if field.kind == "string" and not field.sequence:
+        return Reader.name
     return reader_of(field)
 
 
 def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return foreign(value) if isinstance(value, str) else value

@@ -95,64 +95,89 @@ def goal_of(
     return Goal(what, to, speed if tip_speed is None else TipSpeed(tip_speed), pressing, **others)
 
 
-def _fields(goal: Goal) -> dict[str, Any]:
-    """Return the fields of the message for a goal, without header and time."""
-    what, to, speed = goal.what, goal.to, goal.speed
-    if not isinstance(what, Named | Fingers):
-        raise MessageError(f"a goal is for Named(…) or Fingers(…), not for {what!r:.100}")
-    efforts = {} if isinstance(goal.effort, Force) else goal.effort
-    optional = {
-        "opening": getattr(to, "width", None),
-        "tip_speed": getattr(speed, "value", None),
-        "force": getattr(goal.effort, "value", None),
-        "max_force": getattr(goal.effort, "most", None),
-        "timeout": goal.timeout,
-    }
-    return {
-        "goal_id": goal.goal_id,
-        "client": goal.client,
-        "action": getattr(what, "action", ""),
-        "elements": what.elements,
-        "kind": getattr(what, "kind", None) or "",
-        "intensity": getattr(to, "share", 1.0),
-        "stage": getattr(to, "stage", Stage.BOTH),
-        "tolerance": getattr(to, "tolerance", 0.01),
-        "narrower": getattr(to, "narrower", 0.005),
-        "wider": getattr(to, "wider", 0.005),
-        "grasp": isinstance(to, Around),
-        "touch": isinstance(to, FirstContact),
-        "speed": 1.0 if isinstance(speed, TipSpeed) else speed,
-        "effort_name": list(efforts),
-        "effort": list(efforts.values()),
-        "contact_finger": list(goal.on_contact),
-        "on_contact": list(goal.on_contact.values()),
-        **{name: math.nan if value is None else value for name, value in optional.items()},
-    }
-
-
-_WITHOUT: Final = ("header", "time")
-"""Fields that are no options of a goal."""
+_BLANK: Final[Mapping[str, Any]] = {
+    "kind": "",
+    "action": "",
+    "intensity": 1.0,
+    "stage": Stage.BOTH,
+    "tolerance": 0.01,
+    "opening": math.nan,
+    "narrower": 0.005,
+    "wider": 0.005,
+    "grasp": False,
+    "touch": False,
+    "speed": 1.0,
+    "tip_speed": math.nan,
+    "effort_name": (),
+    "effort": (),
+    "force": math.nan,
+    "max_force": math.nan,
+    "timeout": math.nan,
+}
+"""Fields of the message for a goal without the values of its kind, without header and time."""
 
 OPTIONAL = ("opening", "tip_speed", "force", "max_force", "timeout")
 """Fields that are ``NaN`` for a goal without the value."""
+
+
+def _fields(goal: Goal) -> dict[str, Any]:
+    """Return the fields of the message for a goal, without header and time."""
+    what, to, speed, effort = goal.what, goal.to, goal.speed, goal.effort
+    if not isinstance(what, Named | Fingers):
+        raise MessageError(f"a goal is for Named(…) or Fingers(…), not for {what!r:.100}")
+    fields = {
+        **_BLANK,
+        "goal_id": goal.goal_id,
+        "client": goal.client,
+        "elements": what.elements,
+        "contact_finger": list(goal.on_contact),
+        "on_contact": list(goal.on_contact.values()),
+    }
+    if isinstance(what, Named):
+        fields["action"], fields["kind"] = what.action, what.kind or ""
+    match to:
+        case Intensity():
+            fields |= {"intensity": to.share, "stage": to.stage, "tolerance": to.tolerance}
+        case FirstContact():
+            fields |= {"touch": True, "tolerance": to.tolerance}
+        case Around():
+            fields |= {"grasp": True, "narrower": to.narrower, "wider": to.wider}
+            fields["opening"] = to.width
+        case _:
+            fields["opening"] = to.width
+    if isinstance(speed, TipSpeed):
+        fields["tip_speed"] = speed.value
+    else:
+        fields["speed"] = speed
+    if isinstance(effort, Force):
+        fields["force"] = effort.value
+        if effort.most is not None:
+            fields["max_force"] = effort.most
+    else:
+        fields["effort_name"], fields["effort"] = list(effort), list(effort.values())
+    if goal.timeout is not None:
+        fields["timeout"] = goal.timeout
+    return fields
+
 
 # The words come from the network and may have any length.
 _STAGE = word("stage", Stage, "stage '{:.50}' must be both, pre_grasp or grasp")
 _ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' must be stop, hold or squeeze")
 
 
-def _goal(fields: Mapping[str, Any]) -> Goal:
-    """Return the goal in the fields of a message."""
-    options = dict(fields)
+def _goal(options: dict[str, Any]) -> Goal:
+    """Return the goal in the fields of a message, which become its options."""
+    # Those that are no options of a goal.
+    options.pop("header", None)
+    options.pop("time", None)
     for name in OPTIONAL:
-        if math.isnan(options[name]):
+        if options[name] != options[name]:
             options[name] = None
-    words = list(map(_ON_CONTACT.unpack, options["on_contact"]))
     options["stage"] = _STAGE.unpack(options["stage"])
-    options["effort"] = paired("effort", options.pop("effort_name"), options["effort"])
-    options["on_contact"] = paired("on_contact", options.pop("contact_finger"), words)
-    for name in _WITHOUT:
-        options.pop(name, None)
+    names, fingers = options.pop("effort_name"), options.pop("contact_finger")
+    options["effort"] = paired("effort", names, options["effort"])
+    words = [_ON_CONTACT.unpack(word) for word in options["on_contact"]]
+    options["on_contact"] = paired("on_contact", fingers, words)
     return goal_of(**options)
 
 

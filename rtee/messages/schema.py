@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from operator import getitem
 from pathlib import Path
 from typing import Any, Final
@@ -301,6 +301,8 @@ def writer_of(field: Field) -> Write:
         write_one = field.inner.write
     elif kind == "string":
         write_one = _bounded_writer(field.longest) if field.longest else Writer.string
+        if many is Many.SEQUENCE and not field.longest:
+            return Writer.strings
     elif many is Many.SEQUENCE and kind not in _OCTETS:
         return lambda writer, values: writer.array(kind, values)
     elif field.sequence:
@@ -364,7 +366,7 @@ def reader_of(field: Field) -> Read:
     elif kind == "float64":
         return Reader.double
     else:
-        return lambda reader: reader.scalar(kind)
+        return partial(Reader.scalar, kind=kind)
     if many is Many.ONE:
         return read_one
     if many is Many.ARRAY:
