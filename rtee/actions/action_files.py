@@ -135,19 +135,24 @@ PRIMITIVES: Final = "primitives"
 
 
 class ActionFiles:
-    """The stored actions of one hand."""
+    """The stored actions of one hand.
+
+    Attributes:
+        hand: The hand.
+        folder: Their folder; changes if the hand is copied.
+        openings: Path of the file of their openings, beside the folder.
+    """
 
     def __init__(self, hand: Hand, folder: Path) -> None:
         self.hand = hand
-        self.folder = folder
+        self._move(folder)
         self._stored: set[str] = set()  # normalised names of the custom actions in files
         self._seen: dict[Path, int] = {}
         self._gone = False
 
-    @property
-    def openings(self) -> str:
-        """Path of the file of their openings, beside the folder; changes if the hand is copied."""
-        return os.path.join(self.folder.parent, OPENINGS)
+    def _move(self, folder: Path) -> None:
+        # Joined once, since every goal looks at the file.
+        self.folder, self.openings = folder, os.path.join(folder.parent, OPENINGS)
 
     def read(self, keep: Sequence[Action] = ()) -> ActionIndex:
         """Return the actions in the files, and those to keep, which exist only in memory.
@@ -167,7 +172,7 @@ class ActionFiles:
         if _of_a_hand(self.folder):  # another program may have made a copy of the hand since
             copy = copied_since(self.folder.parent)
             if copy is not None and os.path.isdir(copy / ACTIONS):
-                self.folder = copy / ACTIONS
+                self._move(copy / ACTIONS)
         if self._seen and not os.path.isdir(self.folder):
             # A running hand keeps its actions even if its files are deleted.
             if not self._gone:
@@ -273,7 +278,7 @@ class ActionFiles:
             copy = own(home)
             if copy != home:
                 log.info("%s", copy_notice(home, copy))
-                self.folder = copy / ACTIONS
+                self._move(copy / ACTIONS)
         return self.folder
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -118,7 +117,6 @@ DEEPEST: Final = "deepest"
 SHALLOW: Final = 0.5
 """Share of the deepest posture's depth below which a note mentions that posture."""
 
-_SEPARATOR: Final = re.compile("[:,]")
 """Separator of an action's name and elements in a string, instead of a space."""
 
 FARTHEST_CLEARANCE: Final = 0.005
@@ -189,7 +187,7 @@ class ActionReference(Value):
         """
         if isinstance(what, str):
             body, star, factor = what.partition("*")
-            words = [word.strip() for word in _SEPARATOR.split(body)]
+            words = list(map(str.strip, body.replace(",", ":").split(":")))
             try:
                 scale = float(factor) if star else 1.0
             except ValueError:
@@ -210,7 +208,7 @@ class ActionReference(Value):
             return what
         if what.elements:
             raise ActionError(f"the elements of '{what}' are given twice")
-        return replace(what, elements=tuple(elements))
+        return cls(what.action, tuple(elements), what.scale)
 
     def __str__(self) -> str:
         elements = f":{','.join(self.elements)}" if self.elements else ""

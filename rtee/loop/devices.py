@@ -6,13 +6,14 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from operator import is_
 
 import anyio
 import numpy as np
 
 from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
-from rtee.drivers.capabilities import GripForce
+from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.forces import DeviceForces
@@ -90,6 +91,7 @@ class Devices:
         self._max_velocity: list[float] = []
         self._velocity_limits: FloatArray = np.empty(0)
         self._warned: dict[str, float] = {}
+        self._forces: tuple[list[Capabilities], DeviceForces] | None = None
 
     # --- active devices ----------------------------------------------------------------------
 
@@ -160,14 +162,15 @@ class Devices:
 
     def movable(self) -> frozenset[int]:
         """Return the actuators that may be moved, from the next tick on; any thread may call it."""
-        active = (
-            device
-            for device in self._all
-            if device.active
-            and (self._active[device.name] or self.state.known(device))
-            and "position" in device.guarded.capabilities.accepts
-        )
-        return frozenset().union(*(device.indices for device in active))
+        found: frozenset[int] = frozenset()
+        for device in self._all:
+            if (
+                device.active
+                and (self._active[device.name] or self.state.known(device))
+                and "position" in device.guarded.capabilities.accepts
+            ):
+                found = found.union(device.indices)
+        return found
 
     def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
         """Check that some actuators may be moved; ``movable`` is the result of `movable` if known.
@@ -193,8 +196,15 @@ class Devices:
         raise GoalRejected(texts if doing else f"{texts}; see `rtee status`, then recover")
 
     def forces(self) -> DeviceForces:
-        """Return which efforts and forces the devices can limit."""
-        return device_forces(self._hand, self._all)
+        """Return which efforts and forces the devices can limit; the same object while unchanged.
+
+        Any thread may call it.
+        """
+        known = self._forces
+        abilities = [device.guarded.capabilities for device in self._all]
+        if known is None or not all(map(is_, known[0], abilities)):
+            self._forces = known = abilities, device_forces(self._hand, self._all)
+        return known[1]
 
     # --- at a tick ---------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.observer import Observer, Observers
 from rtee.loop.plan import Plan
-from rtee.loop.planning import OPEN, make_plan
+from rtee.loop.planning import OPEN, FoundActions, make_plan
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
@@ -113,6 +113,7 @@ class HandLoop:
             self.controller, library, self._pending.append, self._devices, now
         )
         self._begun: list[tuple[tuple[Goal, Plan] | CommandRecord, float]] = []
+        self._found = FoundActions()
         self._record: TickRecord | None = None
         self._group: anyio.abc.TaskGroup | None = None
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
@@ -298,7 +299,12 @@ class HandLoop:
         if self._ended:
             raise GoalRejected("the loop has ended")
         plan = make_plan(
-            goal, self.hand, self.library, self.settings, devices=self._devices.forces()
+            goal,
+            self.hand,
+            self.library,
+            self.settings,
+            devices=self._devices.forces(),
+            found=self._found,
         )
         movable = self._devices.movable()
         if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:

@@ -54,39 +54,103 @@ class OpposingTips:
     grip: Grip
 
 
+@dataclass(frozen=True, slots=True)
+class FoundAction:
+    """An action, and what follows from it for every goal.
+
+    Attributes:
+        action: The action.
+        opening: The table of its opening, or why it has none.
+        tips: Its tips, if they oppose each other.
+        meets: Positions beyond which the empty hand may touch itself, by index [rad | m].
+    """
+
+    action: Action
+    opening: Opening | str
+    tips: OpposingTips | None
+    meets: Mapping[int, float]
+
+
+Words = tuple[str, tuple[str, ...], str | None]
+"""Name, elements and kind of an action, as a goal gives them."""
+
+_MOST_FOUND: Final = 64
+"""Most words that are remembered: a program names fewer actions, but clients may spell one in many
+ways."""
+
+
+class FoundActions:
+    """The actions of earlier goals, until actions, openings or the devices' forces change.
+
+    Any thread may use it.
+    """
+
+    def __init__(self) -> None:
+        self._found: tuple[int, object, object, dict[Words, FoundAction]] = (-1, None, None, {})
+
+    def since(
+        self, version: int, openings: Openings, devices: DeviceForces
+    ) -> dict[Words, FoundAction]:
+        """Return the actions found with this version of the library, these openings and forces."""
+        before = self._found
+        same = before[0] == version and before[1] is openings and before[2] is devices
+        if not same or len(before[3]) >= _MOST_FOUND:
+            # Replaced in one step, for other threads.
+            self._found = before = version, openings, devices, {}
+        return before[3]
+
+
 def choose(
-    goal: Goal, hand: Hand, library: ActionLibrary, openings: Openings, devices: DeviceForces
-) -> tuple[Action, OpposingTips | None]:
-    """Return the action that a goal asks for, and its tips if they oppose each other.
+    goal: Goal,
+    hand: Hand,
+    library: ActionLibrary,
+    openings: Openings,
+    devices: DeviceForces,
+    known: dict[Words, FoundAction],
+) -> FoundAction:
+    """Return the action that a goal asks for; ``known`` are those found before, by their words.
 
     Raises:
         UnknownAction: if there is no such action.
         ActionError: if it doesn't exist with these elements, or lacks the requested opening.
         GoalRejected: if no action of the fingers suits the goal; the sentence names the nearest.
     """
-    to = goal.to
-    if isinstance(goal.what, Named):
-        action = _named(goal.what, hand, library)
+    what, to = goal.what, goal.to
+    if isinstance(what, Named):
+        words = what.action, tuple(what.elements), what.kind
+        found = known.get(words)
+        if found is None:
+            action = _named(what, hand, library)
+            found = known[words] = _found(action, openings, hand, library, devices)
     else:
-        for name in goal.what.elements:
+        for name in what.elements:
             if name not in hand.finger_names:
                 raise GoalRejected(
                     f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}"
                 )
         if isinstance(to, ToOpening | Around):
-            return _best(goal.what.elements, to, goal.force, hand, library, devices)
-        action = _touching(goal.what.elements, hand, library)
-    opening = openings.find(action)
+            action = _best(what.elements, to, goal.force, hand, library, devices)
+        else:
+            action = _touching(what.elements, hand, library)
+        found = _found(action, openings, hand, library, devices)
+    opening = found.opening
     if isinstance(opening, str):
-        if isinstance(to, Intensity | FirstContact):
-            return action, None
-        raise ActionError(opening)
-    if isinstance(to, ToOpening | Around) and not _spans(opening, to):
+        if not isinstance(to, Intensity | FirstContact):
+            raise ActionError(opening)
+    elif isinstance(to, ToOpening | Around) and not _spans(opening, to):
         raise GoalRejected(
             f"{opening.label} opens {opening.narrowest * 1e3:.1f} to {opening.widest * 1e3:.1f} mm,"
             f" not {to.width * 1e3:.1f} mm; the nearest is {_nearest(opening, to):.1f} mm"
         )
-    return action, _tips(action, opening, hand, library, devices)
+    return found
+
+
+def _found(
+    action: Action, openings: Openings, hand: Hand, library: ActionLibrary, devices: DeviceForces
+) -> FoundAction:
+    opening = openings.find(action)
+    tips = None if isinstance(opening, str) else _tips(action, opening, hand, library, devices)
+    return FoundAction(action, opening, tips, _meets(action, hand, openings))
 
 
 def _named(what: Named, hand: Hand, library: ActionLibrary) -> Action:
@@ -126,7 +190,7 @@ def _best(
     hand: Hand,
     library: ActionLibrary,
     devices: DeviceForces,
-) -> tuple[Action, OpposingTips]:
+) -> Action:
     """Return the action of some fingers, or of any, that suits a width and a force best.
 
     Actions that can exert the force come first, then `best_for` decides.
@@ -141,8 +205,7 @@ def _best(
         tips = [_tips(*each, hand, library, devices) for each in able]
         strong = [_exerts(force.value, to.width, each, hand, devices) for each in tips]
         able = list(compress(able, strong)) or able
-    action, opening = best_for(hand, able, to.width)
-    return action, _tips(action, opening, hand, library, devices)
+    return best_for(hand, able, to.width)[0]
 
 
 def _exerts(
@@ -236,6 +299,7 @@ def make_plan(
     settings: LoopSettings,
     *,
     devices: DeviceForces = _ALL_EFFORTS,
+    found: FoundActions | None = None,
 ) -> Plan:
     """Make the plan of a goal.
 
@@ -245,6 +309,7 @@ def make_plan(
         library: Its actions.
         settings: Timeouts.
         devices: Which efforts and forces the devices can limit; by default all efforts.
+        found: Actions of earlier goals of this hand; ``None``: find the action again.
 
     Raises:
         GoalRejected: if the hand cannot reach a value of the goal.
@@ -256,8 +321,11 @@ def make_plan(
             raise GoalRejected(
                 f"on_contact of an unknown finger '{name}'; {suggestion(name, hand.finger_names)}"
             )
-    openings = library.openings
-    action, tips = choose(goal, hand, library, openings, devices)
+    # Before the action is found: it may change meanwhile.
+    version, openings = library.version, library.openings
+    known = {} if found is None else found.since(version, openings, devices)
+    chosen = choose(goal, hand, library, openings, devices, known)
+    action, tips = chosen.action, chosen.tips
     legs = _legs(goal.to, action, tips, hand)
     effort = _efforts(goal, hand, tips, devices)
     speed = _speed(goal, action, tips, hand)
@@ -282,7 +350,7 @@ def make_plan(
         on_contact=goal.on_contact,
         timed=isinstance(action, Timed),
         grip=None if tips is None else tips.grip,
-        meets=_meets(action, hand, openings),
+        meets=chosen.meets,
     )
 
 

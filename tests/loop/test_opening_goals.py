@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,12 @@ from typing import Any
 import pytest
 
 from rtee.actions.library import ActionLibrary
+from rtee.actions.openings import FILE_NAME
+from rtee.actions.types import Generic, Posture
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.kinematic.driver import KinematicDriver
-from rtee.errors import ActionError, GoalRejected
+from rtee.errors import ActionError, GoalRejected, UnknownAction
 from rtee.hand.load import load_configured
 from rtee.log.plans import encode_plan, plan_of
 from rtee.loop.clock import ManualClock
@@ -22,7 +26,7 @@ from rtee.loop.grip import EFFORT, LIMIT, TIPS, Grip
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.plan import Plan
-from rtee.loop.planning import make_plan
+from rtee.loop.planning import FoundActions, make_plan
 from rtee.loop.settings import loop_settings
 from rtee.messages.goals import goal_of
 from rtee.messages.schema import message_type
@@ -79,6 +83,58 @@ async def test_no_goal_waits_for_a_file(monkeypatch: pytest.MonkeyPatch) -> None
 
         monkeypatch.setattr("rtee.actions.openings.read_openings", read)
         loop.submit(grasp(0.03))
+
+
+def test_an_action_is_found_once_until_something_changes(tmp_path: Path) -> None:
+    folder = tmp_path / "robotiq_2f_85"
+    shutil.copytree(CONFIG / folder.name, folder)
+    hand, config = load_configured(folder)
+    library = ActionLibrary.load(hand, folder / "actions")
+    settings, found, devices = loop_settings(config), FoundActions(), DeviceForces()
+
+    def planned(goal: Goal) -> Plan:
+        fresh = make_plan(goal, hand, library, settings, devices=devices)
+        plan = make_plan(goal, hand, library, settings, devices=devices, found=found)
+        assert plan == fresh
+        return plan
+
+    before = planned(grasp(0.03)).grip
+    assert before is not None
+    assert planned(grasp(0.05, 20.0)).grip is before
+    # Another posture of the same action.
+    rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))
+    wave, other = Goal(Named("wave")), rest | {"finger_joint": 0.3}
+    with pytest.raises(UnknownAction):
+        planned(wave)
+    library.add(Generic("wave", Posture(rest, hand.actuator_names)))
+    assert planned(wave).legs[0].targets == {0: 0.0}
+    library.add(Generic("wave", Posture(other, hand.actuator_names)), replace_same=True)
+    assert planned(wave).legs[0].targets == {0: 0.3}
+    library.remove("wave")
+    with pytest.raises(UnknownAction):
+        planned(wave)
+    # Openings made anew, and devices that state their force.
+    tables = Path(library.folder.parent / FILE_NAME) if library.folder else Path()
+    os.utime(tables, ns=(0, tables.stat().st_mtime_ns + 1))
+    assert planned(grasp(0.03)).grip is not before
+    devices = DeviceForces(grips={0: GripForce((0.1, 1.0), (20.0,), (235.0,))})
+    grip = planned(grasp(0.03)).grip
+    assert grip is not None
+    assert grip.sheet is devices.grips[0]
+    tables.unlink()
+    with pytest.raises(ActionError, match="are not known"):
+        planned(grasp(0.03))
+
+
+def test_spellings_of_actions_do_not_add_up() -> None:
+    hand, config = load_configured(CONFIG / "robotiq_2f_85")
+    library = ActionLibrary.load(hand, CONFIG / hand.name / "actions")
+    found, most = FoundActions(), 0
+    for n in range(300):
+        goal = Goal(Named("Grasp" + "_" * n))
+        make_plan(goal, hand, library, loop_settings(config), found=found)
+        most = max(most, len(found._found[3]))
+    assert most <= 64
 
 
 @pytest.mark.parametrize(
@@ -192,6 +248,28 @@ async def test_goals_that_feel_contacts_know_the_sheet_of_the_device(goal: Goal)
     assert light < 0.5 * full if isinstance(goal.to, FirstContact) else light == full, (
         "a touch is light on any device"
     )
+
+
+@pytest.mark.anyio
+async def test_goals_follow_what_a_device_says_of_itself_later() -> None:
+    """A device may know its abilities only once it is connected again."""
+    hand, config = load_configured(CONFIG / "robotiq_2f_85")
+    library = ActionLibrary.load(hand, CONFIG / "robotiq_2f_85" / "actions")
+    settings, clock = loop_settings(config), ManualClock(config.loop.rate)
+    one = device(hand, rate=settings.rate)
+    driver = KinematicDriver(one.spec, BusPool())
+    driver.now = clock.now
+    async with HandLoop(hand, library, settings, [(one, driver)], now=clock.now) as loop:
+        await loop.ready()
+        for _ in range(5):
+            await clock.settle()
+            loop.tick(clock.next())
+        loop.submit(grasp(0.03, 100.0))
+        for refuses, reason in (({"max_effort": "too weak"}, "too weak"), ({}, "no effort limit")):
+            accepts = frozenset({"position"})
+            driver.capabilities = replace(driver.capabilities, accepts=accepts, refuses=refuses)
+            with pytest.raises(GoalRejected, match=reason):
+                loop.submit(grasp(0.03, 100.0))
 
 
 def test_devices_that_cannot_limit_an_effort_refuse_a_force() -> None:
