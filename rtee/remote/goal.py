@@ -27,8 +27,8 @@ from rtee.remote.goal_values import (
     GoalOptions,
     GraspOptions,
     TouchOptions,
-    action_goal,
     complete,
+    goal_by,
     grasp_goal,
     opening_goal,
     share_of,
@@ -314,7 +314,7 @@ class GoalClient:
         share = share_of(options.get("effort"))
         if share is not None:
             options["effort"] = await self.effort_limits(share)
-        return await self.start_goal(action_goal(action, *elements, **options))
+        return await self.start_goal(goal_by(action, elements, options, self._link.client))
 
     async def start_goal(self, goal: Goal) -> RunningGoal:
         """Begin a complete goal and return at once; raises the same errors as `start`.
@@ -322,7 +322,8 @@ class GoalClient:
         Args:
             goal: The goal; its client is replaced by this one.
         """
-        goal = replace(complete(goal), client=self._link.client)
+        if complete(goal).client != self._link.client:
+            goal = replace(goal, client=self._link.client)
         # Sent before anything else is prepared: the answer arrives through this event loop, and so
         # not before the goal is registered.
         if goal.goal_id in self._running:

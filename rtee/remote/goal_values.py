@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Final, Literal, TypedDict, TypeVar, Unpack
 
 from rtee.actions.types import ActionKind, ActionReference
@@ -144,6 +145,9 @@ _QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], str]]] = {
 }
 """Units and names, for people, of the options that may have units."""
 
+_MOST_READ: Final = 128
+"""Most texts of actions that are remembered: a program uses fewer."""
+
 _ALWAYS: Final = ("intensity", "speed")
 """Those of them that every goal has: ``None`` is not a valid value."""
 
@@ -233,6 +237,16 @@ def action_goal(
     Raises:
         GoalRejected: if a value is invalid; the hand checks what it can do.
     """
+    return goal_by(action, elements, options)
+
+
+def goal_by(
+    action: ActionReference | str,
+    elements: tuple[str, ...],
+    options: GoalOptions,
+    client: str = "",
+) -> Goal:
+    """Return the goal of a client to do an action; see `action_goal`."""
     _check_known(options, GoalOptions)
     use = _use(action, elements) if action else ActionReference("", _names(elements))
     values = _translated(options)
@@ -242,7 +256,7 @@ def action_goal(
         values["tolerance"] = finite(values["tolerance"], "tolerance")
     if values.get("effort") is not None:
         values["effort"] = numbers(values["effort"], "effort limit")
-    return goal_of(use.action, use.elements, **values)
+    return goal_of(use.action, use.elements, client=client, **values)
 
 
 @spelled_out
@@ -297,11 +311,12 @@ def touch_goal(**options: Unpack[TouchOptions]) -> Goal:
 
 def _check_known(options: Mapping[str, Any], kind: Any) -> None:
     known = kind.__annotations__
-    if unknown := [name for name in options if name not in known]:
+    if not options.keys() <= known.keys():
+        unknown = next(name for name in options if name not in known)
         raise GoalRejected(
-            f"unknown option '{unknown[0]}' of a goal; {suggestion(unknown[0], known)}",
-            option=unknown[0],
-            given=unknown[0],
+            f"unknown option '{unknown}' of a goal; {suggestion(unknown, known)}",
+            option=unknown,
+            given=unknown,
             valid=known,
         )
 
@@ -313,9 +328,14 @@ def _use(action: object, elements: Sequence[str]) -> ActionReference:
                 f"an action and its elements must be names, one argument each, not {name!r:.100}"
             )
     try:
+        if isinstance(action, str):
+            return _read(action, tuple(elements))
         return ActionReference.of(action, elements)  # type: ignore[arg-type]
     except ActionError as error:
         raise GoalRejected(error.message) from None
+
+
+_read = lru_cache(_MOST_READ)(ActionReference.of)
 
 
 def _closing(values: dict[str, Any]) -> ActionReference:
@@ -361,10 +381,12 @@ def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
         values["stage"] = _word(values["stage"], Stage, "stage")
     if values.get("kind"):
         values["kind"] = str(_word(values["kind"], ActionKind, "kind"))
-    given = values.pop("on_contact", None) or {}
-    words = given if isinstance(given, Mapping) else {"": given}
-    reactions = {finger: _word(word, OnContact, "on_contact") for finger, word in words.items()}
-    return values | ({"on_contact": reactions} if reactions else {})
+    if given := values.pop("on_contact", None):
+        words = given if isinstance(given, Mapping) else {"": given}
+        values["on_contact"] = {
+            f: _word(word, OnContact, "on_contact") for f, word in words.items()
+        }
+    return values
 
 
 W = TypeVar("W", Stage, OnContact, ActionKind)

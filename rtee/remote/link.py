@@ -57,6 +57,15 @@ ANSWER_WITHIN = 5.0
 """Default time to wait for an answer [s]: far longer than any request takes on a busy computer."""
 
 
+_NONE = zenoh.ConsolidationMode.NONE
+"""How Zenoh merges replies: not at all, or each would wait for the last one."""
+
+_SOON = zenoh.Priority.INTERACTIVE_HIGH
+"""Priority of requests."""
+
+_FIRST = zenoh.Priority.REAL_TIME
+"""Priority of a stop, which must overtake all other messages waiting to be sent."""
+
 _TOO_FAST = 0.05
 """Time until a request that came too fast is repeated [s]: the hand accepts another one by then."""
 
@@ -89,6 +98,8 @@ class Link:
         self._samples_wanted = asyncio.Event()
         self._samples.declare_matching_listener(direct(self._on_match))
         self._refusals: dict[str, Callable[[RemoteError], None]] = {}
+        self._keys = {name: request.key(hand) for name, request in REQUESTS.items()}
+        self._keys[HELLO] = network_key(hand, f"{HELLO}/{access_path}")
         # The hand knows by this token that its client is alive. Nobody else knows the token's name,
         # so nobody else can declare it.
         self._token_name = prefix + secrets.token_hex(16)[len(prefix) :]
@@ -259,18 +270,13 @@ class Link:
             # Without effect after a reply, which has completed the future.
             self._call_soon(self._settle, future, False, b"")
 
-        first = request.group == STOP
-        key = request.key(self.hand)
-        if request.group == HELLO:
-            key = network_key(self.hand, f"{HELLO}/{self._access_path}")
         try:
             self._session.get(
-                key,
+                self._keys[name],
                 direct(replied, ended),
-                consolidation=zenoh.ConsolidationMode.NONE,  # or replies wait for the last one
+                consolidation=_NONE,
                 timeout=within,
-                # A stop must overtake all other messages waiting to be sent.
-                priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,
+                priority=_FIRST if request.group == STOP else _SOON,
                 express=True,
                 payload=question,
                 attachment=self._signer.attachment(self._signer.number(), name, question),
