@@ -621,14 +621,15 @@ class Controller:
         return self._effort_limit(i) if self._accepts[i] else math.inf
 
     def _set_efforts(self) -> None:
-        grasp, reflexes = self._grasp, self._reflexes.effort
+        asked, reflexes, holding = self._goal_effort, self._reflexes.effort, self._holding
+        efforts, factors, grip = self.reference_effort, self._thermal.factor, self.grip_effort
         for i, actuator in enumerate(self.hand.actuators):
-            limit = self._effort_limit(i)
+            limit = asked.get(i, actuator.effort)
             if i in reflexes:
                 limit = min(reflexes[i], actuator.effort)
-            elif i in self._holding:
-                limit = min(limit, grasp.grip_effort * actuator.effort)
-            self.reference_effort[i] = limit * self._thermal.factor[i]
+            elif i in holding:
+                limit = min(limit, grip * actuator.effort)
+            efforts[i] = limit * factors[i]
 
     def _watch_temperature(self, stamp: float, measured: Measured) -> None:
         self._thermal_due = stamp + _THERMAL_EVERY

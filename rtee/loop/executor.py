@@ -489,11 +489,11 @@ class Executor:
 
     def _moving(self, except_for: Collection[int]) -> list[int]:
         profile = self._profile
+        states = zip(profile.velocity, profile.position, profile.target, strict=True)
         return [
             i
-            for i in range(profile.size)
-            if i not in except_for
-            and (profile.velocity[i] != 0.0 or profile.position[i] != profile.target[i])
+            for i, (velocity, position, target) in enumerate(states)
+            if (velocity != 0.0 or position != target) and i not in except_for
         ]
 
     def _judge(self, run: _Run, stamp: float, measured: Measured) -> None:
@@ -641,14 +641,10 @@ class Executor:
     def _shares(self, run: _Run) -> dict[int, float]:
         """Return each actuator's tolerance: if all are within theirs, so is the norm."""
         targets, tolerance = run.present.targets, run.angle
-        lengths = sum(self._prismatic[i] for i in targets)
-        angles = len(targets) - lengths
-        return {
-            i: run.length / math.sqrt(lengths)
-            if self._prismatic[i]
-            else tolerance / math.sqrt(angles)
-            for i in targets
-        }
+        lengths = sum([self._prismatic[i] for i in targets])
+        length = run.length / math.sqrt(lengths or 1)
+        angle = tolerance / math.sqrt(len(targets) - lengths or 1)
+        return {i: length if self._prismatic[i] else angle for i in targets}
 
     def _over(self, run: _Run, measured: Measured) -> bool:
         """Return whether every actuator has either arrived or is blocked."""

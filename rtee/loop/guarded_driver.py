@@ -72,7 +72,8 @@ class GuardedDriver:
     @property
     def doing(self) -> str:
         """A lengthy operation under way, in words, or an empty string."""
-        return line(self._read(lambda: self._driver.doing, ""))
+        found = self._read(lambda: self._driver.doing, "")
+        return "" if type(found) is str and not found else line(found)
 
     @property
     def object_description(self) -> ObjectDescription | None:

@@ -85,9 +85,10 @@ class Profile(ABC):
         changed = set()
         for index, top in (velocity or {}).items():
             before = self._top[index]
-            self._top[index] = min(max(top, _SLOWEST), self.limits.velocity[index])
-            if self._top[index] != before:
-                changed.add(index)
+            if top != before:  # most goals ask for the same limits as the one before
+                self._top[index] = min(max(top, _SLOWEST), self.limits.velocity[index])
+                if self._top[index] != before:
+                    changed.add(index)
         for index, target in targets.items():
             self.target[index] = self.limits.clamp(index, target)
             self._braking[index] = False

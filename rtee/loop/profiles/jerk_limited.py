@@ -130,15 +130,13 @@ class JerkLimited(Profile):
 
         A motion slowed down so that all arrive together may first swing away from its target.
         """
-        limits = self.limits
+        upper, lower, position = self.limits.upper, self.limits.lower, self.position
         for i, extremum in enumerate(self._trajectory.position_extrema):
-            if self._braking[i]:
-                continue
-            here = self.position[i]
+            high, low = extremum.max, extremum.min
             if (
-                extremum.max > max(limits.upper[i], here) + _SLACK
-                or extremum.min < min(limits.lower[i], here) - _SLACK
-            ):
+                (high > upper[i] + _SLACK and high > position[i] + _SLACK)
+                or (low < lower[i] - _SLACK and low < position[i] - _SLACK)
+            ) and not self._braking[i]:
                 return False
         return True
 
