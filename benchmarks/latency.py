@@ -97,7 +97,8 @@ class Notes:
     def _noted_submit(self, goal: Goal, **options: Any) -> None:
         self.found[goal.goal_id] = times = [Noted.came]
         self._submit(goal, **options)
-        times.append(moment())
+        # Not at the end: the tick may have begun already.
+        times.insert(1, moment())
 
     def _noted_accept(self, plan: Any, stamp: float) -> None:
         self.found[plan.goal_id].append(moment())

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from functools import partial
 from operator import attrgetter
+from sys import intern
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -152,9 +153,10 @@ class Codec(Generic[T]):
             # By a function, since a lambda in this loop would see only the last attribute.
             get |= {name: _packing(attribute, pack) for name, pack in conversion.pack.items()}
         # All types begin with a header, which `_BEGIN` writes and `decode` skips.
-        rest = self.kind.fields[1:]
-        self._writers = [(field.name, writer_of(field), get.get(field.name)) for field in rest]
-        self._readers = [(field.name, _reader_of(field)) for field in rest]
+        # Interned, or Python would compare the names of options letter by letter.
+        rest = [(intern(field.name), field) for field in self.kind.fields[1:]]
+        self._writers = [(name, writer_of(field), get.get(name)) for name, field in rest]
+        self._readers = [(name, _reader_of(field)) for name, field in rest]
 
     def fields(self, value: T, *, time: float = 0.0, wall: int = 0) -> dict[str, Any]:
         """Return the fields of a message, to nest it in another one; arguments as `encode`."""

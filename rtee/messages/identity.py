@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hmac
 import itertools
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 SECRET = 32
 """Length of a client's secret [bytes]: that of SHA-256's result; more would add no security."""
@@ -21,8 +22,7 @@ LONGEST_CLAIM = 200
 """Longest attachment [bytes]: names of clients have 100 at most."""
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
+class Claim(Struct, frozen=True):
     """The sender of a request and its number in an attachment; unproven until `signed_by` is true.
 
     A client may add a dot and a label to the number; a published answer repeats its request's.
