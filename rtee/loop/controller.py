@@ -266,8 +266,9 @@ class Controller:
     def channels(self) -> Mapping[str, FloatArray]:
         """Values computed in addition to the reference, by channel."""
         found = {} if self.stream is None else dict(self.stream.channels)
-        if self._reflexes.felt[0] == self._reflexes.felt[0]:
-            found[GRIP_FORCE] = np.array(self._reflexes.felt)
+        felt = self._reflexes.felt
+        if felt[0] == felt[0]:
+            found[GRIP_FORCE] = np.array(felt)
         return found
 
     @property

@@ -307,9 +307,10 @@ class HandLoop:
             found=self._found,
         )
         movable = self._devices.movable()
-        if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:
-            plan = plan.only(movable)
-        self._devices.check_movable(plan.involved, movable)
+        if not plan.involved <= movable:
+            if partly and not plan.involved.isdisjoint(movable):
+                plan = plan.only(movable)
+            self._devices.check_movable(plan.involved, movable)
         self._pending.append((goal, plan))
 
     async def execute(self, goal: Goal, *, partly: bool = False) -> Result:

@@ -387,7 +387,8 @@ def _legs(
             Leg(step.alias, targets_of(step.posture, hand), step.before, step.after)
             for step in action.steps
         )
-    return tuple(Leg("", targets_of(action.waypoints[-1], hand, share)) for share in shares)
+    end = action.waypoints[-1]
+    return tuple([Leg("", targets_of(end, hand, share)) for share in shares])
 
 
 def _share(to: Intensity, action: Action) -> float:
