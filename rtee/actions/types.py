@@ -117,8 +117,6 @@ DEEPEST: Final = "deepest"
 SHALLOW: Final = 0.5
 """Share of the deepest posture's depth below which a note mentions that posture."""
 
-"""Separator of an action's name and elements in a string, instead of a space."""
-
 FARTHEST_CLEARANCE: Final = 0.005
 """Largest clearance measured [m]: at this distance, no link is in danger of a collision."""
 
