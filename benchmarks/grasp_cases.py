@@ -47,6 +47,10 @@ _BESIDE: Final = 0.002
 _PRESENTED: Final = 0.1
 """For this long an object is there before the goal begins [s]."""
 
+_APART: Final = 0.1
+"""For this long both sides must have lost the object before they can meet it again [s]: contacts
+chatter."""
+
 _FRICTION: Final = (0.6, 1.0)
 """Range of the friction."""
 
@@ -133,7 +137,9 @@ class Truth:
         low: The least force between the tips from then on.
         high: The largest one.
         own: The largest force of fingers on one another.
-        gap: Distance of the meshes of the two sides when the force is judged; ``NaN``: not known.
+        met: Distance of the meshes of the two sides when both had met the object, before the
+            result; ``NaN``: not known.
+        gap: The same distance when the force is judged.
     """
 
     result: Result
@@ -143,6 +149,7 @@ class Truth:
     low: float
     high: float
     own: float
+    met: float
     gap: float
 
     @property
@@ -233,10 +240,15 @@ class Contacts:
             )
         ]
 
-    def between(self) -> float:
-        """Return the force between the tips on the object [N]: its normal component alone."""
+    def sides(self) -> tuple[float, float]:
+        """Return the normal force of each side on the object [N]."""
         each, _ = self._normals()
         one, other = (float(sum(np.linalg.norm(each[f]) for f in side)) for side in self._sides)
+        return one, other
+
+    def between(self) -> float:
+        """Return the force between the tips on the object [N]: its normal component alone."""
+        one, other = self.sides()
         # An object at rest is pressed equally from both sides; while it moves, the larger counts.
         return one + other if self._around else max(one, other)
 
@@ -334,11 +346,16 @@ class _Try:
         self._headless = kind(ready.hand, ready.library, ready.settings, simulation)
         self._forces: list[float] = []
         self._own = 0.0
+        self._met, self._pressed = math.nan, -math.inf
         self._headless.before_tick(self._watch)
 
-    def _watch(self, _: float) -> None:
+    def _watch(self, now: float) -> None:
         self._forces.append(self._contacts.between())
         self._own = max(self._own, self._contacts.own())
+        if min(self._contacts.sides()) > 0.0:
+            if now - self._pressed > _APART:
+                self._met = self._contacts.gap()
+            self._pressed = now
 
     def run(self) -> Truth:
         """Grasp, wait, and judge."""
@@ -347,6 +364,7 @@ class _Try:
         headless.wait(_PRESENTED)
         self._forces.clear()
         result = headless.do(self._goal)
+        met = self._met
         before = len(headless.events)  # what was lost on the way is not this grasp
         start = around.object_frame if around.has_object else np.eye(4)
         place = around.position_in_hand if around.has_object else np.zeros(3)
@@ -370,5 +388,6 @@ class _Try:
             min(after),
             max(after),
             self._own,
+            met,
             gap,
         )

@@ -117,8 +117,10 @@ class Row:
     low: float = math.nan
     high: float = math.nan
     own: float = math.nan
+    met: float = math.nan
     gap: float = math.nan
     opening: float | None = None
+    opening_error: float | None = None
     force_said: float | None = None
     force_error: float | None = None
 
@@ -139,6 +141,13 @@ class Row:
             return None
         least, most = self.force_said - self.force_error, self.force_said + self.force_error
         return least <= self.low and self.high <= most
+
+    @property
+    def met_right(self) -> bool | None:
+        """Whether the opening is within its error where both sides met it; ``None``: not known."""
+        if self.opening is None or self.opening_error is None or math.isnan(self.met):
+            return None
+        return abs(self.opening - self.met) <= self.opening_error
 
     @property
     def word(self) -> str:
@@ -183,8 +192,10 @@ def tried(ready: TrialBench, hand: str, part: str, case: Case) -> Row:
         low=truth.low,
         high=truth.high,
         own=truth.own,
+        met=truth.met,
         gap=truth.gap,
         opening=result.opening,
+        opening_error=result.opening_error,
         force_said=result.force,
         force_error=result.force_error,
     )
@@ -207,7 +218,7 @@ def tables(rows: Sequence[Row]) -> None:
     print("\nThe blow, the force and the width.\n")
     table = Table(
         "hand", "sensors", "held", "peak within", "worst peak / asked", "force within 10 %", "off",
-        "within its ±", "width within", "width off mm",
+        "within its ±", "opening within its ±", "width within", "width off mm",
     )  # fmt: skip
     for hand, numb in groups:
         some = [r for r in done if (r.hand, r.numb, r.part) == (hand, numb, "force")]
@@ -224,6 +235,7 @@ def tables(rows: Sequence[Row]) -> None:
             rate([max(map(abs, r.offs)) <= NEAR for r in got]),
             span([off for r in got for off in r.offs], "+.0%"),
             rate([right for r in got if (right := r.said_right) is not None]),
+            rate([right for r in got if (right := r.met_right) is not None]),
             rate([abs(w) <= (ROUND if thing == CaseObject.SPHERE else FLAT) for thing, w in wide]),
             span([w for _, w in wide], "+.1f"),
         )

@@ -564,8 +564,10 @@ class Result(Value):
         duration: Time from acceptance to the end [s].
         position: Measured actuator positions at the end, by name.
         elements: Elements of the action, for a goal with an opening or a force.
-        opening: Opening of the fingertips at the end [m]; ``None``: not known, as for an action
-            without one, or an aborted goal, whose device may be lost.
+        opening: Opening of the fingertips at the end [m], or where fingers that bend met what they
+            hold; ``None``: not known, as for an action without one, an aborted goal, whose device
+            may be lost, or more than three fingers that one motor bends.
+        opening_error: How far the opening may be off [m].
         force: Estimated force between the fingertips [N]; ``None``: not known, likewise.
         force_error: Error of the estimate [N].
         force_source: Source of the estimate: ``device`` (the force that it measures, by its data
@@ -594,6 +596,7 @@ class Result(Value):
     position: Mapping[str, float] = field(default_factory=_nothing)
     elements: tuple[str, ...] = ()
     opening: float | None = None
+    opening_error: float | None = None
     force: float | None = None
     force_error: float | None = None
     force_source: str = ""

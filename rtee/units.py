@@ -116,8 +116,11 @@ class AngleUnit(StrEnum):
 
 
 def grip_words(result: Result) -> str:
-    """Return the opening of a result in words, and its force with error and source."""
-    words = f"{1e3 * (result.opening or 0.0):.1f} mm"
+    """Return the opening of a result in words, and the force on what is held; with errors."""
+    words = f"{1e3 * (result.opening or 0.0):.1f}"
+    if result.grasped and result.opening_error is not None:
+        words += f" ± {1e3 * result.opening_error:.1f}"
+    words += " mm"
     if result.force is not None and result.grasped:
         error = 0.0 if result.force_error is None else result.force_error
         words += f" with {result.force:.1f} ± {error:.1f} N, by the {result.force_source}"

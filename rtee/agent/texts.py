@@ -65,7 +65,7 @@ def opening(each: OpeningRange) -> dict[str, Any]:
 
 def result(each: Result) -> dict[str, Any]:
     """Describe the result of a goal: outcome, opening [m], force [N] and duration [s]."""
-    measured = ("opening", "force", "force_error", "duration")
+    measured = ("opening", "opening_error", "force", "force_error", "duration")
     told = ("action", "elements", "outcome", "grasped_fingers")
     return {
         **{name: getattr(each, name) for name in told},

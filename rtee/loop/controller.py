@@ -35,7 +35,7 @@ from rtee.loop.closing import slowed
 from rtee.loop.evidence import ContactMonitor
 from rtee.loop.executor import Executor
 from rtee.loop.free_motion import LearnedMotion
-from rtee.loop.measured import GRIP_FORCE, Measured
+from rtee.loop.measured import GRIP_FORCE, MET, Measured
 from rtee.loop.motion import Limiter, MotionLimits
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile, make_profile
@@ -269,6 +269,8 @@ class Controller:
         felt = self._reflexes.felt
         if felt[0] == felt[0]:
             found[GRIP_FORCE] = np.array(felt)
+        if (met := self._executor.met) is not None:
+            found[MET] = met
         return found
 
     @property

@@ -21,6 +21,7 @@ from rtee.loop.plan import Leg, Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
+from rtee.sample import FloatArray
 from rtee.types import (
     Aim,
     Around,
@@ -31,6 +32,7 @@ from rtee.types import (
     OnContact,
     Opening,
     Result,
+    readonly,
 )
 
 _RANGE_SHARE = 0.01
@@ -67,6 +69,17 @@ time [s]: passing the target is not enough."""
 _BENDS: Final = (Following.TENDON, Following.LINKAGE)
 """Couplings that let some links of a finger go on when others are blocked."""
 
+_MEET: Final = 3
+"""Most fingers that one actuator bends and whose posture its position gives: of more, some miss the
+object and go on, and take the actuator's motion from those that met it."""
+
+_APART: Final = 0.1
+"""Fingers that bend have let go of an object when their sensors feel nothing for this long [s]:
+contacts chatter, and the actuators go on meanwhile."""
+
+_NOWHERE: Final = readonly(())
+"""Positions at which the fingertips met nothing."""
+
 _DIGITS: Final = 9
 """Decimals of a reported opening [m]: a nanometre is finer than any device resolves."""
 
@@ -76,6 +89,7 @@ class GripValues(TypedDict, total=False):
 
     elements: tuple[str, ...]
     opening: float | None
+    opening_error: float | None
     force: float | None
     force_error: float | None
     force_source: str
@@ -105,7 +119,6 @@ class _Run:
     angle: float = 0.0
     length: float = 0.0
     reported: float = -math.inf
-    touched: tuple[float, ...] = ()
     over: float = math.nan
     bears: float = math.nan
     near: float = math.nan
@@ -152,6 +165,9 @@ class Executor:
         self._run: _Run | None = None
         self._turn = 0
         self._path = _UNKNOWN_PATH
+        self._met: tuple[float, ...] = ()
+        self._told, self._meeting = _NOWHERE, frozenset[int]()
+        self._felt = -math.inf
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._bending = {
             i
@@ -165,6 +181,16 @@ class Executor:
         """The plan under way."""
         return None if self._run is None else self._run.plan
 
+    @property
+    def met(self) -> FloatArray | None:
+        """Positions at which fingers that bend met what they hold ``(n,)`` [rad | m].
+
+        ``NaN``: not known; ``None``: the fingers hold nothing, or do not bend.
+        """
+        if not self._met or self._bending.isdisjoint(self._meeting):
+            return None
+        return self._told if any(self._contact.grasping(i) for i in self._meeting) else None
+
     def start(self, plan: Plan, stamp: float, measured: Measured) -> None:
         """Begin a plan; the running one ends as pre-empted.
 
@@ -175,6 +201,9 @@ class Executor:
         self._run = run = _Run(plan, stamp)
         run.progress, run.reached, run.stalled = [0.0] * legs, [False] * legs, [False] * legs
         self._contact.forget(plan.involved)
+        # What is held goes on to be held where it was met.
+        if not self._reflexes.in_place:
+            self._met = ()
         # What stopped an action may have pushed fingers off the path of its repetition.
         if self._path[:2] != (plan.action, plan.elements):
             self._path = plan.action, plan.elements, self._on_path(plan, measured)
@@ -201,7 +230,7 @@ class Executor:
         targets = run.present.targets
         if run.phase is Phase.MOVING:
             if isinstance(run.plan.to, Around):
-                self._note_touch(run, measured, limits)
+                self._note_touch(run, stamp, measured, limits)
             reflexes = self._reflexes
             # Actuators that a reflex has stopped would look stalled.
             free = [i for i in targets if i not in reflexes.busy] if reflexes.active else targets
@@ -251,7 +280,7 @@ class Executor:
 
     def led(self, targets: Mapping[int, float], measured: Measured) -> None:
         """Record that a jog or a stream moves some actuators, by index [rad | m]."""
-        self._path = _UNKNOWN_PATH
+        self._path, self._met = _UNKNOWN_PATH, ()
         for i, target in targets.items():
             self._contact.led(i, measured.position[i], target)
 
@@ -317,23 +346,31 @@ class Executor:
             )
         )
 
-    def _note_touch(self, run: _Run, measured: Measured, limits: Sequence[float]) -> None:
+    def _note_touch(
+        self, run: _Run, stamp: float, measured: Measured, limits: Sequence[float]
+    ) -> None:
         """Record the actuators' positions at which the fingertips met an object.
 
         From there on, adaptive fingers bend while the force builds up: their actuators move on, and
         their positions no longer give the width of the object.
         """
-        grip = run.plan.grip
+        grip, bends = run.plan.grip, self._bends(run)
+        if grip is None:
+            return
         least, touch = self._settings.grasp.touch, measured.touch
+        sensed = not math.isnan(grip.tip_force(touch))
         # Without sensors: a bending finger bends before its effort reaches half of its limit.
-        met = bool(self._reflexes.touched) and self._bends(run)
-        if grip is None or not (
-            (met and math.isnan(grip.tip_force(touch)))
-            or grip.touches(measured.position, measured.effort, limits, touch, least)
-        ):
-            run.touched = ()
-        elif not run.touched:
-            run.touched = tuple(measured.position)
+        met = bool(self._reflexes.touched) and bends and not sensed
+        if not (met or grip.touches(measured.position, measured.effort, limits, touch, least)):
+            if not (bends and sensed and stamp - self._felt <= _APART):
+                self._met = ()
+            return
+        self._felt = stamp
+        if not self._met:
+            self._met, self._meeting = tuple(measured.position), frozenset(grip.indices)
+            moved = (self._hand.actuators[i].fingers for i in self._bending & self._meeting)
+            known = max(map(len, moved), default=0) <= _MEET
+            self._told = readonly(self._met if known else [math.nan] * len(self._met))
 
     def _bends(self, run: _Run) -> bool:
         """Return whether the grasping fingers bend while their actuator goes on."""
@@ -355,7 +392,7 @@ class Executor:
         if plan.grip is None or not (self._reflexes.touched or grasped or closes):
             return False
         # Fingers that bend as they press have an opening only where they met the object.
-        met = run.touched if run.touched and self._bends(run) else measured.position
+        met = self._met if self._met and self._bends(run) else measured.position
         opening, doubt = plan.grip.opening(met), plan.grip.doubt(met)
         if rules.may_be_nothing(opening, doubt, word=word):
             return True
@@ -418,16 +455,19 @@ class Executor:
             # A device was lost, or what it measures is not believed.
             return {"elements": plan.elements}
         blocked = any(self._contact.blocked(i) for i in grip.indices)
-        width = grip.opening(run.touched if run.touched and grasped else measured.position)
+        bent = [] if (told := self.met) is None else told.tolist()
+        met = bent or (self._met if self._met and grasped else measured.position)
+        width, width_error = grip.opening(met), grip.opening_error(met)
         force, error, source = grip.force(
-            measured.position, measured.effort, self._limits, measured.touch, blocked
+            measured.position, measured.effort, self._limits, measured.touch, blocked, bent
         )
         within = None
         if isinstance(to, Around) and not math.isnan(width):
             within = grasped and -to.narrower <= width - to.width <= to.wider
         felt, doubt = self._reflexes.felt
-        # Fingers that touch elsewhere than the levers assume.
-        elsewhere = source not in (TIPS, DEVICE) and grasped and within is False
+        # Fingers that touch elsewhere than the levers assume, or of an unknown posture.
+        elsewhere = within is False or math.isnan(width)
+        elsewhere = elsewhere and source not in (TIPS, DEVICE) and grasped
         if felt == felt:
             # More exact: measured per finger, without the effects of weight and friction.
             force, error = felt, doubt
@@ -439,6 +479,7 @@ class Executor:
             "elements": plan.elements,
             # A zero of floating point is neither -2.8e-17 nor -0.
             "opening": None if math.isnan(width) else round(width, _DIGITS) + 0.0,
+            "opening_error": None if math.isnan(width_error) else round(width_error, _DIGITS),
             "force": None if math.isnan(force) else force,
             "force_error": None if math.isnan(error) else error,
             "force_source": source,

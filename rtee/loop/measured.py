@@ -17,6 +17,10 @@ GRIP_FORCE = "loop/grip_force"
 """The channel with the force between fingertips at rest, and its error [N]: only the controller
 knows it, since it has seen the efforts of the fingers before they touched."""
 
+MET = "loop/met"
+"""The channel with the positions of all actuators at which fingers that bend met what they hold
+[rad | m]; ``NaN``: not known. From there on, they no longer give the fingers' posture."""
+
 
 @dataclass(slots=True)
 class Measured:

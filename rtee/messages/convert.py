@@ -66,6 +66,11 @@ RESULT = Codec(
     position=mapping("position_name", "position"),
     elements=field("elements", tuple),
     opening=_number("opening"),
+    # 0 in recordings made before it was told.
+    opening_error=As(
+        {"opening_error": lambda value: math.nan if value is None else value},
+        lambda value: value or None if value == value else None,
+    ),
     force=_number("force"),
     force_error=_number("force_error"),
     within=As(

@@ -59,6 +59,26 @@ def test_the_width_is_that_where_bending_fingers_met_the_object() -> None:
     assert (truth.said, truth.held, truth.result.within) == (True, True, True)
 
 
+@pytest.mark.samples("2-*")
+@pytest.mark.parametrize("numb", [False, True])
+@pytest.mark.parametrize("seed", [2, 3, 3954595407])
+def test_the_opening_is_as_sure_as_it_says(seed: int, numb: bool) -> None:
+    case = Case(CaseObject.BOX, 0.05, 6.5, None, numb, seed)
+    truth = try_case(bench("robotiq_3f", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+    assert truth.met == pytest.approx(0.05, abs=1e-3)
+    assert 2e-3 < truth.result.opening_error < 3.5e-3
+    assert truth.result.opening == pytest.approx(truth.met, abs=truth.result.opening_error)
+
+
+def test_a_motor_that_bends_five_fingers_does_not_know_their_opening() -> None:
+    case = Case(CaseObject.SPHERE, 0.07, 2.8, None, True, seed=1)
+    truth = try_case(bench("qb_softhand", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+    assert (truth.result.opening, truth.result.opening_error, truth.result.within) == (None,) * 3
+    assert truth.result.force == pytest.approx(truth.low, abs=truth.result.force_error)
+
+
 def test_fingers_that_bend_on_something_hold_it_though_their_actuator_goes_on() -> None:
     # Narrower than the two fingers of one side are apart: they come together.
     truth = try_case(bench("robotiq_3f", RATE), Case(CaseObject.BOX, 0.03, 8.1, None, True, seed=7))

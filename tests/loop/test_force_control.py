@@ -20,7 +20,7 @@ from rtee.loop.closing import slowed
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import LearnedMotion
 from rtee.loop.grip import Grip, grip_at
-from rtee.loop.measured import GRIP_FORCE, Measured
+from rtee.loop.measured import GRIP_FORCE, MET, Measured
 from rtee.loop.planning import make_plan
 from rtee.loop.pressing import ForceEstimate, Tare, ceilings
 from rtee.loop.settings import loop_settings
@@ -355,6 +355,46 @@ def test_a_state_tells_the_force_that_the_result_tells() -> None:
     assert grip_at(grip, record)[1] == pytest.approx(10.0), "with weight and friction"
     known = replace(record, channels={GRIP_FORCE: np.array((4.0, 2.0))})
     assert grip_at(grip, known)[1:3] == (4.0, 2.0)
+    bent = replace(record, channels={MET: np.array((0.2,))})
+    assert grip_at(grip, bent)[0] == pytest.approx(0.08), "where the fingers met it"
+
+
+def bending(*levers: float) -> Grip:
+    """Return the grip of a motor that bends two fingers, with levers at even steps to 1 rad."""
+    steps = np.linspace(0.0, 1.0, len(levers))
+    return Grip(
+        (0,), (0.0,), (1.0,), tuple(steps.tolist()), tuple((0.1 - 0.05 * steps).tolist()),
+        tuple((lever,) for lever in levers), (0.0,), (1.0,), (0,), (1,),
+    )  # fmt: skip
+
+
+def test_a_lever_that_has_changed_since_the_contact_makes_the_force_less_sure() -> None:
+    grip, met = bending(0.1, 0.08, 0.01), [0.0]
+    assert grip.force([0.5], [1.0], [1.0], [], True)[:2] == pytest.approx((12.5, 1.875))
+    force, error, _ = grip.force([0.5], [1.0], [1.0], [], True, met)
+    assert (force, error) == pytest.approx((12.5, 1.875 + 2.5)), "10 N with the lever of before"
+    force, error, _ = grip.force([0.5], [NAN], [1.0], [], True, met)
+    assert (force, error) == pytest.approx((12.5, 0.25 * 12.5 + 2.5)), "by effort limits, too"
+    assert grip.force([1.0], [1.0], [1.0], [], True)[0] == pytest.approx(100.0)
+    force, error, source = grip.force([1.0], [1.0], [1.0], [], True, met)
+    assert (math.isnan(force), math.isnan(error), source) == (True, True, "")
+    assert grip.force([1.0], [1.0], [1.0], [], True, [NAN])[0] == pytest.approx(100.0)
+    # Sensors need no lever.
+    assert grip.force([1.0], [1.0], [1.0], [5.0, 5.0], True, met)[:2] == (5.0, 0.25)
+
+
+def test_an_opening_says_how_far_it_may_be_off() -> None:
+    bends = bending(0.1, 0.1)
+    rigid = replace(bends, inertia=(1.0,))
+    two = replace(
+        rigid, indices=(0, 1), rest=(0.0, 0.0), target=(1.0, 1.0),
+        lever=((0.05, 0.05),) * 2, inertia=(1.0, 1.0),
+    )  # fmt: skip
+    assert rigid.opening_error([0.5]) == pytest.approx(5e-4)
+    assert bends.opening_error([0.5]) == pytest.approx(5e-4 + 7e-3 * 0.1), "its springs give way"
+    assert two.opening_error([0.5, 0.5]) == pytest.approx(3e-3)
+    assert two.opening_error([0.4, 0.6]) == pytest.approx(3e-3), "the opening is the same"
+    assert math.isnan(bends.opening_error([NAN]))
 
 
 @pytest.mark.heavy

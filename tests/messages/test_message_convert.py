@@ -64,6 +64,8 @@ RESULT = Result(
     error=0.5,
     duration=1.25,
     position={"thumb_flexion": 0.75},
+    opening=0.03,
+    opening_error=0.001,
 )
 EVENT = Event("mark", "user", "the drill slipped", 99.5, "warning")
 COMMANDS = (
@@ -231,6 +233,16 @@ def test_a_status_written_before_devices_told_their_gains_is_read(text: str) -> 
         kind.decode(data)
     with pytest.raises(MessageError):
         older.decode(data[:-9])
+
+
+def test_a_result_written_before_openings_told_their_error_is_read() -> None:
+    kind = message_type("rtee_msgs/Result")
+    fields = kind.decode(convert.RESULT.encode(RESULT))
+    del fields["opening_error"]
+    schema = "".join(row for row in kind.schema.splitlines(True) if "opening_error" not in row)
+    older = recorded_type(kind.name, schema)
+    read = convert.RESULT.of(kind.completed(older.decode(older.encode(fields))))
+    assert read == replace(RESULT, opening_error=None)
 
 
 def test_a_recorded_definition_that_is_nested_too_deeply_is_refused() -> None:

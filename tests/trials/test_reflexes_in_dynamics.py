@@ -12,7 +12,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.load import hand_folder, load_configured
-from rtee.loop.measured import Measured
+from rtee.loop.measured import MET, Measured
 from rtee.loop.settings import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
@@ -23,6 +23,7 @@ from rtee.types import (
     FirstContact,
     Force,
     Goal,
+    Intensity,
     Named,
     OnContact,
     Outcome,
@@ -98,12 +99,25 @@ class Numb(HeadlessHand[Simulation]):
         return super()._measured(position, effort, np.full_like(forces, np.nan))
 
 
+def numb(name: str, action: str, elements: tuple[str, ...], thing: str) -> Numb:
+    """Return a hand without sensors around a floating object."""
+    hand, config = load_configured(name)
+    library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
+    settings = loop_settings(config, rate=RATE)
+    options = SimOptions(object=thing, object_mass=0.05, support="floating", gravity=0.0)
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    place = Places(simulation, hand, library.find(action, elements)).find(1)[0]
+    simulation.reset()
+    simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
+    return Numb(hand, library, settings, simulation)
+
+
 @pytest.mark.parametrize(
     ("name", "action", "elements", "thing", "width", "force", "off"),
     [
         ("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05", 0.05, 3.0, 0.05),
         ("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05", 0.05, 5.0, 0.10),
-        # The fingers bend more and more; from 10 N on, two of them push the third to its stop.
+        # The fingers bend more and more; from 10 N on, the third touches with its second link, too.
         ("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05", 0.05, 8.0, 0.25),
         ("schunk_svh", "PinchTight", ("index", "thumb"), "sphere:0.015", 0.03, 4.0, 0.15),
     ],
@@ -117,20 +131,30 @@ def test_the_levers_alone_give_the_force(
     force: float,
     off: float,
 ) -> None:
-    hand, config = load_configured(name)
-    library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
-    settings = loop_settings(config, rate=RATE)
-    options = SimOptions(object=thing, object_mass=0.05, support="floating", gravity=0.0)
-    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
-    place = Places(simulation, hand, library.find(action, elements)).find(1)[0]
-    simulation.reset()
-    simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
-    headless = Numb(hand, library, settings, simulation)
+    headless = numb(name, action, elements, thing)
     goal = Goal(Named(action, elements), Around(width), speed=TipSpeed(0.05), effort=Force(force))
     result = headless.do(goal)
     assert result.outcome is Outcome.HELD
     headless.wait(0.5)
     # Each side presses as much as the other: half of the sum is the force.
-    held = simulation.contact_forces.sum() / 2.0
+    held = headless.simulation.contact_forces.sum() / 2.0
     assert held == pytest.approx(force, rel=off)
     assert result.force == pytest.approx(held, abs=result.force_error)
+
+
+def test_fingers_that_have_bent_keep_the_width_and_give_no_force() -> None:
+    headless = numb("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05")
+    met: list[bool] = []
+    headless.before_tick(lambda _: met.append(MET in headless.controller.channels))
+    light, firm = (
+        headless.do(Goal(Named("Grasp"), Around(0.05), TipSpeed(0.05), Force(force)))
+        for force in (5.0, 15.0)
+    )
+    assert (light.outcome, firm.outcome) == (Outcome.HELD, Outcome.HELD)
+    assert light.opening == firm.opening == pytest.approx(0.05, abs=light.opening_error)
+    assert light.force is not None
+    assert firm.position["finger_1_joint_1"] > light.position["finger_1_joint_1"] + 0.1
+    assert (firm.force, firm.force_error, firm.force_source) == (None, None, "")
+    assert met[-1], "states say so, too"
+    headless.do(Goal(Named("Grasp"), Intensity(0.0)))
+    assert not met[-1]

@@ -76,7 +76,7 @@ def test_fingers_stop_where_they_touch(
 
 def _width_said(held: Locator) -> float:
     """Return the width that a sentence about a grasp names [mm]."""
-    found = re.search(r" at ([\d.]+) mm", held.text_content() or "")
+    found = re.search(r" at ([\d.]+) ± [\d.]+ mm", held.text_content() or "")
     assert found is not None
     return float(found[1])
 
@@ -96,7 +96,7 @@ def test_an_object_is_held_by_its_width_and_a_force(
         window.field("Force [N]", panel).click()
         window.type("Force [N]", "30", panel)
         window.button("Grasp", panel).click()
-        held = window.says(re.compile(r"held by finger_1, finger_2 at [\d.]+ mm"), panel)
+        held = window.says(re.compile(r"held by finger_1, finger_2 at [\d.]+ ± [\d.]+ mm"), panel)
         assert window.clicks() <= 3
         state = hand.state()
         assert state.force == pytest.approx(30.0, rel=0.25)
