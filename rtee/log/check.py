@@ -100,12 +100,13 @@ class ReplayCheck:
 
     @property
     def note(self) -> str:
-        """The reason why references after a contact differ on purpose; empty if there is none."""
+        """The reason why references differ on purpose; empty if there is none."""
         if self.rules == contact_rules.VERSION:
             return ""
         return (
             f"recorded with version {self.rules} of the rules of contact, computed with version "
-            f"{contact_rules.VERSION}: after a contact, references may differ on purpose"
+            f"{contact_rules.VERSION}: after a contact, or a stream that ended near a limit, "
+            "references may differ on purpose"
         )
 
     @property

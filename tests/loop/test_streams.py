@@ -212,6 +212,24 @@ def test_whatever_comes_no_reference_jumps(
         assert bench.positions[-1][3] == 0.0
 
 
+@pytest.mark.parametrize("profile", [ProfileKind.JERK_LIMITED, ProfileKind.S_CURVE])
+def test_a_stream_that_ends_fast_at_a_limit_leaves_the_hand_resting_on_it(
+    hand: Hand, profile: ProfileKind
+) -> None:
+    """A limit that keeps limiting a hand at rest would be reported every second."""
+    bench = Bench(hand, profile)
+    bench.begin()
+    times = np.arange(0.0, 1.0, 0.02).tolist()
+    bench.run(1.0, [sample(t, t, index_base=1.5 * t) for t in times])
+    bench.apply(EndStream("s"))
+    bench.rest()
+    assert "limited" in bench.kinds()  # it braked into the limit
+    bench.events.clear()
+    bench.run(3.0)
+    assert bench.kinds() == []
+    assert bench.positions[-1][0] == bench.controller._profile.position[0] == 1.5
+
+
 @given(values=st.lists(st.floats(0.2, 1.2), min_size=3, max_size=30))
 @settings(max_examples=30, deadline=None, phases=WITHOUT_SHRINKING)
 def test_the_way_keeps_to_the_samples(hand: Hand, values: list[float]) -> None:

@@ -63,6 +63,19 @@ class Profile(ABC):
         # Braked, not set to rest: a jump in velocity would exceed the limits.
         self.go({}, brake=states)
 
+    def _rest(self, index: int, end: float) -> float:
+        """Return where a braked actuator rests [rad | m]: at a limit that it would pass.
+
+        Jerk limits do not let every motion that a stream hands over stop before a limit; the
+        limiter stops the reference there, so the profile must not rest beyond.
+
+        Args:
+            index: The actuator.
+            end: Where its motion ends [rad | m].
+        """
+        here, limits = self.position[index], self.limits
+        return min(max(end, min(limits.lower[index], here)), max(limits.upper[index], here))
+
     @abstractmethod
     def _seeded(self, indices: Collection[int]) -> None:
         """Discard the motion of some actuators, except for position and velocity."""

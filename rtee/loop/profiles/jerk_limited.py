@@ -123,7 +123,7 @@ class JerkLimited(Profile):
         if any(self._braking):
             end = self._trajectory.at_time(self._duration)[0]
             for i in compress(range(self.size), self._braking):
-                self.target[i] = end[i]
+                self.target[i] = self._rest(i, end[i])
 
     def _inside(self) -> bool:
         """Return whether the trajectory keeps the position limits (or comes back into them).

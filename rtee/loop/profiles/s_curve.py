@@ -371,7 +371,7 @@ class SCurve(Profile):
     def _stop(self, i: int) -> None:
         _, velocity, acceleration = state = self._state(i)
         motion = PhasedMotion(state, velocity_change(velocity, acceleration, 0.0, self._bounds(i)))
-        self.target[i] = motion.end
+        self.target[i] = self._rest(i, motion.end)
         self._begin(i, motion)
 
     def _begin(self, i: int, motion: PhasedMotion) -> None:
