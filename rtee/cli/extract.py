@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -211,30 +212,28 @@ def _tried(
 
 
 def _hand_in(model: ReadableModel, srdf: Path | None, subtree: Subtree | None) -> HandModel:
-    """Load a hand from its model, with the notes and exclusions that are not in the URDF."""
-    from rtee.hand.candidates import motor_notes
+    """Load a hand from its model as `rtee new` would make it, with what is not in the URDF."""
     from rtee.hand.load import load_model
+    from rtee.hand.scaffold import settle
     from rtee.hand.urdfread import read_urdf
-    from rtee.hand.whole_robot import check_one_hand
 
     edits = [] if subtree is None else [subtree]
     known = read_urdf(model.urdf, edits)
-    hand = load_model(
+    load = partial(
+        load_model,
         model.urdf,
         srdf,
         package_dirs=model.package_dirs,
         passive=[joint for joint in model.passive or () if joint in known.joints],
-        edits=edits,
     )
-    notes = list(hand.notes)
-    if srdf is None:
-        check_one_hand(hand)
-        if model.passive is None:
-            notes += motor_notes(hand)
+    settled = settle(
+        load, edits, searched=srdf is None, motors_known=model.passive is not None, ask=None
+    )
+    hand = settled.hand
     excluded = (pair for pair in model.excluded if {*pair[:2]} <= known.links.keys())
     return replace(
         hand,
-        notes=(*model.notes, *notes),
+        notes=(*model.notes, *settled.notes),
         disabled_collisions=(*hand.disabled_collisions, *excluded),
     )
 

@@ -104,12 +104,12 @@ def make_hand(
     if passive is not None:
         inside = read_urdf(urdf, edits).joints
         load = partial(load, passive=[joint for joint in passive if joint in inside])
-    settled = _settle(load, edits, searched=srdf is None, motors_known=passive is not None, ask=ask)
-    settled = replace(settled, pairs=_with(excluded, settled))
-    hand, pairs, notes = settled.hand, settled.pairs, settled.notes
+    settled = settle(load, edits, searched=srdf is None, motors_known=passive is not None, ask=ask)
+    hand, notes = settled.hand, settled.notes
+    pairs = _with(excluded, hand, allowed_collisions(hand))
     with new_tree(target) as folder:
         # The SRDF of a whole robot would not fit the hand alone.
-        notes += _fill(folder, settled, None if subtree else srdf)
+        notes += _fill(folder, settled, pairs, None if subtree else srdf)
         # Before the folder gets its name, since a hand that cannot be loaded must not remain.
         load_hand(folder)
         write_atomically(target.parent / SCHEMA_FILE, schema_text())
@@ -119,46 +119,55 @@ def make_hand(
 
 
 @dataclass(frozen=True)
-class _Settled:
+class Settled:
     """A hand with the decisions that its files leave open.
 
     Attributes:
         hand: The hand.
-        pairs: Pairs of links that need not be checked for collision.
         ignored: Actuators to ignore.
         rest: Rest positions for hand.yaml [rad | m].
         notes: Remarks and choices, one sentence each.
     """
 
     hand: Hand
-    pairs: tuple[DisabledPair, ...]
     ignored: tuple[str, ...]
     rest: Mapping[str, float]
     notes: list[str]
 
 
-def _with(excluded: Sequence[DisabledPair], settled: _Settled) -> tuple[DisabledPair, ...]:
+def _with(
+    excluded: Sequence[DisabledPair], hand: Hand, pairs: tuple[DisabledPair, ...]
+) -> tuple[DisabledPair, ...]:
     """Return the pairs of a hand and those excluded besides."""
-    there = {frozenset(pair[:2]) for pair in settled.pairs}
-    links = settled.hand.urdf.links
-    return settled.pairs + tuple(
+    there = {frozenset(pair[:2]) for pair in pairs}
+    links = hand.urdf.links
+    return pairs + tuple(
         pair
         for pair in excluded
         if frozenset(pair[:2]) not in there and pair[0] in links and pair[1] in links
     )
 
 
-def _settle(
+def settle(
     load: Callable[..., Hand],
     edits: Sequence[Edit],
     *,
     searched: bool,
     motors_known: bool,
     ask: Ask | None,
-) -> _Settled:
+) -> Settled:
     """Decide which joints are actuators, which are ignored, and where the hand rests.
 
-    ``searched``: the fingers are found in the tree, without an SRDF.
+    Args:
+        load: Loads the model; takes the edits, the joints without a motor, the ignored actuators
+            and the rest positions that are chosen.
+        edits: Edits of the model, such as the part of a whole robot.
+        searched: Whether the fingers are found in the tree, without an SRDF.
+        motors_known: Whether the model says which joints have a motor.
+        ask: Asks the user; without it, joints that may have no motor are only noted.
+
+    Raises:
+        ModelError: if the files do not describe a hand, or describe several, or a mesh is missing.
     """
     chosen: dict[str, Any] = {"edits": edits}
     hand: Hand = load(**chosen)
@@ -184,17 +193,14 @@ def _settle(
     added, told = _fixed_jaw(hand, ask)
     notes += told
     hand = replace(hand, fingers=(*hand.fingers, *added))
-    # These depend on the rest posture, and are computed again if it changes below.
-    pairs = allowed_collisions(hand)
     # An SRDF says by itself where a hand rests.
     closed = closed_rest_of(hand, narrow=searched)
     if closed is not None:
         hand = load(**chosen, rest=closed.opened)
         hand = replace(hand, fingers=(*hand.fingers, *added))
-        pairs = allowed_collisions(hand)
         notes.append(
-            f"{closed.found} where the hand would rest, so hand.yaml has it rest where they are "
-            f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
+            f"{closed.found} where the model rests, so the hand is to rest where they are "
+            f"{closed.opening * 1e3:.1f} mm apart, by '{closed.line}' in hand.yaml"
         )
     if free := [each.name for each in hand.actuators if not math.isfinite(each.effort)]:
         more = f" and {len(free) - 1} more" if len(free) > 1 else ""
@@ -203,7 +209,7 @@ def _settle(
             "hand.yaml, no goal can ask for a force or for a share of the effort"
         )
     rest = {} if closed is None else closed.opened
-    return _Settled(hand, pairs, ignored, rest, [*hand.notes, *notes])
+    return Settled(hand, ignored, rest, [*hand.notes, *notes])
 
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
@@ -232,7 +238,7 @@ def _one_motor(hand: Hand, ask: Ask | None) -> tuple[OneMotor | None, list[str]]
     if ask is None:
         return None, [
             f"{why}; if so, put {found.element} into the joint '{found.joint}' of the URDF and "
-            "make the hand again, or let --ask do it"
+            "make the hand again, or let `rtee new --ask` do it"
         ]
     if not ask(f"{why}. Is there one motor?", True):
         return None, []
@@ -252,7 +258,7 @@ def _fixed_jaw(hand: Hand, ask: Ask | None) -> tuple[tuple[Finger, ...], list[st
         return (), [
             f"there is only one finger; {chain.reason}: it becomes the second finger by "
             f'<group name="fixed"><link name={quoteattr(chain.links[-1])}/></group> in the SRDF '
-            f'and <group name="fixed"/> in its group {GROUP_OF_FINGERS}, or by --ask'
+            f'and <group name="fixed"/> in its group {GROUP_OF_FINGERS}, or by `rtee new --ask`'
         ]
     if not ask(f"{chain.reason}. Is it the second finger?", True):
         return (), []
@@ -282,13 +288,19 @@ def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
         return (), []
     line, palm = ignore_line(found), hand.fingers[0].links[0]
     return found, [
-        f"{why}, so hand.yaml ignores {them} by '{line}'; --root {palm} takes the hand alone"
+        f"{why}, so {'it is' if one else 'they are'} ignored, by '{line}' in hand.yaml; "
+        f"--root {palm} takes the hand alone"
     ]
 
 
-def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
+def _fill(
+    folder: Path,
+    settled: Settled,
+    pairs: tuple[DisabledPair, ...],
+    srdf: Path | str | None,
+) -> list[str]:
     """Write the files of a hand into a folder; return notes."""
-    hand, pairs = settled.hand, settled.pairs
+    hand = settled.hand
     local = with_local_meshes(hand)
     for place, source in local.meshes.items():
         make_folder((folder / place).parent)
@@ -309,7 +321,7 @@ def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]
     return list(local.notes)
 
 
-def _hand_yaml(settled: _Settled) -> str:
+def _hand_yaml(settled: Settled) -> str:
     hand = settled.hand
     example = emit_scalar(hand.actuators[0].name)
     chosen = ""

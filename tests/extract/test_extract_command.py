@@ -141,6 +141,40 @@ def test_a_missing_mesh_leaves_nothing_behind(
     assert not out.exists()
 
 
+ON_A_WRIST = """<robot name="g"><link name="arm"/><link name="palm"/>
+<joint name="wrist" type="revolute"><parent link="arm"/><child link="palm"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="5"/></joint>
+<link name="left"><collision><geometry><box size="0.01 0.02 0.03"/></geometry></collision></link>
+<link name="right"><collision><geometry><box size="0.01 0.02 0.03"/></geometry></collision></link>
+<joint name="slide" type="prismatic"><parent link="palm"/><child link="left"/>
+<origin xyz="-0.005 0 0.05"/><axis xyz="-1 0 0"/>
+<limit lower="0" upper="0.03" velocity="0.1" effort="10"/></joint>
+<joint name="other" type="prismatic"><parent link="palm"/><child link="right"/>
+<origin xyz="0.005 0 0.05"/><axis xyz="1 0 0"/><mimic joint="slide"/>
+<limit lower="0" upper="0.03" velocity="0.1" effort="10"/></joint></robot>"""
+
+
+def test_a_model_is_the_hand_that_rtee_new_makes_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both ignore a wrist, and let a gripper that is closed at zero rest open."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "g.urdf").write_text(ON_A_WRIST)
+    command = ("extract", "--json", "--jobs", "1")
+    alone = rtee(capsys, monkeypatch, *command, "--urdf", "g.urdf")
+    assert rtee(capsys, monkeypatch, "new", "g", "--urdf", "g.urdf")[0] == 0
+    made = rtee(capsys, monkeypatch, *command, "g")
+    first, second = json.loads(alone[1]), json.loads(made[1])
+    assert first | {"seconds": 0} == second | {"seconds": 0}
+    assert first["actuators"] == {"slide": {"lower": 0.0, "upper": 0.03, "rest": 0.03}}
+    assert [each["kind"] for each in first["primitives"]] == [
+        "PinchTight",
+        "SingleJointMultipleTips_2",
+    ]
+    assert "'wrist' moves all fingers as one body" in alone[2]
+    assert "'rest: {slide: 0.03}' in hand.yaml" in alone[2]
+
+
 HAND_WITHOUT_FINGER = """<robot name="bare">
 <link name="palm"><collision><geometry><box size="0.1 0.1 0.02"/></geometry></collision></link>
 <link name="jaw"/><joint name="slide" type="prismatic"><parent link="palm"/><child link="jaw"/>

@@ -211,7 +211,7 @@ def test_a_closed_rest_is_opened_and_told(tmp_path: Path) -> None:
     assert line in (made.folder / "hand.yaml").read_text().splitlines()
     assert list(made.hand.rest) == [0.04]
     (told,) = [note for note in made.notes if line in note]
-    assert "the tips of 'leftfinger' and 'rightfinger' touch where the hand would rest" in told
+    assert "the tips of 'leftfinger' and 'rightfinger' touch where the model rests" in told
     assert "rest where they are 80.0 mm apart" in told
     # What else touches is looked for where it rests now, and the rest is defined in one place.
     assert read_srdf(made.folder / "g.srdf").states == ()
