@@ -20,7 +20,7 @@ from rtee.log.file_index import FileIndex, damaged_chunks, index_file
 from rtee.log.mcapfile import McapFile, Preamble
 from rtee.log.reader import read_indexed
 from rtee.log.record_scanner import HEAD, DamagedRecordError, messages_of
-from rtee.log.rotation import being_written
+from rtee.log.rotation import OPEN, being_written
 from rtee.messages import topics
 from rtee.messages.codec import SECOND
 
@@ -70,7 +70,7 @@ def recover(
     """
     path = Path(path)
     if being_written(path):
-        raise LogError("is still being written; stop the recording first", path=path)
+        raise LogError(OPEN, path=path)
     content = index_file(path)
     beside = path if in_place else path.with_name(f"{path.stem}_recovered{path.suffix}")
     target = beside if output is None else Path(output)

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""
 
+OPEN = "is still being written; end its run, or the recording in the GUI, first"
+"""What is said of a recording that must be complete and is not yet."""
+
 MESHES = "meshes"
 """Name of the metadata record that maps addresses of meshes to attachments."""
 

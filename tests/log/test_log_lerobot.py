@@ -74,6 +74,19 @@ def demonstrations(claw: Hand, tmp_path_factory: pytest.TempPathFactory) -> Path
     return path
 
 
+def test_a_recording_that_is_being_written_is_told_from_a_damaged_one(
+    claw: Hand, tmp_path: Path
+) -> None:
+    """`rtee log recover` would refuse it."""
+    log = Log(claw, settings(tmp_path))
+    for _ in log.ticks(0, 10):
+        pass
+    with pytest.raises(LogError, match="is still being written; end its run"):
+        cameras_in(tmp_path.iterdir())
+    log.writer.close()
+    assert cameras_in(recorded(tmp_path)) == []
+
+
 def picture(number: int) -> np.ndarray[Any, Any]:
     """The camera's image of a tick: its number in eight stripes, black and white."""
     bits = np.unpackbits(np.array([number // EVERY], dtype=np.uint8))

@@ -17,6 +17,7 @@ from mcap.records import Schema
 from rtee.errors import LogError, MessageError
 from rtee.hand.files import failing
 from rtee.log.dataset.signals import Signal, Times, lasting
+from rtee.log.rotation import OPEN, being_written
 from rtee.messages.schema import MessageType, parse
 
 _CDR: Final[Mapping[str, str]] = {
@@ -175,9 +176,8 @@ def _reading(path: Path) -> Iterator[Any]:
         try:
             yield make_reader(stream)
         except McapError as error:
-            raise LogError(
-                "is damaged, or was never closed: run `rtee log recover` first", path=path
-            ) from error
+            unclosed = "is damaged, or was never closed: run `rtee log recover` first"
+            raise LogError(OPEN if being_written(path) else unclosed, path=path) from error
 
 
 def _image(schema: Schema, content: bytes) -> tuple[str, bytes]:
