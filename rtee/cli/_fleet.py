@@ -11,7 +11,7 @@ import typer
 
 from rtee.cli._common import to_json
 from rtee.cli._table import Column, Row, TextTable, on_terminal
-from rtee.errors import ConfigError
+from rtee.errors import NoHand
 
 if TYPE_CHECKING:
     from rtee.remote.fleet import Look
@@ -63,7 +63,8 @@ def show_fleet(
                     break
                 await anyio.sleep(_EVERY)
         if not looks and not as_json:
-            raise ConfigError("no hand is running on this computer; start one with 'rtee run HAND'")
+            where = f"at {', '.join(connect)}" if connect else "on this computer"
+            raise NoHand(f"no hand is running {where}; start one with 'rtee run HAND'")
 
     anyio.run(main)
 

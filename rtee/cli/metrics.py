@@ -32,7 +32,7 @@ def metrics(
     check_files()
     lower_priority()  # before the network starts threads, which inherit it
     with needing_extra("'rtee metrics'", "metrics"):
-        from rtee.remote.metrics import serve
+        from rtee.remote.metrics import serving
     from rtee.loop.shutdown_signals import work_beside
     from rtee.remote.fleet import following
     from rtee.remote.session import address_of
@@ -44,6 +44,8 @@ def metrics(
     async def run() -> None:
         async with following(endpoints, hands or (), here=not endpoints) as fleet:
             await fleet.known()
-            await serve(fleet, listen)
+            with serving(fleet, listen) as url:
+                print(f"rtee: metrics at {url}", flush=True)
+                await anyio.sleep_forever()
 
     anyio.run(work_beside, beside, run)

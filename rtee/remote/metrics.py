@@ -10,9 +10,9 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
-import anyio
 from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.core import (
     CounterMetricFamily,
@@ -166,8 +166,11 @@ class _FleetCollector:
         yield from families(looking.result(_SCRAPED_WITHIN))
 
 
-async def serve(fleet: Fleet, listen: str) -> None:
-    """Serve the metrics of a fleet over HTTP until cancelled.
+@contextmanager
+def serving(fleet: Fleet, listen: str) -> Iterator[str]:
+    """Serve the metrics of a fleet over HTTP, in a thread, for as long as the context lasts.
+
+    Yields the URL.
 
     Args:
         fleet: The hands.
@@ -184,7 +187,7 @@ async def serve(fleet: Fleet, listen: str) -> None:
     except OSError as error:
         raise ConfigError(f"metrics: {listen} cannot be used: {error.strerror or error}") from None
     try:
-        await anyio.sleep_forever()
+        yield f"http://{listen.rpartition(':')[0]}:{server.server_port}/metrics"
     finally:
         server.shutdown()
         server.server_close()

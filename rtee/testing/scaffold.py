@@ -40,7 +40,7 @@ def write_package(name: str, parent: Path) -> list[Path]:
         raise ConfigError(
             f"'{name}' cannot be a driver's name: letters, digits and _ in lower case"
         )
-    if keyword.iskeyword(name) or name in {*sys.stdlib_module_names, *driver_names()}:
+    if keyword.iskeyword(name) or name in {"rtee", *sys.stdlib_module_names, *driver_names()}:
         raise ConfigError(f"the name '{name}' is taken")
     folder = parent / name
     if folder.exists() and any(folder.iterdir()):

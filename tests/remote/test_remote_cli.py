@@ -19,6 +19,7 @@ from rtee.cli._common import app_of
 from rtee.cli.define import compose
 from rtee.cli.do import do, touch
 from rtee.cli.do import open_ as open
+from rtee.cli.hands import hands
 from rtee.cli.log import mark
 from rtee.cli.state import state
 from rtee.cli.status import status
@@ -162,6 +163,7 @@ def test_no_hand_runs() -> None:
         (status, []),
         (stop, []),
         (open, []),
+        (hands, ["--running"]),
     ):
         with pytest.raises(NoHand, match="no hand is running on this computer"):
             run(module, *words)

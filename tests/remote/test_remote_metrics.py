@@ -6,16 +6,17 @@ import json
 import re
 import socket
 import urllib.request
+from functools import partial
 from pathlib import Path
 
 import anyio
-import anyio.lowlevel
 import anyio.to_thread
 import pytest
 from ruamel.yaml import YAML
 
 import rtee
 from rtee.actions.library import ActionLibrary
+from rtee.cli.metrics import metrics
 from rtee.hand.model import Hand
 from rtee.remote.fleet import HandAddress, Look, following
 
@@ -38,7 +39,7 @@ def _scraped(port: int) -> str:
 async def test_a_scrape_tells_what_the_hand_did(hand: Hand, library: ActionLibrary) -> None:
     from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-    from rtee.remote.metrics import serve
+    from rtee.remote.metrics import serving as serving_metrics
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -47,11 +48,8 @@ async def test_a_scrape_tells_what_the_hand_did(hand: Hand, library: ActionLibra
         await remote.do("Trig", "index", intensity=0.2)
         await remote.stop()
         await fleet.known()
-        async with anyio.create_task_group() as group:
-            group.start_soon(serve, fleet, f"127.0.0.1:{port}")
-            await anyio.lowlevel.checkpoint()
+        with serving_metrics(fleet, f"127.0.0.1:{port}"):
             text = await anyio.to_thread.run_sync(_scraped, port)
-            group.cancel_scope.cancel()
     samples = {
         (
             sample.name,
@@ -68,6 +66,18 @@ async def test_a_scrape_tells_what_the_hand_did(hand: Hand, library: ActionLibra
     assert samples["rtee_clients", "", "", ""] == 2.0
     ticks = samples["rtee_loop_ticks_total", "", "", ""]
     assert samples["rtee_loop_busy_seconds_bucket", "", "", "+Inf"] >= ticks > 0
+
+
+async def test_the_command_says_where_it_serves(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def at_once() -> None:
+        """Ctrl-C."""
+
+    monkeypatch.setattr(anyio, "sleep_forever", at_once)
+    await anyio.to_thread.run_sync(partial(metrics, listen="127.0.0.1:0"))
+    said = capsys.readouterr().out
+    assert re.fullmatch(r"rtee: metrics at http://127\.0\.0\.1:[1-9]\d*/metrics\n", said)
 
 
 async def test_alerts_and_dashboard_name_metrics_that_there_are(

@@ -37,7 +37,7 @@ def test_its_classes_are_found_by_name(tmp_path: Path, monkeypatch: pytest.Monke
     assert {"overload"} <= find_emulator("other_gripper.emulator:OtherGripperEmulator").FAULTS
 
 
-@pytest.mark.parametrize("name", ["My", "2f", "a-b", "class", "robotiq_2f", "../x", "ä"])
+@pytest.mark.parametrize("name", ["My", "2f", "a-b", "class", "robotiq_2f", "rtee", "../x", "ä"])
 def test_names_that_cannot_be(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError):
         write_package(name, tmp_path)
