@@ -11,7 +11,9 @@ from remote.serving import until
 
 from rtee.actions.library import ActionLibrary
 from rtee.hand.config_schema import Ros2Settings
+from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
+from rtee.ros2.hand_services import service_name
 from rtee.ros2.keys import Entity, Kind
 from rtee.ros2.qos import DEFAULT, LATCHED, PARAMETERS, Qos
 from rtee.ros2.types import ServiceType, TopicType, interfaces
@@ -79,3 +81,12 @@ async def test_the_table_of_interfaces(
         else:
             made = known.service(type_) if kind == "service" else known.topic(type_)
         assert made.hash.startswith(f"RIHS01_{short}")
+
+
+def test_the_services_of_actions_in_the_examples_exist(repository: Path) -> None:
+    folder = repository / "config" / "schunk_svh"
+    library = ActionLibrary.load(load_hand(folder), folder / "actions")
+    page = (repository / "docs" / "how-to" / "ros2.md").read_text()
+    named = set(re.findall(r"/schunk_svh/do/(\w+)", page))
+    assert named
+    assert named <= {service_name(action) for action in library}
