@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -174,17 +175,13 @@ def new_tree(target: Path) -> Iterator[Path]:
     """
     if target.exists():
         raise ConfigError("already exists; remove the folder first", path=target)
-    with new_folder(target.parent) as place:
-        try:
-            with replaced(place / target.name) as filled:
-                filled.mkdir()
-                yield filled
-        except (OSError, shutil.Error) as error:
-            # `shutil.copytree` goes on after a failure and raises one error with a list of them
-            # all.
-            several = error.args[0] if isinstance(error, shutil.Error) else ()
-            text = "; ".join(each[2] for each in several) or reason(error)
-            raise ConfigError(f"cannot be created: {text}", path=target) from error
+    with (
+        new_folder(target.parent) as place,
+        failing("cannot be created", target),
+        replaced(place / target.name) as filled,
+    ):
+        filled.mkdir()
+        yield filled
 
 
 def write_all(
@@ -291,7 +288,13 @@ def _regular(path: Path, folder: int, owner: int) -> bytes | None:
 
 def reason(error: Exception) -> str:
     """Return the message of the operating system, in lower case, without error number and path."""
-    if isinstance(error, OSError) and error.strerror:
+    if isinstance(error, shutil.Error):
+        # `shutil.copytree` goes on after a failure, and raises one error with a list of them all.
+        failed, (file, _, text) = error.args[0], error.args[0][0]
+        text = re.sub(r"^\[Errno \d+\] |: '.*", "", text)
+        more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
+        text = f"{text}: '{file}'{more}"
+    elif isinstance(error, OSError) and error.strerror:
         text = error.strerror
     else:
         text = str(error) or type(error).__name__

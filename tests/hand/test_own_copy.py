@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import os
 import shutil
@@ -327,6 +328,20 @@ def new(*words: str) -> tuple[int, str]:
     except UserError as error:
         return error.exit_status, str(error)
     return done.exit_code, done.output
+
+
+def test_a_disk_that_is_full_is_told_once(
+    shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "from", None, "to")
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises(
+        ConfigError, match=r"created: no space left on device: '[^']+' and [0-9]+ more$"
+    ):
+        own_copy.copy_hand(shipped, tmp_path / "mine")
+    assert not (tmp_path / "mine").exists()
 
 
 def test_new_from_a_hand(shipped: Path) -> None:
