@@ -216,7 +216,10 @@ class ActionLibrary:
         if len(others) < len(self) and not replace_same:
             # In its own spelling, which may differ from the new one's.
             same = self.find(action.name, action.elements).name
-            raise ActionError(f"there already is an action '{label(same, action.elements)}'")
+            raise ActionError(
+                f"there already is an action '{label(same, action.elements)}'; replace it, or "
+                "choose another name"
+            )
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
         # The new index is checked, written to files and assigned, in this order, so that an error

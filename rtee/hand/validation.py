@@ -253,7 +253,7 @@ def _fields(kind: Any, value: Mapping[Any, Any], at: Location) -> Iterator[Itera
 _KINDS: Final[Mapping[Any, str]] = {
     float: "should be a valid number",
     int: "should be a valid integer",
-    bool: "should be a valid boolean",
+    bool: "should be true or false",
     str: "should be a valid string",
     list: "should be a valid list, such as [1, 2, 3]",
     tuple: "should be a valid list, such as [1, 2, 3]",

@@ -128,7 +128,7 @@ def test_order_does_not_depend_on_the_order_given(
 
 
 def test_same_names_are_refused(library: ActionLibrary) -> None:
-    with pytest.raises(ActionError, match="already is an action 'schunkGrasp'"):
+    with pytest.raises(ActionError, match="already is an action 'schunkGrasp'; replace it"):
         library.add(generic(library.hand, "Schunk_Grasp", {"spread": 0.01}))
     assert isinstance(library.find("schunkGrasp"), Composed)
 

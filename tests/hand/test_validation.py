@@ -42,6 +42,7 @@ class Whole(Section, frozen=True, kw_only=True):
     marks: frozenset[Literal["a", "b"]] = frozenset()
     size: Annotated[str, Meta(pattern="^[0-9]+$")] = "1"
     number: Finite = 0.0
+    switch: bool = False
     anything: Any = None
 
     def __post_init__(self) -> None:
@@ -100,6 +101,7 @@ def test_a_home_is_expanded(monkeypatch: pytest.MonkeyPatch) -> None:
             "word",
             "should be 'all' or should be a valid list, such as [1, 2, 3], not 3",
         ),
+        ({"switch": "yes"}, "switch", "should be true or false, not 'yes'"),
         ({"pair": [1]}, "pair", "should have 2 items, not [1]"),
         ({"some": []}, "some", "should have at least 1 items, not []"),
         ({"some": [1, 2, 3, 4]}, "some", "should have at most 3 items, not [1, 2, 3, 4]"),
