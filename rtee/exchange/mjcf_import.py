@@ -128,7 +128,8 @@ def _still(source: ParsedModel, root: str) -> list[str]:
             notes.append(f"{named} is free and not part of the hand, so it is left out")
             spec.delete(body)
         elif above or body.name not in inside:
-            notes.append(f"{named}, outside the hand, stands still as drawn")
+            where = "the hand's base" if body.name == root else "outside the hand"
+            notes.append(f"{named}, {where}, stands still as drawn")
             spec.delete(joint)
     return notes
 

@@ -957,6 +957,17 @@ def test_a_hand_is_taken_out_of_a_floating_robot_among_free_objects(tmp_path: Pa
         )
 
 
+def test_a_hand_whose_own_base_floats_is_taken_as_it_stands(tmp_path: Path) -> None:
+    file = tmp_path / "afloat.xml"
+    palm = '<body name="palm" pos="0 0 0.3">'
+    bare = hand_of(MOTORS)
+    assert palm in bare
+    file.write_text(bare.replace(palm, f"{palm}<freejoint/>"))
+    ran = run("new", "mine", "--mjcf", file, "--root", "palm", "--into", tmp_path / "config")
+    assert ran.returncode == 0, ran.stderr
+    assert "body 'palm', the hand's base, stands still as drawn" in ran.stdout + ran.stderr
+
+
 def test_without_a_root_or_with_an_unknown_one_a_floating_robot_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "scene.xml"
     file.write_text(scene())
