@@ -403,7 +403,9 @@ def calibrate(
                 print(f"{spec.name}: {'; '.join(map(str, values))}")
                 print(f"{spec.name}: stored in {path}")
                 if not spec.options.get("calibration"):
-                    print(f"  to use it, add to the device's options: calibration: {path}")
+                    print(
+                        f"  to use it, add to the device's options: calibration: {path.resolve()}"
+                    )
 
     # This waits for a person, in real time.
     _finished(execute(), simulated=emulated and yes)

@@ -57,14 +57,17 @@ def test_the_doctor_asks_a_hand_that_runs(
         assert "kill" not in text
 
 
-def test_a_hand_is_located_and_calibrated(tmp_path: Path) -> None:
+def test_a_hand_is_located_and_calibrated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = rtee("locate", "robotiq_2f_85", "--emulated", "--yes", "--times", "1")
     assert "gripper: that was 2F-85" in text
-    file = tmp_path / "end stops.json"
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "stops.json"
     text = rtee(
-        "calibrate", "robotiq_2f_85", "--emulated", "--ideal", "--out", str(file), typed="\n"
+        "calibrate", "robotiq_2f_85", "--emulated", "--ideal", "--out", file.name, typed="\n"
     )
     assert "open at 3, closed at 230" in text
+    # hand.yaml is also read from other folders than this one.
+    assert f"options: calibration: {file}\n" in text
     assert json.loads(file.read_text())["model"] == "2f_85"
 
 
