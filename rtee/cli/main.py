@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rtee.cli._common import app_of
-from rtee.errors import RteeError, check_system
+from rtee.errors import RteeError, check_system, closest
 
 COMMANDS: dict[str, tuple[str, str]] = {
     # offline
@@ -126,6 +126,8 @@ def root(
 _Usage: Final[Any] = typer.BadParameter.__mro__[2]
 """The base class of typer's usage errors, which typer does not export."""
 
+_NO_COMMAND: Final = re.compile("No such command '(.+?)'")
+
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a full disk."""
 
@@ -140,6 +142,7 @@ _EXHAUSTED: Final = {
 
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
+    _open_standard_streams()
     # As Python does on stderr: escape characters that the terminal's encoding lacks and file names
     # that are not text, instead of failing after the work is done.
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
@@ -180,6 +183,20 @@ def main() -> None:
             raise
         print(f"rtee: {shortage}", file=sys.stderr)
         _exit_unflushed(2)
+
+
+def _open_standard_streams() -> None:
+    """Open the null device for standard streams that the caller has closed (``>&-``).
+
+    Python has no stream there; the next file that is opened would take its place.
+    """
+    while (null := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(null)
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
 
 def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
@@ -227,4 +244,7 @@ def _explain(error: Any) -> None:
     message = _NUMBER.sub(lambda kind: f"is not a {_NUMBERS[kind[1]]}", message)
     context = getattr(error, "ctx", None)
     remedy = f"; see '{context.command_path} --help'" if context is not None else ""
+    if context is not None and (unknown := _NO_COMMAND.match(message)):
+        close = closest(unknown[1], context.command.list_commands(context))
+        message = f"{unknown[0]} (did you mean '{close}'?)" if close else unknown[0]
     print(f"rtee: {message[:1].lower()}{message[1:]}{remedy}", file=sys.stderr)

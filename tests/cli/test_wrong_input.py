@@ -235,6 +235,19 @@ def test_words_of_a_command(command: str, refused: Run) -> None:
 @pytest.mark.parametrize(
     ("command", "message"),
     [
+        ("runn", "no such command 'runn' (did you mean 'run'?); see 'rtee --help'"),
+        ("Run", "no such command 'Run' (did you mean 'run'?); see 'rtee --help'"),
+        ("log infoo", "no such command 'infoo' (did you mean 'info'?); see 'rtee log --help'"),
+        ("xyzzy", "no such command 'xyzzy'; see 'rtee --help'"),
+    ],
+)
+def test_a_command_that_is_misspelt(command: str, message: str, refused: Run) -> None:
+    assert refused(*command.split()) == f"rtee: {message}\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
         ("run gripper --duration nan", "'--duration': should be a finite number"),
         ("run gripper --duration inf", "'--duration': should be a finite number"),
         ("run gripper --rate nan", "'--rate': should be a finite number"),
@@ -439,6 +452,17 @@ def test_a_reader_that_leaves_is_no_mistake() -> None:
     finally:
         os.close(theirs)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("closed", "command", "status"), [(">&-", "hands", 0), ("2>&-", "extract nosuch", 2)]
+)
+def test_a_stream_that_is_closed_is_no_mistake(closed: str, command: str, status: int) -> None:
+    done = subprocess.run(
+        ["sh", "-c", f"exec {shlex.quote(sys.executable)} -m rtee {command} {closed}"],
+        capture_output=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (status, b"", b"")
 
 
 @pytest.mark.parametrize("unbuffered", [(), ("-u",)], ids=["at the end", "at once"])
