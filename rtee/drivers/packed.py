@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from enum import EnumType
 from functools import cache, lru_cache
 from operator import attrgetter, itemgetter
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, dataclass_transform
 
 from rtee.buses.parser import CodecError
 
@@ -77,18 +77,23 @@ def part(
     return field(default=default, metadata={"at": PackedPart(code, many, kind, per, skip)})
 
 
+@dataclass_transform(frozen_default=True)
 class Packed:
-    """Little-endian bytes: a frozen dataclass whose fields are declared by `part`.
+    """Little-endian bytes: a class derived from it declares its fields by `part`.
+
+    Such a class is a frozen dataclass.
 
     Attributes:
         WHAT: Its name in messages, with its article, such as ``a report of an RH56``.
         LONGER: Whether further bytes may follow, which are ignored.
     """
 
-    __slots__ = ()
-
     WHAT: ClassVar[str]
     LONGER: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        """Make it a dataclass."""
+        dataclass(frozen=True)(cls)
 
     def to_bytes(self) -> bytes:
         """Return the bytes; a number out of range becomes the nearest one that fits."""

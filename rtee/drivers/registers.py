@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import field, fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cache, lru_cache
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast, dataclass_transform
 
 from rtee.errors import FrameError
 
@@ -97,20 +97,27 @@ def each(kind: Callable[..., Any] | None, *members: Sequence[RegisterField]) -> 
     return field(default=group.get([0] * count), metadata={"at": group})
 
 
+@dataclass_transform(frozen_default=True)
 class Registers:
-    """A block of registers: a frozen dataclass whose fields are declared by `at`, `flag`, `each`.
+    """A block of registers: a class derived from it declares its fields by `at`, `flag`, `each`.
+
+    Such a class is a frozen dataclass.
 
     Attributes:
-        COUNT: Number of registers in the block.
+        COUNT: Number of registers in the block: by default, up to the last one with a field.
         WHAT: Its name in messages, such as ``status of an RG``.
         STRICT: Whether bits outside all fields are always clear.
     """
 
-    __slots__ = ()
-
     COUNT: ClassVar[int]
     WHAT: ClassVar[str] = ""
     STRICT: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        """Make it a dataclass."""
+        dataclass(frozen=True)(cls)
+        if "COUNT" not in cls.__dict__:
+            cls.COUNT = 1 + max(one.word for one in _places(cls))
 
     def to_registers(self) -> tuple[int, ...]:
         """Return the registers."""
@@ -146,8 +153,12 @@ def _layout(block: Any) -> tuple[tuple[str, RegisterField | Group], ...]:
 def _known(block: Any) -> tuple[int, ...]:
     """Return the bits of each register that belong to a field."""
     known = [0] * block.COUNT
+    for one in _places(block):
+        known[one.word] |= one.mask
+    return tuple(known)
+
+
+def _places(block: Any) -> Iterator[RegisterField]:
     for _, place in _layout(block):
         for member in place.members if isinstance(place, Group) else [[place]]:
-            for one in member:
-                known[one.word] |= one.mask
-    return tuple(known)
+            yield from member

@@ -78,7 +78,6 @@ class RobotiqOptions(DeviceOptions, frozen=True):
     """Longest time of an activation [s]."""
 
 
-@dataclass(frozen=True, slots=True)
 class RobotiqCommand(Registers):
     """The first byte of every gripper's output block.
 
@@ -93,7 +92,6 @@ class RobotiqCommand(Registers):
     release: bool = flag(0, 12)
 
 
-@dataclass(frozen=True, slots=True)
 class RobotiqStatus(Registers):
     """The part common to the input blocks of all grippers.
 

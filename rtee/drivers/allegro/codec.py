@@ -54,7 +54,6 @@ def order(command: Command, hand: int = 0) -> CanFrame:
     return CanFrame(identifier(command, hand))
 
 
-@dataclass(frozen=True, slots=True)
 class Periods(Packed):
     """Periods at which the hand sends data unasked [ms]; 0: never."""
 
@@ -77,7 +76,6 @@ class Status(IntFlag):
     COMMUNICATION = 0x04
 
 
-@dataclass(frozen=True, slots=True)
 class HandInfo(Packed):
     """The identity and status that a hand reports.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
 
@@ -67,7 +66,6 @@ def read_heartbeat(data: bytes) -> NmtState:
         raise CodecError("this is not a heartbeat") from error
 
 
-@dataclass(frozen=True, slots=True)
 class Emergency(Packed):
     """An emergency message.
 
@@ -101,7 +99,6 @@ class Abort(IntEnum):
     RANGE = 0x0609_0030
 
 
-@dataclass(frozen=True, slots=True)
 class Sdo(Packed):
     """The data of an SDO frame: command, object, and four bytes.
 

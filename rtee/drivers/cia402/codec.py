@@ -137,13 +137,10 @@ class Pdo(Packed):
         MAP: The mapped objects as index, subindex and bits, as in objects 1600h and 1A00h.
     """
 
-    __slots__ = ()
-
     WHAT = "the data of a PDO"
     MAP: ClassVar[tuple[int, ...]]
 
 
-@dataclass(frozen=True, slots=True)
 class Command(Pdo):
     """The first receive PDO: controlword, target position, mode."""
 
@@ -154,7 +151,6 @@ class Command(Pdo):
     mode: int = part("b")
 
 
-@dataclass(frozen=True, slots=True)
 class Limits(Pdo):
     """The second receive PDO: maximal torque [0.1 %] and profile velocity [drive's unit]."""
 
@@ -164,7 +160,6 @@ class Limits(Pdo):
     velocity: int = part("I")
 
 
-@dataclass(frozen=True, slots=True)
 class Status(Pdo):
     """The first transmit PDO: statusword, position [counts], mode."""
 
@@ -180,7 +175,6 @@ class Status(Pdo):
         return State.of(self.statusword)
 
 
-@dataclass(frozen=True, slots=True)
 class Motion(Pdo):
     """The second transmit PDO: velocity [drive's unit], torque [0.1 %], error code."""
 

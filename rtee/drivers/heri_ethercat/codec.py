@@ -7,7 +7,6 @@ uncertain there are uncertain here.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from rtee.buses.parser import CodecError
@@ -83,7 +82,6 @@ def words(fault: Fault) -> str:
     return ", ".join(names) or "unknown"
 
 
-@dataclass(frozen=True, slots=True)
 class Command(Packed):
     """The output process data of a board: 32 bytes per cycle.
 
@@ -110,7 +108,6 @@ class Command(Packed):
     value: float = part("f", default=0.0)
 
 
-@dataclass(frozen=True, slots=True)
 class Reply(Packed):
     """The input process data of a board: 38 bytes per cycle.
 

@@ -174,7 +174,6 @@ class ReplyParser(RequestParser):
     FRAMING = REPLY
 
 
-@dataclass(frozen=True, slots=True)
 class SetPoints(Packed):
     """The set-points of a hand: from `Register.ANGLE_SET` to the last speed.
 
@@ -211,7 +210,6 @@ def _angle(count: int) -> int:
     return count
 
 
-@dataclass(frozen=True, slots=True)
 class Report(Packed):
     """The measurements of a hand, in the order of `FINGERS`: the `BLOCK` from the angles on.
 

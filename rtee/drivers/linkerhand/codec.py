@@ -139,7 +139,6 @@ class Side(IntEnum):
     RIGHT = ord("R")
 
 
-@dataclass(frozen=True, slots=True)
 class Version(Registers):
     """The version block of a hand.
 
@@ -152,7 +151,6 @@ class Version(Registers):
         hardware: Version of its hardware, in the same form.
     """
 
-    COUNT = 6
     WHAT = "version block of a LinkerHand"
 
     motors: int = at(0)

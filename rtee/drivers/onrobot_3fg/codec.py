@@ -51,7 +51,6 @@ class GripType(IntEnum):
         return -1 if self is GripType.EXTERNAL else 1
 
 
-@dataclass(frozen=True, slots=True)
 class Command(Registers):
     """A command of the host: registers 0 to 3, best written in one frame.
 
@@ -62,7 +61,6 @@ class Command(Registers):
         control: The kind of command.
     """
 
-    COUNT = 4
     WHAT = "command of a 3FG"
 
     force: int = at(0)
@@ -71,7 +69,6 @@ class Command(Registers):
     control: Control = at(3, kind=Control)
 
 
-@dataclass(frozen=True, slots=True)
 class Status(Registers):
     """The gripper's state: registers 0100 to 0103.
 
@@ -85,7 +82,6 @@ class Status(Registers):
         force: Force applied [0.1 %].
     """
 
-    COUNT = 4
     WHAT = "status of a 3FG"
     STRICT = True
 

@@ -96,7 +96,6 @@ of `FINGERTIP`; without fingertips both models then open to their stroke at abou
 """
 
 
-@dataclass(frozen=True, slots=True)
 class Command(Registers):
     """A command: registers 0 to 2, best written in one frame.
 
@@ -106,7 +105,6 @@ class Command(Registers):
         control: The kind of command.
     """
 
-    COUNT = 3
     WHAT = "command of an RG"
 
     force: int = at(0)
@@ -114,7 +112,6 @@ class Command(Registers):
     control: Control = at(2, kind=Control)
 
 
-@dataclass(frozen=True, slots=True)
 class Status(Registers):
     """The gripper's state: registers 010B and 010C.
 
@@ -127,7 +124,6 @@ class Status(Registers):
         safety_error: Whether one of them was pushed at power-up.
     """
 
-    COUNT = 2
     WHAT = "status of an RG"
     STRICT = True
 

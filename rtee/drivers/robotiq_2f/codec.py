@@ -124,7 +124,6 @@ newer texts of the vendor.
 """
 
 
-@dataclass(frozen=True, slots=True)
 class Command(RobotiqCommand):
     """The output block, written by the host.
 
@@ -135,15 +134,12 @@ class Command(RobotiqCommand):
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    COUNT = 3  # registers in use; the gripper leaves the rest 0
-
     direction: bool = flag(0, 13)
     position: int = at(1, 0, 8)
     speed: int = at(2, 8, 8)
     force: int = at(2, 0, 8)
 
 
-@dataclass(frozen=True, slots=True)
 class Status(RobotiqStatus):
     """The input block, written by the gripper.
 
@@ -155,7 +151,6 @@ class Status(RobotiqStatus):
         raw_current: gCU.
     """
 
-    COUNT = 3
     WHAT = "status of a 2-finger gripper"
     STRICT = True
 

@@ -79,7 +79,6 @@ class Request:
     force: int = 0
 
 
-@dataclass(frozen=True, slots=True)
 class Command(RobotiqCommand):
     """The output block, written by the host.
 
@@ -89,8 +88,6 @@ class Command(RobotiqCommand):
         scissor: rICS: the scissor follows its own request in every mode.
         axes: Requests of the four motors, in the order of `AXES`.
     """
-
-    COUNT = 8
 
     mode: Mode = at(0, 9, 2, Mode)
     individual: bool = flag(0, 2)
@@ -115,7 +112,6 @@ class AxisStatus:
     raw_current: int = 0
 
 
-@dataclass(frozen=True, slots=True)
 class Status(RobotiqStatus):
     """The input block, written by the gripper.
 
@@ -125,7 +121,6 @@ class Status(RobotiqStatus):
         axes: The four motors, in the order of `AXES`.
     """
 
-    COUNT = 8
     WHAT = "status of a 3-finger gripper"
     STRICT = True
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Self
 
@@ -196,8 +195,6 @@ WARNINGS: dict[int, str] = {
 class Image(Packed):
     """A cyclic image of eight registers."""
 
-    __slots__ = ()
-
     WHAT = "an image of an EGU or EGK"
 
     def to_registers(self) -> tuple[int, ...]:
@@ -214,7 +211,6 @@ class Image(Packed):
             raise FrameError(bus, str(error), data) from None
 
 
-@dataclass(frozen=True, slots=True)
 class Output(Image):
     """The registers that the host writes in one frame.
 
@@ -231,7 +227,6 @@ class Output(Image):
     force: int = part("i", default=0)
 
 
-@dataclass(frozen=True, slots=True)
 class Input(Image):
     """The gripper's report of every cycle.
 

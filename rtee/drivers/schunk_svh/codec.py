@@ -101,12 +101,9 @@ class Parser(FramedParser[Packet]):
 class Fields(Packed):
     """Base class of data that follow a header; padding may follow them."""
 
-    __slots__ = ()
-
     LONGER = True
 
 
-@dataclass(frozen=True, slots=True)
 class Feedback(Fields):
     """Position [ticks] and current [mA] of one channel."""
 
@@ -116,7 +113,6 @@ class Feedback(Fields):
     current_ma: int = part("h")
 
 
-@dataclass(frozen=True, slots=True)
 class FeedbackAll(Fields):
     """Positions [ticks] and currents [mA] of all channels."""
 
@@ -126,7 +122,6 @@ class FeedbackAll(Fields):
     currents_ma: tuple[int, ...] = part("h", CHANNELS)
 
 
-@dataclass(frozen=True, slots=True)
 class PositionSettings(Fields):
     """The position controller of one channel.
 
@@ -157,7 +152,6 @@ class PositionSettings(Fields):
     kd: float = part("f")
 
 
-@dataclass(frozen=True, slots=True)
 class CurrentSettings(Fields):
     """The current controller of one channel.
 
@@ -188,7 +182,6 @@ class CurrentSettings(Fields):
     output_max: float = part("f")
 
 
-@dataclass(frozen=True, slots=True)
 class ControllerState(Fields):
     """Power stages and controllers of the whole hand.
 
@@ -218,7 +211,6 @@ class ControllerState(Fields):
         return self.pwm_reset & self.pwm_active & 0x1FF
 
 
-@dataclass(frozen=True, slots=True)
 class FirmwareInfo(Fields):
     """The hand's identification; the name of a genuine one is ``SVH``."""
 
@@ -235,7 +227,6 @@ class FirmwareInfo(Fields):
         return self.major, self.minor
 
 
-@dataclass(frozen=True, slots=True)
 class Targets(Fields):
     """The targets [ticks] of all channels."""
 
@@ -244,7 +235,6 @@ class Targets(Fields):
     ticks: Sequence[int] = part("i", CHANNELS)
 
 
-@dataclass(frozen=True, slots=True)
 class Target(Fields):
     """The target [ticks] of one channel."""
 
@@ -253,7 +243,6 @@ class Target(Fields):
     ticks: int = part("i")
 
 
-@dataclass(frozen=True, slots=True)
 class Encoders(Fields):
     """The encoder scalings of all channels."""
 

@@ -260,7 +260,6 @@ def numbers(frame: Frame, count: int) -> tuple[float, ...]:
     return values
 
 
-@dataclass(frozen=True, slots=True)
 class Info(Packed):
     """The identity that the gripper reports.
 
@@ -284,7 +283,6 @@ class Info(Packed):
         return f"{self.firmware >> 12}.{self.firmware >> 8 & 0xF}.{self.firmware & 0xFF}"
 
 
-@dataclass(frozen=True, slots=True)
 class Limits(Packed):
     """The gripper's own limits.
 
