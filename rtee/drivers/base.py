@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from rtee.buses.bus import Bus
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.connection import Connection
+from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.options import read_options
 from rtee.drivers.standstill import Standstill
-from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected, RteeError
 from rtee.objects.description import ObjectDescription
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -35,6 +38,8 @@ class Driver(ABC):
     Attributes:
         Options: Its options in hand.yaml, a `DeviceOptions`; ``None`` accepts any.
         spec: The device as configured.
+        options: The options of the device, checked; only with a class `Options`. A driver declares
+            their type, as that of `link`: ``options: MyOptions``.
         buses: The buses of this process, from which the driver acquires the one it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
         active: Whether the device has been activated, in drivers that set it; an inactive device
@@ -43,7 +48,9 @@ class Driver(ABC):
             empty. It is published while the call is under way.
         object_description: Shape of the object that a simulated device grasps, after `configure`.
         connection: The device's bus from `configure` to `close`, for drivers that have one bus.
-        standstill: Judges the positions that `stop` measures, before they are commanded; the caller
+        attached: The actuators that were active when the driver connected, for drivers that leave
+            them alone until a reference moves them.
+        standstill: Judges the positions that `hold` measures, before they are commanded; the caller
             passes it the states from `sense` and the references given to `move`.
     """
 
@@ -51,13 +58,27 @@ class Driver(ABC):
     active: bool = False
     doing: str = ""
     object_description: ObjectDescription | None = None
-    connection: Connection[Any] | None = None
+    options: Any
+    _home_asked = False
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.spec = spec
         self.buses = buses
         self.capabilities = Capabilities()
+        self.connection: Connection[Any] = Connection(spec)
+        self.attached = Attached(spec.actuators)
         self.standstill = Standstill(spec.actuators)
+        if self.Options is not None:
+            self.options = read_options(self.Options, spec)
+
+    @property
+    def link(self) -> Any:
+        """The link of `connection`, by which the driver talks to its device.
+
+        Raises:
+            NotConnected: if the connection is not open.
+        """
+        return self.connection.link
 
     async def configure(self) -> None:
         """Open the bus and identify the device, without moving anything.
@@ -96,12 +117,9 @@ class Driver(ABC):
         # Imported only here: drivers without a bus do not need it.
         from rtee.drivers.emulators import emulator_of
 
-        connection: Connection[L] = self.connection or Connection(self.spec)
-        self.connection = connection
         played = emulator_of(self.spec, emulator, **(emulated or {}))
-        return await connection.open(
-            bus(address, owner=connection.owner, emulator=played, **settings), talk
-        )
+        owner, connection = self.connection.owner, cast("Connection[L]", self.connection)
+        return await connection.open(bus(address, owner=owner, emulator=played, **settings), talk)
 
     @contextmanager
     def identifying(
@@ -174,9 +192,21 @@ class Driver(ABC):
     async def stop(self) -> None:
         """Stop motion now and stay powered; must not raise.
 
-        A device with a brake of its own uses that brake. Any other device holds the measured
-        posture, except for actuators for which ``standstill.instead`` gives another position: a
+        By default it calls `hold`; a device with a stop command of its own uses that instead.
+        """
+        with contextlib.suppress(RteeError, OSError):
+            # The new targets end every grip, so no actuator is left alone any more.
+            self.attached.begin()
+            await self.hold()
+
+    async def hold(self) -> None:
+        """Command the measured posture.
+
+        Except for the actuators for which ``standstill.instead`` gives another position: a
         measurement that cannot be true would make the device jump.
+
+        Raises:
+            BusError: if the bus fails; `stop` ignores it.
         """
 
     async def disable(self) -> None:
@@ -184,7 +214,15 @@ class Driver(ABC):
 
         A device whose power cannot be switched is stopped instead.
         """
-        # Every device can at least stop; a driver that can switch off the power overrides this.
+        with contextlib.suppress(RteeError, OSError):
+            await self.power_off()
+
+    async def power_off(self) -> None:
+        """Switch off the drive power; by default, stop instead.
+
+        Raises:
+            BusError: if the bus fails; `disable` ignores it.
+        """
         await self.stop()
 
     async def recover(self) -> None:
@@ -223,7 +261,7 @@ class Driver(ABC):
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the device's bus, for its status; must return at once."""
-        return {} if self.connection is None else self.connection.counters()
+        return self.connection.counters()
 
     def gains(self) -> Mapping[str, float]:
         """Return the present values of those ``capabilities.gains`` that the driver knows.
@@ -241,5 +279,4 @@ class Driver(ABC):
     async def close(self) -> None:
         """Detach from the bus; may be called any number of times, in any state."""
         self.active = False
-        if self.connection is not None:
-            await self.connection.close()
+        await self.connection.close()

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Generic, TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.errors import NotConnected
@@ -19,36 +18,10 @@ def owner_of(spec: DeviceSpec) -> str:
     return f"{spec.hand}/{spec.name}"
 
 
-class HasDeadline(Protocol):
-    """A link whose exchanges have a deadline.
-
-    Attributes:
-        deadline: Longest time for one exchange, including retries [s].
-    """
-
-    deadline: float
-
-
-@contextmanager
-def longer_deadline(link: HasDeadline, patience: float) -> Iterator[None]:
-    """Extend a link's deadline for exchanges outside the cycle, which a busy computer may delay.
-
-    Args:
-        link: The link.
-        patience: The deadline meanwhile [s], unless the usual one is longer.
-    """
-    usual, link.deadline = link.deadline, max(link.deadline, patience)
-    try:
-        yield
-    finally:
-        link.deadline = usual
-
-
 class Connection(Generic[L]):
     """The bus of a device while its driver is connected, and the link that uses the bus.
 
-    A driver makes a connection in its constructor, opens it in `configure`, and uses `link`
-    everywhere else. `Driver.counters` and `Driver.close` use it, too.
+    A driver opens it in `configure`, by `Driver.open`, and uses `Driver.link` everywhere else.
 
     ``L`` is the type of the link: the bus, or an object that implements the device's protocol.
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AbstractContextManager, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from typing import ClassVar
 
-from rtee.drivers.connection import longer_deadline
 from rtee.errors import BusTimeout
 from rtee.types import DeviceSpec
 
@@ -24,9 +23,14 @@ class RelaxedDeadline:
     PATIENCE: ClassVar[float] = 0.5
     deadline: float
 
-    def relaxed_deadline(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def relaxed_deadline(self) -> Iterator[None]:
         """Extend the deadline for exchanges outside the cycle, which a busy computer may delay."""
-        return longer_deadline(self, self.PATIENCE)
+        usual, self.deadline = self.deadline, max(self.deadline, self.PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
 
 
 def cycle_deadline(spec: DeviceSpec, best_rate: float) -> float:

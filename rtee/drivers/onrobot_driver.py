@@ -11,7 +11,6 @@ from rtee.buses.modbus import ModbusBus, ModbusRefusal, UnitUnreachable
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.onrobot_common import (
     FIRMWARE,
     PRODUCT,
@@ -52,11 +51,11 @@ class OnRobotDriver(Driver, Generic[S]):
     STATUS: ClassVar[type[Registers]]
     COMMAND: ClassVar[type[Registers]]
     SOURCE: ClassVar[int]
+    options: OnRobotOptions
+    link: Blocks[S]
 
-    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: OnRobotOptions) -> None:
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self._settings = settings
-        self.connection: Connection[Blocks[S]] = Connection(spec)
         only_actuator(spec, self.MODEL)
         status: Any = self.STATUS()
         self._status: S = status
@@ -90,7 +89,7 @@ class OnRobotDriver(Driver, Generic[S]):
     # --- life --------------------------------------------------------------------------------
 
     def _decoded(self, block: Sequence[int]) -> S:
-        status: Any = self.STATUS.from_registers(block, self._settings.address)
+        status: Any = self.STATUS.from_registers(block, self.options.address)
         self._note(status)
         return self._status
 
@@ -100,7 +99,7 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def configure(self) -> None:
         """Open the connection and identify the gripper; moves nothing."""
-        options = self._settings
+        options = self.options
         blocks = await self.open(
             self.buses.modbus,
             options.address,
@@ -137,7 +136,7 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def _identify(self, blocks: Blocks[S]) -> dict[str, str]:
         await blocks.read()
-        unit, bus = self._settings.unit, blocks.bus
+        unit, bus = self.options.unit, blocks.bus
         identity = {"address": f"unit {unit}", **await self._described(bus)}
         # Few sources document these registers, so they are shown and nothing depends on them.
         with contextlib.suppress(BusError):
@@ -152,26 +151,26 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def activate(self) -> None:
         """Check that the gripper reports no fault."""
-        with self.connection.link.relaxed_deadline():
-            self._refuse(await self.connection.link.read())
+        with self.link.relaxed_deadline():
+            self._refuse(await self.link.read())
         self._forget()
         self.active = True
 
     async def examine(self) -> str:
         """Raise the fault that the gripper reports, if any."""
-        self._refuse(await self.connection.link.read())
+        self._refuse(await self.link.read())
         return ""
 
     async def sense(self) -> ActuatorState:
         """Return the state that came with the last exchange, or read it."""
-        status, stamp = await self.connection.link.newest()
+        status, stamp = await self.link.newest()
         if self.active:
             self._refuse(status)
         return self._measured(status, stamp)
 
     async def stop(self) -> None:
         """End the motion; a gripped object stays gripped."""
-        if self.connection.is_open and await self.connection.link.insist(self._stopping()):
+        if self.connection.is_open and await self.link.insist(self._stopping()):
             self._forget()
 
     async def deactivate(self) -> None:
@@ -181,6 +180,6 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def recover(self) -> None:
         """Check that the cause of the fault is gone, and stop."""
-        with self.connection.link.relaxed_deadline():
-            self._refuse(await self.connection.link.read())
+        with self.link.relaxed_deadline():
+            self._refuse(await self.link.read())
         await self.stop()

@@ -15,7 +15,6 @@ from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.robotiq_common import (
@@ -61,18 +60,17 @@ class RobotiqDriver(Driver, Generic[S, C]):
     FAULTS: ClassVar[Mapping[int, Fault]]
     HINT: ClassVar[str]
     USED: ClassVar[int] = 3
+    options: RobotiqOptions
+    link: Blocks[S]
 
-    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqOptions) -> None:
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self._settings = settings
-        self.connection: Connection[Blocks[S]] = Connection(spec)
         self._status: S = self._decoded([0] * self.STATUS.COUNT)
         self._sent: C | None = None
-        self._home_asked = False
         self.capabilities = self._abilities(100.0)
 
     def _decoded(self, block: Sequence[int]) -> S:
-        status: S = self.STATUS.from_registers(block, self._settings.port)  # type: ignore[assignment]
+        status: S = self.STATUS.from_registers(block, self.options.port)  # type: ignore[assignment]
         return status
 
     def _action(self, activate: bool) -> Sequence[int]:
@@ -119,26 +117,26 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def configure(self) -> None:
         """Open the line and check that such a gripper answers; moves nothing."""
-        settings = self._settings
+        options = self.options
         output, source, function = self._places()
         # Where both blocks begin at the same register, function 23 cannot distinguish them.
-        mixed = output == source and settings.exchange == "auto"
+        mixed = output == source and options.exchange == "auto"
         blocks = await self.open(
             self.buses.modbus,
-            settings.port,
+            options.port,
             lambda bus: Blocks(
                 bus,
-                settings.unit,
+                options.unit,
                 self._decoded,
                 output=output,
                 source=source,
                 count=self.STATUS.COUNT,
-                kind="separate" if mixed else settings.exchange,
+                kind="separate" if mixed else options.exchange,
                 function=function,
             ),
             # An emulated gripper starts activated, as after an earlier run, unless it must home.
-            emulated={"emulator": {"activated": settings.home == "on_demand", **settings.emulator}},
-            baudrate=settings.baudrate,
+            emulated={"emulator": {"activated": options.home == "on_demand", **options.emulator}},
+            baudrate=options.baudrate,
             gap=self._gap(),
         )
         best = blocks.best_rate(self.COMMAND.COUNT)
@@ -147,22 +145,22 @@ class RobotiqDriver(Driver, Generic[S, C]):
         blocks.pace(self.spec, best)
 
     async def _identify(self) -> None:
-        settings = self._settings
+        options = self.options
         with self.identifying(
             f"a {self.MODEL}",
-            f"no answer from unit {settings.unit} at {settings.port}",
+            f"no answer from unit {options.unit} at {options.port}",
             "check supply, wiring, `unit` and `baudrate`",
             FrameError,
             check="is it another gripper, or is another program using the line?",
         ):
-            self._status = await self.connection.link.read()
+            self._status = await self.link.read()
 
     async def activate(self) -> None:
         """Attach to an active gripper; activate an inactive one where that is allowed."""
-        with self.connection.link.relaxed_deadline():
-            status = self._status = await self.connection.link.read()
+        with self.link.relaxed_deadline():
+            status = self._status = await self.link.read()
         self._refuse(status)
-        allowed = self._settings.home == "on_connect" or self._home_asked
+        allowed = self.options.home == "on_connect" or self._home_asked
         if not status.ready:
             if not allowed:
                 raise self._gripper_fault(NOT_ACTIVATED)
@@ -186,8 +184,8 @@ class RobotiqDriver(Driver, Generic[S, C]):
         self, doing: str, steps: Callable[[], Awaitable[None]], too_slow: Callable[[], DeviceFault]
     ) -> None:
         """Run steps in which the gripper moves by itself, in limited time; cancelling stops it."""
-        seconds = self._settings.activation_timeout
-        with self.busy(doing), self.connection.link.relaxed_deadline():
+        seconds = self.options.activation_timeout
+        with self.busy(doing), self.link.relaxed_deadline():
             async with time_limit(seconds, too_slow, end=self._end_activation):
                 await steps()
 
@@ -204,7 +202,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
         missed = 0
         while True:
             try:
-                status = self._status = await self.connection.link.read()
+                status = self._status = await self.link.read()
             except (BusTimeout, FrameError):
                 missed += 1
                 if missed > _MISSED:
@@ -218,7 +216,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def examine(self) -> str:
         """Return ``not activated`` if it is not; raises the fault that the gripper reports."""
-        status = self._status = await self.connection.link.read()
+        status = self._status = await self.link.read()
         self._refuse(status)
         return "" if status.ready else "not activated"
 
@@ -226,12 +224,12 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def sense(self) -> ActuatorState:
         """Return the state that came with the last exchange, or read it."""
-        self._status, stamp = await self.connection.link.newest()
+        self._status, stamp = await self.link.newest()
         if self.active:
             self._refuse(self._status)
             if not self._status.ready:
                 # A write with rACT set has started an activation, which moves the fingers.
-                await self.connection.link.insist(self._action(False))
+                await self.link.insist(self._action(False))
                 name = "lost its activation; was its supply cut?"
                 raise self._gripper_fault(NOT_ACTIVATED, name)
         return self._measured(self._status, stamp)
@@ -240,13 +238,13 @@ class RobotiqDriver(Driver, Generic[S, C]):
         """Send a reference in one frame, and read the state with it."""
         registers = self._registers_for(reference)
         if registers is not None:
-            self._status = await self.connection.link.exchange(registers)
+            self._status = await self.link.exchange(registers)
 
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
         """End the motion; a gripped object stays gripped."""
-        if self.connection.is_open and await self.connection.link.insist(self._stopping()):
+        if self.connection.is_open and await self.link.insist(self._stopping()):
             self._sent = None
 
     async def deactivate(self) -> None:
@@ -256,8 +254,8 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def recover(self) -> None:
         """Clear a fault; if that ends the activation, the next `activate` may move the fingers."""
-        with self.connection.link.relaxed_deadline():
-            status = self._status = await self.connection.link.read()
+        with self.link.relaxed_deadline():
+            status = self._status = await self.link.read()
             fault = self.FAULTS.get(status.fault)
             if fault is not None and fault.major:
                 await self._clear()
@@ -273,7 +271,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
             if monotonic.now() > end:
                 raise self._gripper_fault(self._status.fault or NOT_ACTIVATED)
             await asyncio.sleep(_POLL)
-            self._status = await self.connection.link.read()
+            self._status = await self.link.read()
 
     def _refuse(self, status: S) -> None:
         """Raise the fault that the gripper reports, unless it is only a warning."""
@@ -297,4 +295,4 @@ class RobotiqDriver(Driver, Generic[S, C]):
     # --- the wire ----------------------------------------------------------------------------
 
     async def _write(self, registers: Sequence[int]) -> None:
-        await self.connection.link.write(registers, PATIENT)
+        await self.link.write(registers, PATIENT)

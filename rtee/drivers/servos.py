@@ -6,7 +6,6 @@ write goals, and the particulars of its set-up and faults.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -26,8 +25,6 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.json_files import write_json
 from rtee.drivers.servo_lines import (
     Calibrated,
@@ -40,7 +37,7 @@ from rtee.drivers.servo_lines import (
     fault_of,
     zeros_of,
 )
-from rtee.errors import CalibrationError, DeviceFault, DriverError, FrameError, RteeError
+from rtee.errors import CalibrationError, DeviceFault, DriverError, FrameError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -206,7 +203,6 @@ class ServoDriver(Driver, Generic[L]):
         NEAR: Tolerance for the goal read back from a servo without torque [counts].
         HINT: What to do about the errors that servos report.
         LOST: What to do about servos that have lost their torque.
-        line: The options of the line.
         ids: The servos' ids, in the order of the actuators.
         names: Their names by id.
         scales: Their units.
@@ -221,27 +217,21 @@ class ServoDriver(Driver, Generic[L]):
     NEAR: ClassVar[int] = 0
     HINT: ClassVar[str]
     LOST: ClassVar[str] = "`rtee recover` powers it again"
+    options: LineOptions
+    link: L
 
-    def __init__(
-        self,
-        spec: DeviceSpec,
-        buses: BusPool,
-        line: LineOptions,
-        servos: Mapping[str, ServoOptions],
-        scales: Sequence[ServoScale],
-        coupling: Coupling | None = None,
-    ) -> None:
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.line = line
-        self.connection: Connection[L] = Connection(spec)
+        servos, (count, middle), self._coupling = self._wired()
         self.ids = [servo.id for servo in servos.values()]
         self.names = dict(zip(self.ids, servos, strict=True))
-        self.scales = list(scales)
+        self.scales = [
+            ServoScale(count, middle if s.zero is None else s.zero, s.direction, s.gear)
+            for s in servos.values()
+        ]
         self.found: dict[int, FoundServo] = {}
-        self._servos = dict(servos)
-        self._coupling = coupling
-        self._pairs = [] if coupling is None else list(coupling.pairs)
-        self._attached = Attached(spec.actuators)
+        self._servos = servos
+        self._pairs = [] if self._coupling is None else list(self._coupling.pairs)
         self._count = 0
         self._angles: FloatArray = np.full(len(self.ids), math.nan)
         self._goal: FloatArray = np.full(len(self.ids), math.nan)
@@ -255,6 +245,15 @@ class ServoDriver(Driver, Generic[L]):
         )
 
     # --- defined by each family ----------------------------------------------------------------
+
+    @abstractmethod
+    def _wired(
+        self,
+    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], Coupling | None]:
+        """Return the servos by their names, in the order of the actuators, and their coupling.
+
+        Between the two: the angle per count [rad] and the middle position [counts] of a servo.
+        """
 
     @abstractmethod
     async def _connect(self) -> L:
@@ -333,8 +332,8 @@ class ServoDriver(Driver, Generic[L]):
         with link.relaxed_deadline():
             await self.find()
             # After finding the servos, since a calibration of other servos is refused.
-            if self.line.calibration is not None:
-                zeros = zeros_of(self.line.calibration, self.spec.name, self._calibrated())
+            if self.options.calibration is not None:
+                zeros = zeros_of(self.options.calibration, self.spec.name, self._calibrated())
                 for scale, zero in zip(self.scales, zeros, strict=True):
                     scale.zero = zero
                 self._use_scales()
@@ -349,11 +348,11 @@ class ServoDriver(Driver, Generic[L]):
             HandshakeError: if some are missing or differ from what is expected.
             BusError: if the line fails.
         """
-        link = self.connection.link
+        link = self.link
         # All are pinged first, so that one message names all missing servos.
         models = {number: await link.model(number) for number in self.ids}
         expected = {name: (servo.id, servo.model) for name, servo in self._servos.items()}
-        check_present(self.spec.name, self.line.port, expected, models, self._model)
+        check_present(self.spec.name, self.options.port, expected, models, self._model)
         for name, servo in self._servos.items():
             self._check_model(name, servo, models[servo.id] or 0)
         for number in self.ids:
@@ -410,7 +409,7 @@ class ServoDriver(Driver, Generic[L]):
         positions = self._to_actuators(self._units.measured(readings.columns).angle)
         for actuator, position in zip(self.spec.actuators, positions.tolist(), strict=True):
             outside = max(actuator.lower - position, position - actuator.upper)
-            if outside > self.line.outside:
+            if outside > self.options.outside:
                 raise CalibrationError(
                     self.spec.name,
                     f"'{actuator.name}' is at {position:.2f} rad, {outside:.2f} rad outside its "
@@ -429,7 +428,7 @@ class ServoDriver(Driver, Generic[L]):
             DeviceFault: if a servo reports an error, or its torque cannot be enabled.
             DriverError: if a servo does not accept a setting.
         """
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             # Again, since a power cycle in the meantime may have reset the settings.
             await self.find()
@@ -457,13 +456,13 @@ class ServoDriver(Driver, Generic[L]):
             # Both servos drive both actuators, so a pair holds only if both servos do.
             if not {i, j} <= held:
                 held -= {i, j}
-        self._attached.begin(held)
+        self.attached.begin(held)
         # At the end: until here, missing torque is not a fault.
         self.active = True
 
     async def _set(self, register: Any, values: Mapping[int, int]) -> None:
         """Set a register of several servos; raises `DriverError` if one does not accept it."""
-        for number, kept in (await self.connection.link.set_all(register, values)).items():
+        for number, kept in (await self.link.set_all(register, values)).items():
             raise DriverError(
                 self.spec.name,
                 f"servo {number} does not accept {values[number]} at address {register.address}; "
@@ -473,7 +472,7 @@ class ServoDriver(Driver, Generic[L]):
     async def _set_gains(self, off: Sequence[int]) -> None:
         """Set the gains of servos whose gains differ from those in the options."""
         for i, (name, register) in enumerate(self.GAINS.items()):
-            common, wanted = getattr(self.line, name), dict[int, int]()
+            common, wanted = getattr(self.options, name), dict[int, int]()
             for servo in self._servos.values():
                 gain = getattr(servo, name)
                 gain = common if gain is None else gain
@@ -485,7 +484,7 @@ class ServoDriver(Driver, Generic[L]):
 
     async def examine(self) -> str:
         """Raise the fault that the servos report, or an error of their positions."""
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             readings = await self._readings()
             await self._refuse(readings)
             self._check_places(readings)
@@ -496,13 +495,13 @@ class ServoDriver(Driver, Generic[L]):
         # From here on, missing torque is not a fault.
         self.active = False
         if self.connection.is_open:
-            with self.connection.link.relaxed_deadline():
+            with self.link.relaxed_deadline():
                 await self._release()
 
     async def _release(self) -> None:
-        link = self.connection.link
+        link = self.link
         for number in await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0)):
-            raise FrameError(self.line.port, f"servo {number} does not switch off its torque")
+            raise FrameError(self.options.port, f"servo {number} does not switch off its torque")
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -574,11 +573,11 @@ class ServoDriver(Driver, Generic[L]):
     async def move(self, reference: Reference) -> None:
         """Set the goals, with speed and torque limits, of the servos that a reference commands."""
         mask = reference.mask
-        if self._attached:
+        if self.attached:
             here = self._to_actuators(self._angles)
             # A copy, since the reference belongs to the caller.
             mask = mask.copy()
-            mask[list(self._attached.left(reference, here))] = False
+            mask[list(self.attached.left(reference, here))] = False
         # Before the pairs are joined: an actuator without a reference keeps its goal.
         angles = self._goal = np.where(mask, reference.position, self._goal)
         rates, efforts, wanted = reference.max_velocity, reference.max_effort, mask.tolist()
@@ -648,14 +647,14 @@ class ServoDriver(Driver, Generic[L]):
             chosen = [i for i, number in enumerate(self.ids) if number in numbers]
             await self._write(Goals(chosen, counts, rates.tolist(), efforts.tolist()))
             self._goal = goal
-            there = await self.connection.link.values(self.GOAL, [self.ids[i] for i in chosen])
+            there = await self.link.values(self.GOAL, [self.ids[i] for i in chosen])
             if all(abs(there[self.ids[i]] - counts[i]) <= within for i in chosen):
                 return
-        raise FrameError(self.line.port, "the servos do not accept their positions as goals")
+        raise FrameError(self.options.port, "the servos do not accept their positions as goals")
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Write gains of the position controllers of all servos."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             for name, value in gains.items():
                 count = min(max(round(value), 0), self.MOST_GAIN)
@@ -663,26 +662,21 @@ class ServoDriver(Driver, Generic[L]):
 
     # --- stop --------------------------------------------------------------------------------
 
-    async def stop(self) -> None:
-        """Hold the measured posture; servos without torque stay without."""
-        # It must not raise, not even before the line is open.
-        with contextlib.suppress(RteeError, OSError):
-            # The new goals end every grip, so no actuator is left alone any more.
-            self._attached.begin()
-            powered = self.ids
-            if not self.active:
-                # Writing a goal enables the torque of some servos.
-                read = partial(self.connection.link.values, self.TORQUE, self.ids)
-                powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
-            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
-            await patiently(partial(self._hold, powered, self.standstill.instead))
+    async def hold(self) -> None:
+        """Command the measured posture; servos without torque stay without."""
+        powered = self.ids
+        if not self.active:
+            # Writing a goal enables the torque of some servos.
+            read = partial(self.link.values, self.TORQUE, self.ids)
+            powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
+        # Within the cycle's deadline: a lost answer must not use up the time of a stop.
+        await patiently(partial(self._hold, powered, self.standstill.instead))
 
-    async def disable(self) -> None:
+    async def power_off(self) -> None:
         """Disable the torque; the fingers go limp."""
         self.active = False
-        with contextlib.suppress(RteeError, OSError):
-            # Within the cycle's deadline, as for a stop.
-            await patiently(self._release)
+        # Within the cycle's deadline, as for a stop.
+        await patiently(self._release)
 
     # --- calibration -------------------------------------------------------------------------
 
@@ -704,7 +698,7 @@ class ServoDriver(Driver, Generic[L]):
         # Servos with torque would resist the user, who bends the joints.
         await self.deactivate()
         await ready("Put every joint into the rest posture; the torque of the servos is off.")
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             readings = await patiently(self._readings)
         angles = self._to_servos(rest).tolist()
         for scale, position, angle in zip(

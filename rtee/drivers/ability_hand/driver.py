@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Mapping
 from functools import partial
@@ -21,12 +20,10 @@ from rtee.drivers.ability_hand import codec
 from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
-from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.tare import SensorTare
-from rtee.errors import FrameError, RteeError
+from rtee.errors import FrameError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
@@ -125,10 +122,12 @@ class AbilityHandDriver(Driver):
     """
 
     Options = AbilityHandOptions
+    options: AbilityHandOptions
+    link: SerialBus
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = options = read_options(AbilityHandOptions, spec)
+        options = self.options
         self._motors = motors_of(spec, options)
         self._signs = [-1.0 if codec.MOTORS[m] in options.reverse else 1.0 for m in self._motors]
         self._control = MotorControl(
@@ -137,8 +136,6 @@ class AbilityHandDriver(Driver):
             stiffness=options.stiffness,
             damping=options.damping,
         )
-        self.connection: Connection[SerialBus] = Connection(spec)
-        self._attached = Attached(spec.actuators)
         self._tare = SensorTare(options.touch_threshold)
         self._parser = codec.ReplyParser()
         self._pace = RelaxedDeadline()
@@ -217,7 +214,7 @@ class AbilityHandDriver(Driver):
         await self._check()
         with self._pace.relaxed_deadline():
             self._control.hold(await self._read())
-        self._attached.begin(range(len(self._motors)))
+        self.attached.begin(range(len(self._motors)))
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -231,7 +228,7 @@ class AbilityHandDriver(Driver):
         if words:
             # Before the exchange: the hand may accept a command whose reply is lost.
             self._in_api = True
-        reply = await self.connection.link.transact(
+        reply = await self.link.transact(
             command.to_bytes(),
             self._parser,
             self._pace.deadline,
@@ -272,7 +269,7 @@ class AbilityHandDriver(Driver):
             reply = await self._read()
             self._in_api = False
             # Its own control may hold an object: nothing is sent until a reference asks for motion.
-            self._attached.begin(range(len(self._motors)))
+            self.attached.begin(range(len(self._motors)))
             if before is not None:
                 pairs = zip(before.positions, reply.positions, strict=True)
                 self._moved = any(abs(old - new) > _MOVED for old, new in pairs)
@@ -318,7 +315,7 @@ class AbilityHandDriver(Driver):
         """Send the set-points of all motors and keep the reply for `sense`."""
         await self._check()
         # One command sets all motors, and their present set-points cannot be read.
-        if self._attached.all_left(reference, self._here):
+        if self.attached.all_left(reference, self._here):
             return
         mask = reference.mask.tolist()
         for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):
@@ -337,12 +334,10 @@ class AbilityHandDriver(Driver):
         await self._exchange(self._control.header, self._control.words(known))
         self._waiting = True
 
-    async def stop(self) -> None:
-        """Hold the measured pose."""
-        with contextlib.suppress(RteeError, OSError):
-            self._attached.begin()
-            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
-            await patiently(self._hold)
+    async def hold(self) -> None:
+        """Command the measured pose."""
+        # Within the cycle's deadline: a lost answer must not use up the time of a stop.
+        await patiently(self._hold)
 
     async def _hold(self) -> None:
         reply = await self._read()
@@ -357,25 +352,24 @@ class AbilityHandDriver(Driver):
         await self._exchange(codec.Header.POSITION, words)
         self._waiting = False
 
-    async def disable(self) -> None:
+    async def power_off(self) -> None:
         """Set the voltage of all motors to 0."""
-        with contextlib.suppress(RteeError, OSError):
-            # The next command powers all motors again, so it waits for a reference with a motion.
-            self._attached.begin(range(len(self._motors)))
-            with self._pace.relaxed_deadline():
-                await patiently(lambda: self._exchange(codec.Header.DUTY, (0,) * codec.COUNT))
+        # The next command powers all motors again, so it waits for a reference with a motion.
+        self.attached.begin(range(len(self._motors)))
+        with self._pace.relaxed_deadline():
+            await patiently(lambda: self._exchange(codec.Header.DUTY, (0,) * codec.COUNT))
 
     async def recover(self) -> None:
         """Restart from the measured positions; send nothing until a reference asks for motion."""
         with self._pace.relaxed_deadline():
             self._control.hold(await self._read())
         self._in_api = self._moved = self._waiting = False
-        self._attached.begin(range(len(self._motors)))
+        self.attached.begin(range(len(self._motors)))
 
     async def deactivate(self) -> None:
         """Return the hand to its own control."""
         command = codec.Command(self.options.address, codec.Header.LEAVE)
-        await self.connection.link.send(command.to_bytes())
+        await self.link.send(command.to_bytes())
         self._in_api = self._waiting = False
 
     # --- gains -------------------------------------------------------------------------------

@@ -18,23 +18,12 @@ from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.allegro import codec
-from rtee.drivers.allegro.codec import (
-    FINGERS,
-    JOINTS,
-    NAMES,
-    SCALES,
-    Command,
-    HandInfo,
-    Periods,
-    Status,
-)
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.wiring import numbers_of
-from rtee.errors import BusError, BusTimeout, ConfigError, NotConnected, RteeError
+from rtee.errors import BusError, BusTimeout, ConfigError, NotConnected
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -145,7 +134,7 @@ class AllegroOptions(DeviceOptions, frozen=True):
     hand: Annotated[int, Meta(ge=0, le=3)] = 0
     version: Literal[4, 5] | None = None
     side: Literal["left", "right"] | None = None
-    joints: dict[str, Annotated[int, Meta(ge=0, lt=JOINTS)]] = field(default_factory=dict)
+    joints: dict[str, Annotated[int, Meta(ge=0, lt=codec.JOINTS)]] = field(default_factory=dict)
     period: Annotated[int, Meta(ge=1, le=50)] | None = None
     kp: NotNegative = 1.0
     kd: NotNegative = 0.04
@@ -161,13 +150,13 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
     """Return the joint on the wire of each actuator; raises `ConfigError`."""
     names = [a.name for a in spec.actuators]
     if not options.joints:
-        if len(names) != JOINTS:
+        if len(names) != codec.JOINTS:
             raise ConfigError(
-                f"device '{spec.name}': an Allegro Hand has {JOINTS} actuators "
-                f"({', '.join(NAMES)}, four each), not {len(names)}; list those that are present "
-                "in the option 'joints'"
+                f"device '{spec.name}': an Allegro Hand has {codec.JOINTS} actuators "
+                f"({', '.join(codec.NAMES)}, four each), not {len(names)}; list those that are "
+                "present in the option 'joints'"
             )
-        return list(range(JOINTS))
+        return list(range(codec.JOINTS))
     return numbers_of(spec, "joints", options.joints, "joint")
 
 
@@ -192,13 +181,13 @@ class AllegroDriver(Driver):
     """
 
     Options = AllegroOptions
+    options: AllegroOptions
+    link: AllegroLink
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(AllegroOptions, spec)
         self._joints = wire_order(spec, self.options)
-        self.connection: Connection[AllegroLink] = Connection(spec)
-        self._info: HandInfo | None = None
+        self._info: codec.HandInfo | None = None
         self._count = 0
         self._driving = False
         self._returned = -1
@@ -214,7 +203,7 @@ class AllegroDriver(Driver):
     def _controller(self, version: int) -> JointControl:
         options = self.options
         return JointControl(
-            SCALES[version],
+            codec.SCALES[version],
             kp=options.kp,
             kd=options.kd,
             ki=options.ki,
@@ -225,7 +214,7 @@ class AllegroDriver(Driver):
         )
 
     def _period(self, version: int) -> int:
-        return self.options.period or SCALES[version].period_ms
+        return self.options.period or codec.SCALES[version].period_ms
 
     # --- life --------------------------------------------------------------------------------
 
@@ -247,7 +236,7 @@ class AllegroDriver(Driver):
         self.control = self._controller(version)
         # Before the periods are set, so that no frame of the first set is missed.
         link.listen(self._receive)
-        await link.set_periods(Periods(self._period(version)))
+        await link.set_periods(codec.Periods(self._period(version)))
         await self._first_set()
         self.refine(
             best_rate=1000.0 / self._period(version),
@@ -258,7 +247,7 @@ class AllegroDriver(Driver):
             },
         )
 
-    async def _identify(self, link: AllegroLink) -> tuple[HandInfo, str]:
+    async def _identify(self, link: AllegroLink) -> tuple[codec.HandInfo, str]:
         options = self.options
         with self.identifying(
             "an Allegro Hand",
@@ -266,7 +255,7 @@ class AllegroDriver(Driver):
             "is its supply on, the bus terminated and at 1 Mbit/s, and `hand` right?",
         ):
             info = await link.info(patient=True)
-        expected = {options.version} if options.version else set(SCALES)
+        expected = {options.version} if options.version else set(codec.SCALES)
         if info.version not in expected:
             raise self.stranger(
                 " or ".join(f"version {v}" for v in sorted(expected)),
@@ -291,11 +280,11 @@ class AllegroDriver(Driver):
         """Switch the motors on and hold the measured posture."""
         self._hold()
         try:
-            await self.connection.link.order(Command.SYSTEM_ON)
+            await self.link.order(codec.Command.SYSTEM_ON)
             await asyncio.sleep(_PAUSE)
             # Before the check, which reports motors that have stayed off only while driving.
             self._driving = True
-            self._refuse(await self.connection.link.info(patient=True))
+            self._refuse(await self.link.info(patient=True))
         except BaseException:
             # Also on cancellation: a hand that is not active must not be driven.
             with contextlib.suppress(BusError):
@@ -306,7 +295,7 @@ class AllegroDriver(Driver):
 
     async def examine(self) -> str:
         """Raise `DeviceFault` if the hand reports a fault."""
-        self._refuse(await self.connection.link.info(patient=True))
+        self._refuse(await self.link.info(patient=True))
         return ""
 
     def _hold(self) -> None:
@@ -317,7 +306,7 @@ class AllegroDriver(Driver):
         """Send no torque, then switch the motors off."""
         self._go_limp()
         if self.connection.is_open:
-            await self.connection.link.order(Command.SYSTEM_OFF)
+            await self.link.order(codec.Command.SYSTEM_OFF)
 
     def _go_limp(self) -> None:
         """End the control and send zero torques; raises `BusError`."""
@@ -325,18 +314,18 @@ class AllegroDriver(Driver):
         self.control.limp()
         if self.connection.is_open:
             # The hand may store its last torques and apply them when it is switched on again.
-            self.connection.link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
+            self.link.torques([[0] * (codec.JOINTS // codec.FINGERS)] * codec.FINGERS)
 
     async def close(self) -> None:
         """Switch the hand off, stop its position frames and detach from the bus."""
         if self.connection.is_open:
-            link = self.connection.link
+            link = self.link
             # First, so that positions that still arrive cause no more torques.
             link.deafen()
             with contextlib.suppress(BusError):
                 if self._driving:
                     await self.deactivate()
-                await link.set_periods(Periods())
+                await link.set_periods(codec.Periods())
             self._driving = False
         await super().close()
 
@@ -347,17 +336,17 @@ class AllegroDriver(Driver):
         if torques is not None and self._driving and self.connection.is_open:
             # The caller is the bus, which cannot handle the error; `sense` reports a broken bus.
             with contextlib.suppress(BusError):
-                self.connection.link.torques(torques)
+                self.link.torques(torques)
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return the newest complete set of positions; effort is the torque sent."""
-        bus = self.connection.link.bus
+        bus = self.link.bus
         bus.check()
         self._count += 1
         if self._count % self.options.info_every == 0:
-            self._refuse(await self.connection.link.info())
+            self._refuse(await self.link.info())
         control = self.control
         # Positions are not requested: the next ones are due after a period.
         longest = self._period(control.scale.version) * 1e-3 + self.options.deadline
@@ -378,7 +367,7 @@ class AllegroDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Change the reference and the limits of the joint control."""
-        self.connection.link.bus.check()
+        self.link.bus.check()
         for i, joint in enumerate(self._joints):
             if reference.mask[i]:
                 self.control.limit(joint, float(reference.max_effort[i]))
@@ -386,19 +375,27 @@ class AllegroDriver(Driver):
                     joint, float(reference.position[i]), float(reference.velocity[i])
                 )
 
-    def _refuse(self, info: HandInfo) -> None:
+    def _refuse(self, info: codec.HandInfo) -> None:
         """Store the hand's information; raises `DeviceFault` if it reports a fault."""
         self._info = info
         faults = [
-            (Status.OVER_TEMPERATURE, "over-temperature", "let it cool down, then `rtee recover`"),
-            (Status.COMMUNICATION, "internal communication", "`rtee recover`, or a power cycle"),
+            (
+                codec.Status.OVER_TEMPERATURE,
+                "over-temperature",
+                "let it cool down, then `rtee recover`",
+            ),
+            (
+                codec.Status.COMMUNICATION,
+                "internal communication",
+                "`rtee recover`, or a power cycle",
+            ),
         ]
         for bit, name, hint in faults:
             if info.status & bit:
                 self._driving = False
                 raise self.fault(int(bit), name, hint=hint)
         # After a power cycle it answers again, but its motors stay off until they are switched on.
-        if self._driving and not info.status & Status.SERVO_ON:
+        if self._driving and not info.status & codec.Status.SERVO_ON:
             self._driving = False
             raise self.fault(
                 _SERVO_OFF,
@@ -416,25 +413,24 @@ class AllegroDriver(Driver):
         self.control.ki = max(0.0, gains.get("ki", self.control.ki))
         self.control.kd = max(0.0, gains.get("kd", self.control.kd))
 
-    async def stop(self) -> None:
-        """Hold the measured posture."""
+    async def hold(self) -> None:
+        """Command the measured posture."""
         self._hold()
         here = [self.control.position[joint] for joint in self._joints]
         for i, position in self.standstill.instead(here).items():
             self.control.refer(self._joints[i], position)
 
-    async def disable(self) -> None:
+    async def power_off(self) -> None:
         """Send zero torques and switch the motors off."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+        await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Switch the hand off and on, which clears faults whose cause is gone; it stays limp."""
-        link = self.connection.link
+        link = self.link
         await self.deactivate()
         await asyncio.sleep(_PAUSE)
         # A hand after a power cycle has lost its periods and sends nothing.
-        await link.set_periods(Periods(self._period(self.control.scale.version)))
-        await link.order(Command.SYSTEM_ON)
+        await link.set_periods(codec.Periods(self._period(self.control.scale.version)))
+        await link.order(codec.Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)
         self._refuse(await link.info(patient=True))

@@ -19,9 +19,6 @@ from rtee.drivers.cia402.codec import Control, DriveScale, Limits, Mode, Object,
 from rtee.drivers.cia402.cycle import MODES, SET_UP_WITHIN, DriveCycle
 from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.options import Cia402Options
-from rtee.drivers.connection import Connection
-from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState
@@ -132,17 +129,14 @@ class Cia402Driver(Driver):
     """
 
     Options = Cia402Options
+    options: Cia402Options
+    link: DriveCycle
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(Cia402Options, spec)
         check_names(spec, "nodes", self.options.nodes)
         _check_prismatic(spec, self.options)
-        self.connection: Connection[DriveCycle] = Connection(spec)
         self._homed: set[int] = set()
-        self._home_asked = False
-        self._active = False
-        self._attached = Attached(spec.actuators)
         bits = _SYNC_BITS + len(spec.actuators) * 3 * _FRAME_BITS
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort"}),
@@ -223,9 +217,9 @@ class Cia402Driver(Driver):
 
     async def close(self) -> None:
         """Detach from the network; enabled drives stay enabled and stop watching the host."""
-        self._active = False
+        self.active = False
         if self.connection.is_open:
-            cycle = self.connection.link
+            cycle = self.link
             # Otherwise the drives would take the end of the heartbeats for a failure.
             if cycle.bus.connected and cycle.operational and self.options.watchdog > 0.0:
                 with contextlib.suppress(RteeError, OSError):
@@ -237,7 +231,7 @@ class Cia402Driver(Driver):
 
     async def activate(self) -> None:
         """Enable the drives at their positions, and home them if needed and allowed."""
-        cycle = self.connection.link
+        cycle = self.link
         await cycle.settle()
         unhomed = self._unhomed(cycle)
         if unhomed and self.options.home != "on_connect" and not self._home_asked:
@@ -258,8 +252,8 @@ class Cia402Driver(Driver):
             # Homing has moved the drive and its zero, so an older target means nothing.
             if not holds:
                 drive.assume(drive.position)
-        self._attached.begin(i for i, holds in enumerate(holding) if holds)
-        self._active = True
+        self.attached.begin(i for i, holds in enumerate(holding) if holds)
+        self.active = True
 
     def _unhomed(self, cycle: DriveCycle) -> list[DriveLink]:
         """Return the drives that are not homed."""
@@ -273,7 +267,7 @@ class Cia402Driver(Driver):
 
     async def examine(self) -> str:
         """Return which drives are not homed; raises `DeviceFault` if a drive is in fault."""
-        cycle = self.connection.link
+        cycle = self.link
         await cycle.settle()
         cycle.check_faults()
         unhomed = ", ".join(d.name for d in self._unhomed(cycle))
@@ -281,9 +275,9 @@ class Cia402Driver(Driver):
 
     async def deactivate(self) -> None:
         """Disable the motors."""
-        self._active = False
-        if self.connection.is_open and self.connection.link.operational:
-            cycle = self.connection.link
+        self.active = False
+        if self.connection.is_open and self.link.operational:
+            cycle = self.link
             for drive in cycle.drives:
                 drive.controlword = Control.SHUTDOWN
                 drive.forget()
@@ -293,9 +287,9 @@ class Cia402Driver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Send a SYNC, with which the drives apply their set-points and report their states."""
-        cycle = self.connection.link
+        cycle = self.link
         await cycle.synchronise()
-        if self._active:
+        if self.active:
             cycle.check_enabled()
         drives = cycle.drives
         return ActuatorState.measured(
@@ -313,11 +307,11 @@ class Cia402Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send changed limits, then set-points; they take effect with the next SYNC."""
-        cycle = self.connection.link
+        cycle = self.link
         left: Collection[int] = ()
-        if self._attached:
+        if self.attached:
             here = [d.scale.to_position(d.position) for d in cycle.drives]
-            left = self._attached.left(reference, np.array(here))
+            left = self.attached.left(reference, np.array(here))
         for i, drive in enumerate(cycle.drives):
             if reference.mask[i]:
                 drive.send_limits(self._limits(i, drive, reference))
@@ -339,37 +333,34 @@ class Cia402Driver(Driver):
 
     # --- stop and faults ---------------------------------------------------------------------
 
-    async def stop(self) -> None:
-        """Hold the measured posture."""
-        with contextlib.suppress(RteeError, OSError):
-            cycle = self.connection.link
-            # A SYNC first, so that the positions to hold are up to date.
-            await patiently(cycle.synchronise)
-            self._attached.begin()
-            for drive in cycle.drives:
-                drive.target = drive.position
-            here = [drive.scale.to_position(drive.position) for drive in cycle.drives]
-            for i, position in self.standstill.instead(here).items():
-                cycle.drives[i].target = cycle.drives[i].scale.to_counts(position)
-            # In profile mode, a previous set-point has to be acknowledged first.
-            for _ in range(_HANDSHAKES):
-                await patiently(cycle.exchange)
-                if all(drive.acknowledged(cycle.mode) for drive in cycle.drives):
-                    break
-
-    async def disable(self) -> None:
-        """Disable the motors' voltage; they go limp if their gears can be back-driven."""
-        self._active = False
-        with contextlib.suppress(RteeError, OSError):
-            cycle = self.connection.link
-            for drive in cycle.drives:
-                drive.controlword = Control.DISABLE_VOLTAGE
+    async def hold(self) -> None:
+        """Command the measured posture."""
+        cycle = self.link
+        # A SYNC first, so that the positions to hold are up to date.
+        await patiently(cycle.synchronise)
+        for drive in cycle.drives:
+            drive.target = drive.position
+        here = [drive.scale.to_position(drive.position) for drive in cycle.drives]
+        for i, position in self.standstill.instead(here).items():
+            cycle.drives[i].target = cycle.drives[i].scale.to_counts(position)
+        # In profile mode, a previous set-point has to be acknowledged first.
+        for _ in range(_HANDSHAKES):
             await patiently(cycle.exchange)
+            if all(drive.acknowledged(cycle.mode) for drive in cycle.drives):
+                break
+
+    async def power_off(self) -> None:
+        """Disable the motors' voltage; they go limp if their gears can be back-driven."""
+        self.active = False
+        cycle = self.link
+        for drive in cycle.drives:
+            drive.controlword = Control.DISABLE_VOLTAGE
+        await patiently(cycle.exchange)
 
     async def recover(self) -> None:
         """Reset faults; the drives stay disabled until `activate`."""
-        self._active = False
-        await self.connection.link.reset_faults()
+        self.active = False
+        await self.link.reset_faults()
         # By asking for recovery, the user agrees to the motion of homing.
         self._home_asked = True
 

@@ -17,9 +17,9 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
-from rtee.drivers.options import Positive, read_options
+from rtee.drivers.options import Positive
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
-from rtee.drivers.servos import FoundServo, Goals, Readings, ServoDriver
+from rtee.drivers.servos import Coupling, FoundServo, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, BusTimeout, ConfigError, FrameError
 from rtee.sample import FloatArray
@@ -103,6 +103,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     """
 
     Options = DynamixelOptions
+    options: DynamixelOptions
     TORQUE = table.TORQUE
     GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {
@@ -118,28 +119,23 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     HINT = "free the hand and check its supply, then `rtee recover` reboots the servo"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        self.options = options = read_options(DynamixelOptions, spec)
-        check_names(spec, "servos", options.servos)
-        servos = {a.name: options.servos[a.name] for a in spec.actuators}
-        scales = [
-            ServoScale(
-                table.RAD_PER_PULSE,
-                float(table.CENTER if s.zero is None else s.zero),
-                s.direction,
-                s.gear,
-                table.VELOCITY_UNIT,
-            )
-            for s in servos.values()
-        ]
-        super().__init__(spec, buses, options, servos, scales)
+        super().__init__(spec, buses)
+        options = self.options
         self._mode = table.Mode[options.mode.upper()]
-        self._health: FloatArray = np.full((2, len(scales)), math.nan)
+        self._health: FloatArray = np.full((2, len(self.ids)), math.nan)
         self._sent: dict[table.Register, dict[int, int]] = {}
         self._limits_sent: tuple[list[int], list[float], list[float]] | None = None
         self.refine(
             best_rate=self._best_rate(fast=options.fast != "never"),
             watchdog=options.watchdog > 0.0,
         )
+
+    def _wired(
+        self,
+    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], Coupling | None]:
+        check_names(self.spec, "servos", self.options.servos)
+        servos = {a.name: self.options.servos[a.name] for a in self.spec.actuators}
+        return servos, (table.RAD_PER_PULSE, float(table.CENTER)), None
 
     def _best_rate(self, *, fast: bool) -> float:
         """Return the highest cycle rate that the line allows [Hz]."""
@@ -205,15 +201,16 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
         # In a group read the servos answer one after the other, so their delays add up.
-        self.connection.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
+        self.link.delay = DELAY_UNIT * sum(s.return_delay for s in self.found.values())
         model = table.model_of(found.model)
         given = self.options.servos[self.names[servo.id]].current_unit
         scale.current_unit = given or model.current_unit
+        scale.speed_unit = table.VELOCITY_UNIT
         per_ampere = servo.torque_per_ampere or model.torque_per_ampere
         scale.effort_unit = scale.limit_unit = scale.current_unit * per_ampere * scale.gear
 
     async def _place(self) -> None:
-        link = self.connection.link
+        link = self.link
         if link.fast is None:
             link.fast = self.options.fast != "never"
             try:
@@ -240,7 +237,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             )
 
     def _described(self) -> tuple[float, str]:
-        fast = bool(self.connection.link.fast)
+        fast = bool(self.link.fast)
         return self._best_rate(fast=fast), "fast sync read" if fast else "sync read"
 
     def _refuses_effort(self) -> str:
@@ -250,7 +247,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         return "'mode: current_based_position' in its options takes one"
 
     async def _prepare(self, off: Sequence[int]) -> None:
-        link, delay = self.connection.link, self.options.return_delay
+        link, delay = self.link, self.options.return_delay
         # The mode before gains and goals: a servo that changes its mode resets its goals.
         for number in off:
             servo = self.found[number]
@@ -267,7 +264,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     async def _arm(self) -> Collection[int]:
         """Set all bus watchdogs; return the servos whose tripped watchdog was cleared."""
-        guards = await self.connection.link.values(table.BUS_WATCHDOG, self.ids)
+        guards = await self.link.values(table.BUS_WATCHDOG, self.ids)
         # 0 clears a watchdog that has tripped; any other value is refused until then.
         await self._set(table.BUS_WATCHDOG, dict.fromkeys(self.ids, 0))
         if self.options.watchdog > 0.0:
@@ -281,7 +278,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     # --- every cycle -------------------------------------------------------------------------
 
     async def _readings(self) -> Readings:
-        link = self.connection.link
+        link = self.link
         data, errors = await link.run(partial(link.read_group, table.STATE, table.STATE_SIZE, None))
         state = np.frombuffer(b"".join([data[number] for number in self.ids]), _STATE)
         columns = np.empty((6, len(self.ids)))
@@ -293,7 +290,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
         # The alert bit shows that there is an error; this register shows which.
         alerted = [number for number, error in errors.items() if error & ALERT]
-        link = self.connection.link
+        link = self.link
         return {
             number: Hardware((await link.values(table.HARDWARE_ERROR, [number]))[number])
             for number in alerted
@@ -306,7 +303,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         """
         if self._count % self.options.health_every:
             return
-        link = self.connection.link
+        link = self.link
         data, _ = await link.run(partial(link.read_group, table.HEALTH, table.HEALTH_SIZE, None))
         health = np.frombuffer(b"".join([data[number] for number in self.ids]), _HEALTH)
         self._health = np.array([health["temperature"], health["voltage"]], dtype=np.float64)
@@ -336,7 +333,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         return min(limit, round(wanted / unit))
 
     async def _write(self, goals: Goals) -> None:
-        link = self.connection.link
+        link = self.link
         limits = goals.chosen, goals.rates, goals.efforts
         changed = {} if limits == self._limits_sent else self._changed_limits(goals)
         positions = {self.ids[i]: goals.positions[i] for i in goals.chosen}
@@ -383,7 +380,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`."""
-        link, self.active = self.connection.link, False
+        link, self.active = self.link, False
         with link.relaxed_deadline():
             broken = []
             for number in self.ids:

@@ -16,9 +16,8 @@ from rtee.drivers.feetech.identity import recognise
 from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions, Joints
 from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, model_name
-from rtee.drivers.options import read_options
 from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
-from rtee.drivers.servos import POWERED, FoundServo, Goals, Readings, ServoDriver
+from rtee.drivers.servos import POWERED, Coupling, FoundServo, Goals, Readings, ServoDriver
 from rtee.errors import BusTimeout, ConfigError, FrameError
 from rtee.types import DeviceSpec
 
@@ -56,6 +55,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     """
 
     Options = FeetechOptions
+    options: FeetechOptions
     TORQUE = table.TORQUE
     GOAL = table.GOAL_POSITION
     GAINS: ClassVar[Mapping[str, Any]] = {"p": table.P, "i": table.I, "d": table.D}
@@ -65,24 +65,21 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     LOST = "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        self.options = options = read_options(FeetechOptions, spec)
-        family = self.family = FAMILIES[options.family]
-        joints = Joints(spec, options)
-        servos = {name: options.servos[name] for name in joints.names}
-        middle = float(family.center)
-        scales = [
-            ServoScale(
-                family.rad_per_count, middle if s.zero is None else s.zero, s.direction, s.gear
-            )
-            for s in servos.values()
-        ]
-        super().__init__(spec, buses, options, servos, scales, joints if joints.pairs else None)
-        self._joints = joints
-        self._by_current = [False] * len(servos)
+        super().__init__(spec, buses)
+        self._by_current = [False] * len(self.ids)
         self._silent = False
         self._seen: tuple[float, list[int]] | None = None
         self._doubted: list[int] = []
         self._fastest = [_FASTER * a.velocity for a in spec.actuators]
+
+    def _wired(
+        self,
+    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], Coupling | None]:
+        family = self.family = FAMILIES[self.options.family]
+        joints = self._joints = Joints(self.spec, self.options)
+        servos = {name: self.options.servos[name] for name in joints.names}
+        turn = family.rad_per_count, float(family.center)
+        return servos, turn, joints if joints.pairs else None
 
     async def _connect(self) -> FeetechLink:
         options = self.options
@@ -150,7 +147,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     def _adopt(self, servo: ServoOptions, found: FoundServo, scale: ServoScale) -> None:
         options, family = self.options, self.family
         # The delay of the slowest servo, since the deadline is the same for all.
-        self.connection.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())
+        self.link.delay = DELAY_UNIT * max(s.return_delay for s in self.found.values())
         model = MODELS.get(found.model)
         known = math.nan if model is None else model.stall_torque
         stall = options.servos[self.names[servo.id]].stall_torque or options.stall_torque or known
@@ -167,7 +164,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         scale.speed_unit = family.speed_unit(found.drive_mode)
 
     def _described(self) -> tuple[float, str]:
-        link, n, size = self.connection.link, len(self.ids), self.family.state
+        link, n, size = self.link, len(self.ids), self.family.state
         together = link.together and n > 1
         reading = link.read_time(size, n) if together else n * link.read_time(size)
         # Position, speed and, if the family has such a register, the share of the torque.
@@ -196,7 +193,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             )
 
     async def _prepare(self, off: Sequence[int]) -> None:
-        options, family, link = self.options, self.family, self.connection.link
+        options, family, link = self.options, self.family, self.link
         # Locked servos accept settings without storing them, so that their memory does not wear
         # out.
         await self._set(family.lock, dict.fromkeys(off, 1))
@@ -226,7 +223,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     async def _readings(self) -> Readings:
         first, size = table.PRESENT_POSITION.address, self.family.state
         try:
-            answers = await self.connection.link.read_all(first, size, self.ids)
+            answers = await self.link.read_all(first, size, self.ids)
         except BusTimeout:
             # Stored for the next cycle, which checks for a power cycle.
             self._silent = True
@@ -255,7 +252,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         """Return a servo's torque register, and whether it has lost its mark."""
         first = table.ALARM.address
         size = table.TORQUE.address + 1 - first
-        data = await self.connection.link.data(number, first, size)
+        data = await self.link.data(number, first, size)
         alarm = self.family.unpack(table.ALARM, data, first)
         # A servo that had no mark when it was found cannot lose it.
         lost = self.found[number].marked and not alarm & _MARK
@@ -279,7 +276,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             )
             raise self._lost([number], "restarted", RESTARTED, hint=hint)
         # Any other value comes from a frame that was damaged on its way.
-        await self.connection.link.set_all(table.TORQUE, {number: POWERED})
+        await self.link.set_all(table.TORQUE, {number: POWERED})
 
     def _believe(self, readings: Readings, stamp: float) -> None:
         """Raise `FrameError` if a servo cannot have reached its position, unless reported twice.
@@ -328,7 +325,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
             if family.limits_torque == "share":
                 values += family.pack(table.TORQUE_LIMIT, torque)
             data[self.ids[i]] = values
-        await self.connection.link.write_all(table.GOAL_POSITION.address, data)
+        await self.link.write_all(table.GOAL_POSITION.address, data)
 
     # --- faults ------------------------------------------------------------------------------
 
@@ -340,7 +337,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         """
         # From here on, missing torque is not a fault.
         self.active = False
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             hurt = {n for n, error in (await self._readings()).errors.items() if error}
             for number in self.ids:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 from functools import partial
 from typing import Annotated
@@ -18,11 +17,10 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.heri_ethercat import codec
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.wiring import numbers_of
-from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, RteeError
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -86,13 +84,13 @@ class HeriEthercatDriver(Driver):
     """
 
     Options = HeriEthercatOptions
+    options: HeriEthercatOptions
+    link: EthercatBus
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(HeriEthercatOptions, spec)
         self._motors = _motors_of(spec, self.options)
         self._boards = max(self._motors) // codec.MOTORS + 1
-        self.connection: Connection[EthercatBus] = Connection(spec)
         self._references = [0.0] * (self._boards * codec.MOTORS)
         self._limits = [math.inf] * (self._boards * codec.MOTORS)
         self._replies: list[codec.Reply] = []
@@ -138,12 +136,10 @@ class HeriEthercatDriver(Driver):
         """
 
         async def begin() -> None:
-            await self.connection.link.run(self._to_safe, 5.0)
+            await self.link.run(self._to_safe, 5.0)
             await self._exchange()
             self._seed()
-            await self.connection.link.run(
-                lambda ring: ring.request(SlaveState.OPERATIONAL, 2.0), 5.0
-            )
+            await self.link.run(lambda ring: ring.request(SlaveState.OPERATIONAL, 2.0), 5.0)
             # The first outputs in operation are the positions just measured.
             await self._exchange()
 
@@ -169,11 +165,11 @@ class HeriEthercatDriver(Driver):
         ]
         # Slaves after the hand's boards get no outputs.
         deadline = self.options.deadline if self._powered else _PATIENCE
-        inputs = await self.connection.link.exchange(outputs, deadline)
+        inputs = await self.link.exchange(outputs, deadline)
         try:
             self._replies = [codec.Reply.from_bytes(data) for data in inputs[: self._boards]]
         except CodecError as error:
-            raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
+            raise FrameError(self.link.name, str(error), b"".join(inputs)) from error
         if self._are_new():
             self._stamp = monotonic.now()
         self._fresh = True
@@ -238,7 +234,7 @@ class HeriEthercatDriver(Driver):
 
         Raises `DeviceFault` if the board refuses or does not answer, and `BusError`.
         """
-        bus = self.connection.link
+        bus = self.link
         await bus.run(
             lambda ring: ring.write(position, *codec.COMMAND_OBJECT, codec.order(code)), 1.0
         )
@@ -294,7 +290,7 @@ class HeriEthercatDriver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Return the measurements of the last exchange, or make one."""
-        self.connection.link.check()
+        self.link.check()
         if not self._fresh:
             await self._exchange()
         self._fresh = False
@@ -352,20 +348,18 @@ class HeriEthercatDriver(Driver):
             hint="remove the cause, then `rtee recover` acknowledges it",
         )
 
-    async def stop(self) -> None:
-        """Hold the measured posture."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self._exchange)
-            self._seed()
-            here = [self._references[motor] for motor in self._motors]
-            for i, position in self.standstill.instead(here).items():
-                self._references[self._motors[i]] = position
-            await patiently(self._exchange)
+    async def hold(self) -> None:
+        """Command the measured posture."""
+        await patiently(self._exchange)
+        self._seed()
+        here = [self._references[motor] for motor in self._motors]
+        for i, position in self.standstill.instead(here).items():
+            self._references[self._motors[i]] = position
+        await patiently(self._exchange)
 
-    async def disable(self) -> None:
+    async def power_off(self) -> None:
         """Disable the motors; tendons without power go slack."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+        await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Acknowledge faults; `activate` powers the motors again."""

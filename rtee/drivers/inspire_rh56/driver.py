@@ -19,17 +19,14 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
-from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import COUNT, FINGERS, KEEP, Register, Report, State, table
 from rtee.drivers.inspire_rh56.link import FrameLink, ModbusLink, Rh56Link, WriteRefused
 from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of, scales_of
 from rtee.drivers.inspire_rh56.tactile import TactileReader, sensors
 from rtee.drivers.json_files import read_calibration_file, write_json
-from rtee.drivers.options import read_options
-from rtee.errors import BusError, CalibrationError, CommandRejected, FrameError, RteeError
+from rtee.errors import BusError, CalibrationError, CommandRejected, FrameError
 from rtee.hand.validation import Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading
@@ -163,14 +160,13 @@ class InspireRh56Driver(Driver):
     """
 
     Options = InspireRh56Options
+    options: InspireRh56Options
+    link: Rh56Link
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(InspireRh56Options, spec)
         self._motors = motors_of(spec, self.options)
         self._scales = scales_of(spec, self.options, self._motors)
-        self.connection: Connection[Rh56Link] = Connection(spec)
-        self._attached = Attached(spec.actuators)
         self._zeros = (0,) * codec.COUNT
         self._here: FloatArray = np.full(len(self._motors), math.nan)
         self._block = self.options.reading == "block"
@@ -283,16 +279,16 @@ class InspireRh56Driver(Driver):
 
     async def activate(self) -> None:
         """Attach to the hand as it is: its motors are always on and keep their set-points."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             self._check(await self._read(link))
             await self._read_back(link)
         # Its set-points may hold a grip, which a reference at the measured posture would end.
-        self._attached.begin(range(len(self._motors)))
+        self.attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
         """Raise `DeviceFault` if the hand reports a fault."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             self._check(await self._read(link))
         return ""
@@ -311,7 +307,7 @@ class InspireRh56Driver(Driver):
     async def _measured(self) -> codec.Report:
         """Read the hand's measurements; raises `BusError`."""
         try:
-            return await self._read(self.connection.link)
+            return await self._read(self.link)
         except CodecError as error:
             raise FrameError(self.options.port, str(error)) from error
 
@@ -319,13 +315,13 @@ class InspireRh56Driver(Driver):
         """Return the hand's measurements."""
         self._count += 1
         if self._count % self.options.check_every == 0:
-            await self._read_back(self.connection.link)
+            await self._read_back(self.link)
         report = await self._measured()
         stamp = monotonic.now()
         self._check(report)
         if self._tactile is not None:
             # ``None`` until every area has been read once.
-            self._touch = await self._tactile.read(self.connection.link) or self._touch
+            self._touch = await self._tactile.read(self.link) or self._touch
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.position.within(report.angles[motor]) for motor, scale in both]
         # For `move`, which compares references with this position while a grip is kept.
@@ -374,7 +370,7 @@ class InspireRh56Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Write force limits and speeds that have changed, then the angles."""
-        left = self._attached.left(reference, self._here) if self._attached else ()
+        left = self.attached.left(reference, self._here) if self.attached else ()
         most = self.options.most
         # A table sets all six motors, so motors without a reference get their present values.
         forces = list(self._forces or (most,) * codec.COUNT)
@@ -398,7 +394,7 @@ class InspireRh56Driver(Driver):
         self, forces: Sequence[int], speeds: Sequence[int], angles: Sequence[int]
     ) -> None:
         """Write the tables that differ from those in the hand."""
-        link = self.connection.link
+        link = self.link
         # A set-point counts as unknown until the hand has confirmed it.
         if forces != self._forces:
             self._forces = None
@@ -422,30 +418,28 @@ class InspireRh56Driver(Driver):
             await link.write(codec.Register.ANGLE_SET, codec.table(changed))
             self._angles = wanted
 
-    async def stop(self) -> None:
-        """Hold the measured pose."""
-        with contextlib.suppress(RteeError, OSError):
-            self._attached.begin()
-            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
-            report = await patiently(self._measured)
-            both = tuple(zip(self._motors, self._scales, strict=True))
-            here = [scale.position.within(report.angles[motor]) for motor, scale in both]
-            angles = list(report.angles)
-            for i, position in self.standstill.instead(here).items():
-                motor, scale = both[i]
-                angles[motor] = scale.position.to_count(position)
-            await patiently(lambda: self._hold(angles, self._motors))
+    async def hold(self) -> None:
+        """Command the measured pose."""
+        # Within the cycle's deadline: a lost answer must not use up the time of a stop.
+        report = await patiently(self._measured)
+        both = tuple(zip(self._motors, self._scales, strict=True))
+        here = [scale.position.within(report.angles[motor]) for motor, scale in both]
+        angles = list(report.angles)
+        for i, position in self.standstill.instead(here).items():
+            motor, scale = both[i]
+            angles[motor] = scale.position.to_count(position)
+        await patiently(lambda: self._hold(angles, self._motors))
 
     async def _hold(self, angles: Sequence[int], motors: Sequence[int]) -> None:
         """Make the angles of some motors, as measured, their set-points."""
         # The hand may refuse a count outside the range, and -1 would keep the old set-point.
         here = [min(max(a, 0), 1000) if m in motors else codec.KEEP for m, a in enumerate(angles)]
         self._angles = [codec.KEEP] * codec.COUNT
-        await self.connection.link.write(codec.Register.ANGLE_SET, codec.table(here))
+        await self.link.write(codec.Register.ANGLE_SET, codec.table(here))
 
     async def recover(self) -> None:
         """Clear the errors; motors that had one hold their measured position."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             report = await self._measured()
             faulty = [m for m in self._motors if report.errors[m]]
@@ -458,7 +452,7 @@ class InspireRh56Driver(Driver):
                 self._check(report)
                 # Again, since a motor with an error may have refused it.
                 await self._hold(report.angles, faulty)
-        self._attached.begin(range(len(self._motors)))
+        self.attached.begin(range(len(self._motors)))
 
     async def _cleared(self) -> codec.Report:
         """Return the report in which the errors are gone, or the last one after `_CLEARING`."""
@@ -493,9 +487,9 @@ class InspireRh56Driver(Driver):
         angles = [codec.KEEP] * codec.COUNT
         for motor, scale, position in zip(self._motors, self._scales, rest.tolist(), strict=True):
             angles[motor] = scale.position.to_count(position)
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             return await calibrate(
-                self.connection.link,
+                self.link,
                 self._measured,
                 self.spec.name,
                 self.options.unit,

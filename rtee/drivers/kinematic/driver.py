@@ -13,7 +13,7 @@ from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import NotNegative, read_options
+from rtee.drivers.options import NotNegative
 from rtee.errors import BusBroken, CommandRejected, ConfigError, NotConnected, suggestion
 from rtee.hand.validation import Section
 from rtee.sample import ActuatorState
@@ -150,29 +150,29 @@ class KinematicDriver(Driver):
     """
 
     Options = KinematicOptions
+    options: KinematicOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = monotonic.asked
-        self._options = read_options(KinematicOptions, spec)
-        self._check_names(self._options.start, fingers=False)
+        self._check_names(self.options.start, fingers=False)
         self.plants = [
             KinematicActuator(
                 actuator,
-                position=self._options.start.get(actuator.name, actuator.rest),
-                temperature=self._options.ambient,
+                position=self.options.start.get(actuator.name, actuator.rest),
+                temperature=self.options.ambient,
             )
             for actuator in spec.actuators
         ]
-        for name, fraction in self._options.objects.items():
+        for name, fraction in self.options.objects.items():
             self.place_object(name, fraction)
-        self._time_constant = self._options.time_constant
+        self._time_constant = self.options.time_constant
         self._last: float | None = None
         self._powered = False
         self._plugged = True
         self._closed = False
         self._fault = ""
-        measures = _MEASURES | ({"temperature"} if self._options.temperatures else set())
+        measures = _MEASURES | ({"temperature"} if self.options.temperatures else set())
         self.capabilities = Capabilities(
             measures=frozenset(measures),
             accepts=frozenset({"position", "max_effort", "max_velocity"}),
@@ -271,7 +271,7 @@ class KinematicDriver(Driver):
         self._check()
         stamp = self._advance()
         plants = self.plants
-        warm = self._options.temperatures
+        warm = self.options.temperatures
         return ActuatorState.measured(
             [plant.position for plant in plants],
             stamp,
@@ -343,7 +343,7 @@ class KinematicDriver(Driver):
         if dt > 0.0:
             # The exact solution of the lag, so that the motion does not depend on the cycle time.
             follow = 1.0 - math.exp(-dt / self._time_constant)
-            options = self._options
+            options = self.options
             for plant in self.plants:
                 plant.step(dt, follow, options.full_effort_at, powered=self._powered)
                 if options.temperatures:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Literal
@@ -17,15 +16,13 @@ from rtee.buses.retry import patiently
 from rtee.drivers import wiring
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
-from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.codec import Table
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.scale import LinearScale
-from rtee.errors import CommandRejected, ConfigError, RteeError
+from rtee.errors import CommandRejected, ConfigError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -151,15 +148,15 @@ class LinkerHandDriver(Driver):
     """
 
     Options = LinkerHandOptions
+    options: LinkerHandOptions
+    link: LinkerLink
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = options = read_options(LinkerHandOptions, spec)
+        options = self.options
         self._model = options.kind
         self._motors = motors_of(spec, options)
         self._scales = scales_of(spec, options, self._motors)
-        self.connection: Connection[LinkerLink] = Connection(spec)
-        self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(self._motors), math.nan)
         self._counts: tuple[int, ...] = ()
         # Values that the hand has confirmed; a missing table is unknown.
@@ -230,18 +227,18 @@ class LinkerHandDriver(Driver):
 
     async def _examine(self) -> None:
         """Read temperatures and fault codes; raises `DeviceFault` and `BusError`."""
-        self._temperatures, codes = await self.connection.link.health()
+        self._temperatures, codes = await self.link.health()
         self._check(codes)
 
     async def activate(self) -> None:
         """Attach to the hand as it is: its motors are always on and keep their set-points."""
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             await self._examine()
-        self._attached.begin(range(len(self._motors)))
+        self.attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
         """Raise `DeviceFault` if the hand reports a fault."""
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             await self._examine()
         return ""
 
@@ -259,7 +256,7 @@ class LinkerHandDriver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Return the hand's measurements."""
-        link, every = self.connection.link, self.options.health_every
+        link, every = self.link, self.options.health_every
         self._turn = (self._turn + 1) % every
         if self._turn == 0:
             await self._examine()
@@ -300,7 +297,7 @@ class LinkerHandDriver(Driver):
     async def move(self, reference: Reference) -> None:
         """Write the set-points, and the limits if they have changed."""
         # One frame sets all motors, and the present set-points of the others cannot be read.
-        if self._attached.all_left(reference, self._here):
+        if self.attached.all_left(reference, self._here):
             return
         full = [codec.MOST] * self._model.count
         targets = list(self._sent.get(Table.POSITION, self._counts))
@@ -331,7 +328,7 @@ class LinkerHandDriver(Driver):
         sent, self._sent = self._sent, {}
         before, targets = sent.pop(Table.POSITION, None), wanted[Table.POSITION]
         limited = any(wanted[table] != sent.get(table) for table in (Table.TORQUE, Table.SPEED))
-        await self.connection.link.write(wanted if limited else {Table.POSITION: targets})
+        await self.link.write(wanted if limited else {Table.POSITION: targets})
         now = monotonic.now()
         for motor, target in enumerate(targets):
             # A motor with a new set-point gets time to move before it counts as resting.
@@ -339,12 +336,10 @@ class LinkerHandDriver(Driver):
                 self._moved[motor] = now
         self._sent = wanted
 
-    async def stop(self) -> None:
-        """Hold the measured pose."""
-        with contextlib.suppress(RteeError, OSError):
-            self._attached.begin()
-            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
-            await patiently(lambda: self._hold(self._motors, self.standstill.instead))
+    async def hold(self) -> None:
+        """Command the measured pose."""
+        # Within the cycle's deadline: a lost answer must not use up the time of a stop.
+        await patiently(lambda: self._hold(self._motors, self.standstill.instead))
 
     async def _hold(
         self,
@@ -355,7 +350,7 @@ class LinkerHandDriver(Driver):
 
         ``instead`` returns the actuators that hold another position; see `Standstill.instead`.
         """
-        link = self.connection.link
+        link = self.link
         self._keep(await link.read(Table.POSITION))
         targets = list(self._sent.pop(Table.POSITION, self._counts))
         for motor in motors:
@@ -370,7 +365,7 @@ class LinkerHandDriver(Driver):
 
     async def recover(self) -> None:
         """Make motors that had a fault hold their position, and check that the fault is gone."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             _, codes = await link.health()
             faulty = tuple(motor for motor in self._motors if codes[motor])
@@ -378,7 +373,7 @@ class LinkerHandDriver(Driver):
                 # No source says whether a motor continues to its old set-point afterwards.
                 await self._hold(faulty or self._motors)
             await self._examine()
-        self._attached.begin(range(len(self._motors)))
+        self.attached.begin(range(len(self._motors)))
 
 
 def _share(part: float) -> int:

@@ -19,7 +19,6 @@ from rtee.actions.library import ActionLibrary
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.options import read_options
 from rtee.errors import (
     CommandRejected,
     DeviceFault,
@@ -69,10 +68,10 @@ class MujocoDriver(Driver):
     """
 
     Options = SimOptions
+    options: SimOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self._options = read_options(SimOptions, spec)
         self._simulation: Simulation | None = None
         # One thread at a time: MuJoCo's state must not be advanced twice at once.
         self._thread = anyio.CapacityLimiter(1)
@@ -81,7 +80,7 @@ class MujocoDriver(Driver):
         self._cost = 0.0
         self._period = period = (spec.every or 1) / spec.rate
         self._behind, self._before = 0.0, math.inf
-        self._touch_every = max(1, round(1.0 / (self._options.touch_rate * period)))
+        self._touch_every = max(1, round(1.0 / (self.options.touch_rate * period)))
         self._touch: TouchReading | None = None
         self._turn = 0
         names = [actuator.name for actuator in spec.actuators]
@@ -119,7 +118,7 @@ class MujocoDriver(Driver):
         closing = Closing.of(hand, ActionLibrary.load(hand, folder / "actions"))
         period = (self.spec.every or 1) / self.spec.rate
         names = [actuator.name for actuator in self.spec.actuators]
-        return make_simulation(hand, self._options, names, period, closing=closing)
+        return make_simulation(hand, self.options, names, period, closing=closing)
 
     async def activate(self) -> None:
         """Power the actuators at their present positions."""

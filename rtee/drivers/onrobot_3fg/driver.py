@@ -15,7 +15,7 @@ from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_3fg import codec
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
-from rtee.drivers.options import Positive, read_options
+from rtee.drivers.options import Positive
 from rtee.drivers.scale import FingerScale
 from rtee.errors import ConfigError
 from rtee.sample import ActuatorState
@@ -60,6 +60,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
     """
 
     Options = OnRobot3FGOptions
+    options: OnRobot3FGOptions
 
     MODEL = "an OnRobot 3FG"
     STATUS = codec.Status
@@ -67,8 +68,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
     SOURCE = codec.STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        self.options = read_options(OnRobot3FGOptions, spec)
-        super().__init__(spec, buses, self.options)
+        super().__init__(spec, buses)
         self.scale = self._scaled(self.options.largest or 0.150)
         self._fingers = codec.Fingers()
         self._kind = codec.GripType[self.options.grip.upper()]
@@ -155,7 +155,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
             monotonic.now(),
         )
         if command is not None:
-            await self.connection.link.exchange(self._registers(command))
+            await self.link.exchange(self._registers(command))
             self._sent = command
 
     def _forget(self) -> None:

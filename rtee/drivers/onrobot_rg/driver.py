@@ -13,7 +13,7 @@ from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TENTH_MM, OnRobotOptions, signed
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.onrobot_rg import codec
-from rtee.drivers.options import Positive, read_options
+from rtee.drivers.options import Positive
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -52,14 +52,14 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
     """
 
     Options = OnRobotRGOptions
+    options: OnRobotRGOptions
     MODEL = "an OnRobot RG"
     STATUS = codec.Status
     COMMAND = codec.Command
     SOURCE = codec.STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        self.options = read_options(OnRobotRGOptions, spec)
-        super().__init__(spec, buses, self.options)
+        super().__init__(spec, buses)
         actuator = spec.actuators[0]
         self._model = codec.MODELS[self.options.model]
         self.scale = codec.LinkageScale(self._model, actuator.lower, actuator.upper)
@@ -107,7 +107,7 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         wanted = self.options.fingertip_offset
         if wanted is None:
             return
-        bus, tenths = self.connection.link.bus, round(wanted / TENTH_MM)
+        bus, tenths = self.link.bus, round(wanted / TENTH_MM)
         # Only if it differs, so that activation changes no setting needlessly.
         if await self._offset(bus) != tenths:
             await bus.write(self.options.unit, codec.SET_OFFSET, (tenths,), deadline=CONNECTING)
@@ -139,7 +139,7 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         )
         if order is not Order.NOTHING:
             go = codec.Command(force, width, codec.Control.GRIP).to_registers()
-            await self.connection.link.exchange(self._stopping() if order is Order.STOP else go)
+            await self.link.exchange(self._stopping() if order is Order.STOP else go)
             self._follower.sent()
 
     def _forget(self) -> None:

@@ -18,8 +18,7 @@ from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.orca_touch import codec
 from rtee.errors import BusTimeout, ConfigError, NotConnected
 from rtee.sample import ActuatorState, FloatArray
@@ -65,16 +64,16 @@ class OrcaTouchDriver(Driver):
     """
 
     Options = OrcaTouchOptions
+    options: OrcaTouchOptions
+    link: SerialBus
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(OrcaTouchOptions, spec)
         if spec.actuators:
             raise ConfigError(
                 f"{spec.source + ': ' if spec.source else ''}device '{spec.name}' only measures "
                 "touch and drives no actuators; write `actuators: []`"
             )
-        self.connection: Connection[SerialBus] = Connection(spec)
         self._content = _CONTENT[self.options.content]
         self._stream = codec.AnswerParser()
         self._counts: tuple[int, ...] = ()
@@ -193,16 +192,16 @@ class OrcaTouchDriver(Driver):
         now = monotonic.now()
         for frame in self._stream.feed(data):
             match frame:
-                case codec.Stream():
-                    self._newest, self._heard = (frame, now), now
                 case codec.Encoders():
                     self._extras = {**self._extras, "joint_encoders": frame.angles()}
+                case codec.Stream():
+                    self._newest, self._heard = (frame, now), now
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return the newest reading; a stream that has stopped is started again."""
-        bus = self.connection.link
+        bus = self.link
         bus.check()
         now = monotonic.now()
         if now - self._heard > _SILENT:
@@ -247,5 +246,5 @@ class OrcaTouchDriver(Driver):
         """Detach from the line; the board continues to send."""
         if self.connection.is_open:
             # The board continues to send, and this driver must not receive it any more.
-            self.connection.link.listen(None)
+            self.link.listen(None)
         await super().close()

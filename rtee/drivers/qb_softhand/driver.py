@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 from collections.abc import Coroutine
 from dataclasses import dataclass
@@ -17,13 +16,11 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive, read_options
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command, current_limit, limits
 from rtee.drivers.qb_softhand.link import QbLink
-from rtee.errors import ConfigError, DeviceFault, NotConnected, RteeError
+from rtee.errors import ConfigError, DeviceFault, NotConnected
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -156,22 +153,20 @@ class QbSoftHandDriver(Driver):
     """
 
     Options = QbSoftHandOptions
+    options: QbSoftHandOptions
+    link: QbLink
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(QbSoftHandOptions, spec)
         if len(spec.actuators) != self.options.motors:
             raise ConfigError(
                 f"device '{spec.name}': a hand with {self.options.motors} motor(s) needs as many "
                 f"actuators, not {len(spec.actuators)}"
             )
         self.mapping: Motors = OneMotorHand() if self.options.motors == 1 else TwoMotorHand()
-        self.connection: Connection[QbLink] = Connection(spec)
         self._effort_per_ma = self._efforts(_CURRENT_LIMIT)
-        self._active = False
         self._count = 0
         self._closure = (0.0,) * self.options.motors
-        self._attached = Attached(spec.actuators)
         self._here = np.full(self.options.motors, math.nan)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "current", "effort"}),
@@ -203,7 +198,7 @@ class QbSoftHandDriver(Driver):
         with link.relaxed_deadline():
             parameters = await self._identify(link)
             self._adopt(limits(parameters))
-            self._active = await self._all_active()
+            self.active = await self._all_active()
         self._effort_per_ma = self._efforts(current_limit(parameters) or _CURRENT_LIMIT)
         self.refine(
             identity={
@@ -255,7 +250,7 @@ class QbSoftHandDriver(Driver):
 
     async def activate(self) -> None:
         """Activate the motors at their positions; an active hand is left as it is."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             if self.options.watchdog > 0.0:
                 byte = codec.watchdog_byte(self.options.watchdog)
@@ -266,16 +261,16 @@ class QbSoftHandDriver(Driver):
                 await self._switch_on()
             # Actuators without a reference keep this closure.
             self._closure = await self._measured()
-        self._attached.begin(range(self.options.motors) if held else ())
-        self._active = True
+        self.attached.begin(range(self.options.motors) if held else ())
+        self.active = True
 
     async def _all_active(self) -> bool:
         every = (1 << self.options.motors) - 1
         # With one motor, some firmware reports both bits and some the true mask.
-        return await self.connection.link.active() & every == every
+        return await self.link.active() & every == every
 
     async def _switch_on(self) -> None:
-        await self.connection.link.send(Command.ACTIVATE, _BOTH)
+        await self.link.send(Command.ACTIVATE, _BOTH)
         end = monotonic.now() + _ACTIVATION
         while not await self._all_active():
             if monotonic.now() > end:
@@ -287,21 +282,21 @@ class QbSoftHandDriver(Driver):
 
     async def _measured(self) -> tuple[float, ...]:
         least = 1 if self.options.motors == 1 else 3
-        link = self.connection.link
+        link = self.link
         return self.mapping.to_closure(await link.integers(Command.GET_MEASUREMENTS, least))
 
     async def sense(self) -> ActuatorState:
         """Return closures and motor currents."""
         self._count += 1
         # Not in every cycle, since the check takes another exchange.
-        if self._active and self._count % self.options.status_every == 0:
+        if self.active and self._count % self.options.status_every == 0:
             await self._check()
         if self.options.motors == 1:
-            both = await self.connection.link.integers(Command.GET_CURR_AND_MEAS, 5)
+            both = await self.link.integers(Command.GET_CURR_AND_MEAS, 5)
             positions, currents = both[2:], both[:1]
         else:
-            positions = await self.connection.link.integers(Command.GET_MEASUREMENTS, 3)
-            currents = await self.connection.link.integers(Command.GET_CURRENTS, 2)
+            positions = await self.link.integers(Command.GET_MEASUREMENTS, 3)
+            currents = await self.link.integers(Command.GET_CURRENTS, 2)
         self._here = np.array(self.mapping.to_closure(positions))
         return ActuatorState.measured(
             self._here,
@@ -327,7 +322,7 @@ class QbSoftHandDriver(Driver):
     async def move(self, reference: Reference) -> None:
         """Send the references of the motors; the hand does not answer."""
         # One frame commands both motors.
-        if self._attached.all_left(reference, self._here):
+        if self.attached.all_left(reference, self._here):
             return
         wanted, mask = reference.position.tolist(), reference.mask.tolist()
         if not all(mask):
@@ -339,34 +334,31 @@ class QbSoftHandDriver(Driver):
 
     def _send(self, closure: tuple[float, ...]) -> Coroutine[Any, Any, None]:
         data = codec.pack_int16(*self.mapping.to_ticks(closure))
-        return self.connection.link.send(Command.SET_INPUTS, data)
+        return self.link.send(Command.SET_INPUTS, data)
 
-    async def stop(self) -> None:
-        """Hold the measured posture."""
-        with contextlib.suppress(RteeError, OSError):
-            self._attached.begin()
-            # Stored, since a later reference for one motor repeats this one for the other.
-            here = await patiently(self._measured)
-            instead = self.standstill.instead(here)
-            self._closure = tuple(instead.get(i, q) for i, q in enumerate(here))
-            await self._send(self._closure)
+    async def hold(self) -> None:
+        """Command the measured posture."""
+        # Stored, since a later reference for one motor repeats this one for the other.
+        here = await patiently(self._measured)
+        instead = self.standstill.instead(here)
+        self._closure = tuple(instead.get(i, q) for i, q in enumerate(here))
+        await self._send(self._closure)
 
-    async def disable(self) -> None:
+    async def power_off(self) -> None:
         """Deactivate the motors; the hand relaxes as far as friction allows."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+        await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Activate the motors again at their positions."""
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             await self._switch_on()
             self._closure = await self._measured()
         # After `ACTIVATE` the motors hold their positions, which need not be their references.
-        self._attached.begin(range(self.options.motors))
-        self._active = True
+        self.attached.begin(range(self.options.motors))
+        self.active = True
 
     async def deactivate(self) -> None:
         """Deactivate the motors."""
-        self._active = False
+        self.active = False
         if self.connection.is_open:
-            await self.connection.link.send(Command.ACTIVATE, b"\x00")
+            await self.link.send(Command.ACTIVATE, b"\x00")

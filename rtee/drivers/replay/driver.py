@@ -15,7 +15,6 @@ from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
 from rtee.hand.validation import Section
@@ -53,12 +52,12 @@ class ReplayDriver(Driver):
     """
 
     Options = ReplayOptions
+    options: ReplayOptions
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = monotonic.asked
         self.ended = self.behind = False
-        self._options = read_options(ReplayOptions, spec)
         self._states: RecordedStates | None = None
         self._blocks: Iterator[Block] = iter(())
         self._block: Block | None = None
@@ -76,15 +75,15 @@ class ReplayDriver(Driver):
         self.capabilities = Capabilities(
             measures=frozenset(MEASURED),
             accepts=frozenset(),
-            refuses={"position": f"it plays {self._options.file.name}"},
-            identity={"model": "replay", "file": self._options.file.name},
+            refuses={"position": f"it plays {self.options.file.name}"},
+            identity={"model": "replay", "file": self.options.file.name},
         )
 
     async def configure(self) -> None:
         """See `Driver.configure`."""
         names = tuple(actuator.name for actuator in self.spec.actuators)
         self._states = await anyio.to_thread.run_sync(
-            RecordedStates, self._options.file, self.spec.hand, names
+            RecordedStates, self.options.file, self.spec.hand, names
         )
         self.object_description = await anyio.to_thread.run_sync(self._states.object_description)
         sensors = await anyio.to_thread.run_sync(self._states.touch_sensors)
@@ -108,7 +107,7 @@ class ReplayDriver(Driver):
             raise NotConnected(self.spec.name, "is not open")
         passed = 0.0 if self._begin is None else self.now() - self._begin
         self._patience = asyncio.get_running_loop().time() + _PATIENCE
-        await self._advance(passed * self._options.speed)
+        await self._advance(passed * self.options.speed)
         block, row = self._block, self._row
         # The loop may run faster than the recording was made.
         fresh, self._shown = row != self._shown, row
@@ -192,7 +191,7 @@ class ReplayDriver(Driver):
                 # Rows count from 0 again, and the first one must count as new.
                 self._shown = -1
                 self._fetch()
-            elif self._options.repeat:
+            elif self.options.repeat:
                 self._beginning = asyncio.ensure_future(self._rewind())
                 await self._advance(0.0)
                 return

@@ -13,7 +13,6 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.json_files import read_calibration_file, write_json
-from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.codec import FAULTS, MODELS, Command, Grasp, Status
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, RobotiqOptions, SteadyContact
@@ -78,6 +77,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     """
 
     Options = Robotiq2FOptions
+    options: Robotiq2FOptions
     MODEL = "Robotiq 2-finger gripper"
     STATUS = Status
     COMMAND = Command
@@ -88,13 +88,11 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     )
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        # Before the base class, whose constructor asks for the status and the identity.
-        self.options = read_options(Robotiq2FOptions, spec)
+        super().__init__(spec, buses)
         only_actuator(spec, "a two-finger gripper")
         self._grip = SteadyContact()
         # No echo has this value, so the first one counts as that of a new request.
         self._requested = -1
-        super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)
 
     def _scaled(self, open_count: int, closed_count: int) -> FingerScale:
@@ -130,7 +128,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             return
         # Inactive grippers of two and three fingers differ only in the registers that follow, where
         # the 3-Finger reports the positions of its second and third finger.
-        bus, options = self.connection.link.bus, self.options
+        bus, options = self.link.bus, self.options
         try:
             block = await bus.read(
                 options.unit, INPUT, _MORE, deadline=PATIENT, function=self._places()[2]
@@ -236,7 +234,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         """
         await ready("Take everything out of the gripper's reach: it will close and open fully.")
         # The motions below are not part of a cycle.
-        self.connection.link.deadline = PATIENT
+        self.link.deadline = PATIENT
         self._home_asked = True
         await self.activate()
         # Closed first, so that the gripper ends open.

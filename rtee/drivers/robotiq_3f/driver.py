@@ -9,7 +9,7 @@ from msgspec import field
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
-from rtee.drivers.options import Positive, read_options
+from rtee.drivers.options import Positive
 from rtee.drivers.robotiq_3f import codec
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, RobotiqOptions, SteadyContact
 from rtee.drivers.robotiq_driver import RobotiqDriver
@@ -82,6 +82,7 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
     """
 
     Options = Robotiq3FOptions
+    options: Robotiq3FOptions
     MODEL = "Robotiq 3-Finger"
     STATUS = codec.Status
     COMMAND = codec.Command
@@ -92,12 +93,11 @@ class Robotiq3FDriver(RobotiqDriver[codec.Status, codec.Command]):
     )
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        self.options = read_options(Robotiq3FOptions, spec)
+        super().__init__(spec, buses)
         self.roles = roles_of(spec, self.options)
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
         self._grips = tuple(SteadyContact() for _ in codec.AXES)
-        super().__init__(spec, buses, self.options)
 
     async def _identify(self) -> None:
         await super()._identify()

@@ -16,9 +16,8 @@ from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
-from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu import codec
@@ -215,11 +214,12 @@ class SchunkEguDriver(Driver):
     """
 
     Options = SchunkEguOptions
+    options: SchunkEguOptions
+    link: Blocks[codec.Input]
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        options = self.options = read_options(SchunkEguOptions, spec)
-        self.connection: Connection[Blocks[codec.Input]] = Connection(spec)
+        options = self.options
         only_actuator(spec, "an EGU or EGK")
         self._follower = StepFollower(options.settle, options.step * _PER_FINGER, _SAME, _REACHED)
         self._input = codec.Input()
@@ -324,13 +324,13 @@ class SchunkEguDriver(Driver):
             },
             min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
         )
-        self._input = await self.connection.link.read()
+        self._input = await self.link.read()
 
     async def activate(self) -> None:
         """Attach to a ready gripper; acknowledge the errors that are normal after power-up."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
-            now = self._input = await self.connection.link.read()
+            now = self._input = await self.link.read()
             if now.error not in _EXPECTED:
                 self._refuse(now)
             if not self._ready(now):
@@ -389,7 +389,7 @@ class SchunkEguDriver(Driver):
 
     async def examine(self) -> str:
         """Raise the error that the gripper reports, unless activation acknowledges it."""
-        now = await self.connection.link.read()
+        now = await self.link.read()
         if now.error not in _EXPECTED:
             self._refuse(now)
         return ""
@@ -552,8 +552,8 @@ class SchunkEguDriver(Driver):
             self._forget()
             return
         # Without the bit first: the command is its rising edge, and it may be set already.
-        await self.connection.link.insist(codec.Output(codec.Control.RUN).to_registers())
-        if await self.connection.link.insist(
+        await self.link.insist(codec.Output(codec.Control.RUN).to_registers())
+        if await self.link.insist(
             codec.Output(codec.Control.RUN | codec.Control.STOP).to_registers()
         ):
             self._forget()
@@ -565,7 +565,7 @@ class SchunkEguDriver(Driver):
 
     async def recover(self) -> None:
         """Acknowledge the error; the interrupted command is not continued."""
-        with self.connection.link.relaxed_deadline():
+        with self.link.relaxed_deadline():
             await self._read_on()
             if not self._ready(self._input):
                 await self._acknowledge()
@@ -585,7 +585,7 @@ class SchunkEguDriver(Driver):
     async def _read_on(self) -> codec.Input:
         """Read the image and update the progress of the last command."""
         asked = monotonic.now()
-        now = self._input = await self.connection.link.read()
+        now = self._input = await self.link.read()
         answered = monotonic.now()
         self._timer.read(answered - asked)
         if self._asked is not None and bool(now.status & codec.Status.RECEIVED) != self._asked[0]:
@@ -600,6 +600,6 @@ class SchunkEguDriver(Driver):
         # Unknown until the gripper has answered.
         self._word = None
         begun = monotonic.now()
-        await self.connection.link.write(output.to_registers())
+        await self.link.write(output.to_registers())
         self._timer.wrote(monotonic.now() - begun)
         self._word = output.control

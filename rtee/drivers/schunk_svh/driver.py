@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Collection, Mapping, Sequence
 from operator import sub
@@ -14,9 +13,6 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import read_options
 from rtee.drivers.schunk_svh import codec, homing
 from rtee.drivers.schunk_svh.channels import (
     CHANNELS,
@@ -29,7 +25,7 @@ from rtee.drivers.schunk_svh.channels import (
 from rtee.drivers.schunk_svh.codec import FeedbackAll
 from rtee.drivers.schunk_svh.limits import ControllerLimits
 from rtee.drivers.schunk_svh.link import SvhLink
-from rtee.errors import DeviceFault, RteeError
+from rtee.errors import DeviceFault
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -124,21 +120,19 @@ class SchunkSvhDriver(Driver):
     """
 
     Options = SchunkSvhOptions
+    options: SchunkSvhOptions
+    link: SvhLink
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(SchunkSvhOptions, spec)
         self._index = channels_of(spec)
         self._table: tuple[Channel, ...] = CHANNELS
-        self.connection: Connection[SvhLink] = Connection(spec)
         self.stops: dict[int, int] = {}
         self._scales: ChannelScales | None = None
         self._limits = ControllerLimits()
         self._targets = [0] * codec.CHANNELS
         self._health = homing.Health(spec.name)
-        self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(spec.actuators), math.nan)
-        self._home_asked = False
         self._answer: tuple[codec.FeedbackAll, float] | None = None
         self._last: tuple[codec.FeedbackAll, float] | None = None
         self._count = 0
@@ -213,14 +207,14 @@ class SchunkSvhDriver(Driver):
 
     async def activate(self) -> None:
         """Enable the channels at their positions; home them first if needed and allowed."""
-        self.connection.link.patient = True
+        self.link.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
         if homed and self._health.enabled & wanted == wanted:
             await self._seed()
             # The hand may hold an object, which a reference at the measured position would release.
-            self._attached.begin(range(len(self._index)))
-            self.connection.link.patient = False
+            self.attached.begin(range(len(self._index)))
+            self.link.patient = False
             return
         if not homed:
             if self.options.home == "on_demand" and not self._home_asked:
@@ -228,11 +222,11 @@ class SchunkSvhDriver(Driver):
             await self.home()
         self._home_asked = False
         await self._enable()
-        self.connection.link.patient = False
+        self.link.patient = False
 
     async def examine(self) -> str:
         """Return ``not homed`` if it is not; raises the fault that the hand reports."""
-        self._check(await self.connection.link.state())
+        self._check(await self.link.state())
         return "" if set(self._index) <= set(self.stops) else "not homed"
 
     async def home(self) -> None:
@@ -244,15 +238,15 @@ class SchunkSvhDriver(Driver):
         self._health.off()
         # Discarded first, so that a failed homing does not leave the old zeros behind.
         self._adopt_stops({})
-        await homing.disable(self.connection.link)
+        await homing.disable(self.link)
         # Homing needs the current limits: at the stop, only they protect the gears.
-        await self._limits.write(self.connection.link, self._index)
+        await self._limits.write(self.link, self._index)
         stops: dict[int, int] = {}
         order = [channel for channel in HOMING_ORDER if channel in self._index]
         for number, channel in enumerate(order, start=1):
             with self.busy(f"homing {self._table[channel].name}, {number} of {len(order)}"):
                 stops[channel] = await homing.home(
-                    self.connection.link,
+                    self.link,
                     self.spec.name,
                     self._table[channel],
                     self._limits.position[channel],
@@ -264,18 +258,18 @@ class SchunkSvhDriver(Driver):
 
     async def _enable(self) -> None:
         # Settings and targets before the power, so that none of an earlier run takes effect.
-        await self._limits.write(self.connection.link, self._index)
+        await self._limits.write(self.link, self._index)
         await self._seed()
-        await self.connection.link.set_targets(self._targets)
-        state = await homing.enable(self.connection.link, self._index)
+        await self.link.set_targets(self._targets)
+        state = await homing.enable(self.link, self._index)
         self._health.begin(state, self._index)
         self._check(state)
 
     async def _seed(self) -> codec.FeedbackAll:
         """Make the measured positions the targets, so that enabling moves nothing; return them."""
         self._answer = self._last = None
-        self._attached.begin()
-        feedback = await self.connection.link.feedback_all()
+        self.attached.begin()
+        feedback = await self.link.feedback_all()
         self._targets = list(feedback.positions)
         return feedback
 
@@ -283,17 +277,17 @@ class SchunkSvhDriver(Driver):
         """Return the reply to the last `move`, if there was one, or read the hand."""
         self._count += 1
         if self._count % self.options.status_every == 0:
-            self._check(await self.connection.link.state())
+            self._check(await self.link.state())
         answer, self._answer = self._answer, None
         if answer is None:
-            feedback = await self.connection.link.feedback_all()
+            feedback = await self.link.feedback_all()
             answer = feedback, monotonic.now()
         feedback, stamp = answer
         units = self._units
         before, self._last = self._last, (feedback, stamp)
         if before is not None and units.jumped(before[0], feedback, stamp - before[1]):
             # No finger is that fast: the encoders were reset, as by a power cycle.
-            self._check(await self.connection.link.state())
+            self._check(await self.link.state())
             units = self._units
         position, effort, current = units.measured(feedback)
         self._here = position
@@ -314,11 +308,11 @@ class SchunkSvhDriver(Driver):
         """Send changed limits, then the targets of all channels; keep the reply for `sense`."""
         # One packet sets the targets of all channels, and the present ones cannot be read. The
         # limits are not changed either: a smaller current would loosen the grip.
-        if self._attached.all_left(reference, self._here):
+        if self.attached.all_left(reference, self._here):
             return
         waiting: Collection[int] = ()
         if not self._limits.settled(reference):
-            waiting = await self._limits.update(self.connection.link, self._used(), reference)
+            waiting = await self._limits.update(self.link, self._used(), reference)
         units = self._units
         targets, homed = units.targets(reference.position), units.homed
         for index, target, known, commanded in zip(
@@ -327,38 +321,36 @@ class SchunkSvhDriver(Driver):
             if commanded and known and index not in waiting:
                 self._targets[index] = target
         # One packet sets all channels; those without a reference get their last targets again.
-        feedback = await self.connection.link.set_targets(self._targets)
+        feedback = await self.link.set_targets(self._targets)
         self._answer = feedback, monotonic.now()
 
-    async def stop(self) -> None:
-        """Hold the measured posture."""
-        with contextlib.suppress(RteeError, OSError):
-            feedback = await patiently(self._seed)
-            units = self._units
-            here = units.measured(feedback)[0]
-            instead = self.standstill.instead(here.tolist())
-            held = np.array([instead.get(i, 0.0) for i in range(len(here))])
-            targets = units.targets(held)
-            for i in instead:
-                if units.homed[i]:
-                    self._targets[self._index[i]] = targets[i]
-            await patiently(lambda: self.connection.link.set_targets(self._targets))
+    async def hold(self) -> None:
+        """Command the measured posture."""
+        feedback = await patiently(self._seed)
+        units = self._units
+        here = units.measured(feedback)[0]
+        instead = self.standstill.instead(here.tolist())
+        held = np.array([instead.get(i, 0.0) for i in range(len(here))])
+        targets = units.targets(held)
+        for i in instead:
+            if units.homed[i]:
+                self._targets[self._index[i]] = targets[i]
+        await patiently(lambda: self.link.set_targets(self._targets))
 
-    async def disable(self) -> None:
+    async def power_off(self) -> None:
         """Disable every channel; the fingers go limp."""
-        with contextlib.suppress(RteeError, OSError):
-            await patiently(self.deactivate)
+        await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Clear latched faults; enable the channels at their positions, if these are known.
 
         Otherwise the next `activate` homes the hand, which moves it.
         """
-        self.connection.link.patient = True
-        await homing.disable(self.connection.link)
+        self.link.patient = True
+        await homing.disable(self.link)
         # Disabled on purpose, so channels without power are not a fault now.
         self._health.off()
-        state = await self.connection.link.state()
+        state = await self.link.state()
         self._health.cleared(state)
         self._check(state)
         # By asking for recovery the user agrees to the motion of homing.
@@ -371,7 +363,7 @@ class SchunkSvhDriver(Driver):
         self._answer = None
         if self.connection.is_open:
             self._health.off()
-            await homing.disable(self.connection.link)
+            await homing.disable(self.link)
 
     async def close(self) -> None:
         """Detach from the line; enabled channels stay enabled."""

@@ -13,27 +13,12 @@ from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
-from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
-from rtee.drivers.wsg50.codec import (
-    PORT,
-    Command,
-    Frame,
-    Grasping,
-    Info,
-    Limits,
-    State,
-    acknowledge,
-    grasp,
-    home,
-    move,
-    release,
-    setting,
-)
+from rtee.drivers.wsg50 import codec
 from rtee.drivers.wsg50.link import WsgLink, WsgRefusal, WsgReport
 from rtee.errors import BusError, CommandRejected, DeviceFault, FrameError
 from rtee.sample import ActuatorState
@@ -51,27 +36,35 @@ _EMPTY = 1.0
 _NOT_REFERENCED = 0
 """Code of the fault of a gripper that is not homed: like other codes, the number of a state bit."""
 _HOME = "`rtee recover`, or `rtee run --home`, homes it: the fingers move over their whole range"
-_FAULTS: Mapping[State, tuple[str, str]] = {
-    State.FAST_STOP: ("fast stop", "see what caused it, then `rtee recover`, which clears it"),
-    State.TEMPERATURE_ERROR: ("over temperature", "let it cool down, then `rtee recover`"),
-    State.POWER_ERROR: ("supply out of range", "check the 24 V supply, then `rtee recover`"),
-    State.CURRENT_ERROR: ("motor current too high", "free the fingers, then `rtee recover`"),
-    State.FINGER_ERROR: ("finger fault", "check the fingers' connectors, then `rtee recover`"),
+_FAULTS: Mapping[codec.State, tuple[str, str]] = {
+    codec.State.FAST_STOP: (
+        "fast stop",
+        "see what caused it, then `rtee recover`, which clears it",
+    ),
+    codec.State.TEMPERATURE_ERROR: ("over temperature", "let it cool down, then `rtee recover`"),
+    codec.State.POWER_ERROR: ("supply out of range", "check the 24 V supply, then `rtee recover`"),
+    codec.State.CURRENT_ERROR: ("motor current too high", "free the fingers, then `rtee recover`"),
+    codec.State.FINGER_ERROR: (
+        "finger fault",
+        "check the fingers' connectors, then `rtee recover`",
+    ),
 }
-_WARNINGS: Mapping[State, str] = {
-    State.TEMPERATURE_WARNING: "near its highest temperature",
-    State.SOFT_LIMIT_MINUS: "at its lower soft limit",
-    State.SOFT_LIMIT_PLUS: "at its upper soft limit",
-    State.SCRIPT_ERROR: "its script has failed",
+_WARNINGS: Mapping[codec.State, str] = {
+    codec.State.TEMPERATURE_WARNING: "near its highest temperature",
+    codec.State.SOFT_LIMIT_MINUS: "at its lower soft limit",
+    codec.State.SOFT_LIMIT_PLUS: "at its upper soft limit",
+    codec.State.SCRIPT_ERROR: "its script has failed",
 }
-_GRASP_MOVES = frozenset({Grasping.CLOSING, Grasping.RELEASING, Grasping.POSITIONING})
+_GRASP_MOVES = frozenset(
+    {codec.Grasping.CLOSING, codec.Grasping.RELEASING, codec.Grasping.POSITIONING}
+)
 """States of a grasp in which the gripper accepts no other motion."""
 
 
 class Wsg50Options(DeviceOptions, frozen=True):
     """Options of a WSG 50."""
 
-    port: str = f"socket://192.168.1.20:{PORT}"
+    port: str = f"socket://192.168.1.20:{codec.PORT}"
     """socket://host:port; by default the factory address."""
     home: Literal["on_demand", "on_connect"] = "on_demand"
     """When a gripper that is not referenced is homed, which moves it."""
@@ -93,21 +86,21 @@ class Wsg50Driver(Driver):
     """
 
     Options = Wsg50Options
+    options: Wsg50Options
+    link: WsgLink
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        options = self.options = read_options(Wsg50Options, spec)
+        options = self.options
         only_actuator(spec, "a WSG 50")
-        self.connection: Connection[WsgLink] = Connection(spec)
         self._follower = StepFollower(options.settle, options.step * 1e3, _SAME, _REACHED)
         self._report = WsgReport()
-        self._home_asked = False
         self._moving_to: float | None = None
         self._force = float("nan")
         # The default limits, until the gripper reports its own.
-        self._adopt(Limits(), {})
+        self._adopt(codec.Limits(), {})
 
-    def _adopt(self, limits: Limits, identity: Mapping[str, str]) -> None:
+    def _adopt(self, limits: codec.Limits, identity: Mapping[str, str]) -> None:
         """Derive scales and capabilities from the gripper's limits."""
         actuator = self.spec.actuators[0]
         self._limits = limits
@@ -149,8 +142,10 @@ class Wsg50Driver(Driver):
                 FrameError,
             ),
         ):
-            info = Info.from_bytes((await link.ask(Frame(Command.INFO))).payload[2:])
-            limits = Limits.from_frame(await link.ask(Frame(Command.LIMITS)))
+            info = codec.Info.from_bytes(
+                (await link.ask(codec.Frame(codec.Command.INFO))).payload[2:]
+            )
+            limits = codec.Limits.from_frame(await link.ask(codec.Frame(codec.Command.LIMITS)))
             self._report = await link.report()
         self._adopt(
             limits,
@@ -167,11 +162,11 @@ class Wsg50Driver(Driver):
 
     async def activate(self) -> None:
         """Attach to a referenced gripper; home one that is not referenced where that is allowed."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             self._report = await link.report()
             self._refuse(self._report)
-            if not self._report.state & State.REFERENCED:
+            if not self._report.state & codec.State.REFERENCED:
                 if not (self.options.home == "on_connect" or self._home_asked):
                     raise self._unreferenced()
                 await self._homed(link)
@@ -186,29 +181,32 @@ class Wsg50Driver(Driver):
 
         with self.busy("homing"):
             async with time_limit(self.options.home_timeout, too_slow, end=self.stop):
-                await link.begin(home())
+                await link.begin(codec.home())
                 while True:
                     await asyncio.sleep(_POLL)
                     report = self._report = await link.report()
                     self._refuse(report)
-                    if report.state & State.REFERENCED and not report.state & State.MOVING:
+                    if (
+                        report.state & codec.State.REFERENCED
+                        and not report.state & codec.State.MOVING
+                    ):
                         return
 
     async def examine(self) -> str:
         """Return ``not homed`` if it is not; raises the fault that the gripper reports."""
-        report = self._report = await self.connection.link.report()
+        report = self._report = await self.link.report()
         self._refuse(report)
-        return "" if report.state & State.REFERENCED else "not homed"
+        return "" if report.state & codec.State.REFERENCED else "not homed"
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return width, speed, force and grasp."""
-        report = self._report = await self.connection.link.report()
+        report = self._report = await self.link.report()
         stamp = monotonic.now()
         if self.active:
             self._refuse(report)
-            if not report.state & State.REFERENCED:
+            if not report.state & codec.State.REFERENCED:
                 raise self._unreferenced()
         # Widths grow while it opens, positions while it closes; a force presses inwards.
         return ActuatorState.measured(
@@ -223,37 +221,39 @@ class Wsg50Driver(Driver):
     @property
     def _holds(self) -> bool:
         report = self._report
-        return report.grasping is Grasping.HOLDING and report.width > _EMPTY
+        return report.grasping is codec.Grasping.HOLDING and report.width > _EMPTY
 
     @property
     def _busy(self) -> bool:
         # A grasp still builds up its force when the fingers have come to rest.
-        return bool(self._report.state & State.MOVING) or self._report.grasping in _GRASP_MOVES
+        return (
+            bool(self._report.state & codec.State.MOVING) or self._report.grasping in _GRASP_MOVES
+        )
 
     async def move(self, reference: Reference) -> None:
         """Follow a reference in steps."""
         if not reference.mask[0]:
             return
-        limits, report, link = self._limits, self._report, self.connection.link
+        limits, report, link = self._limits, self._report, self.link
         width = min(max(self.position.to_raw(float(reference.position[0])), 0.0), limits.stroke)
         least, nominal, _ = limits.force
         wanted = self.effort.to_raw(float(reference.max_effort[0]))
         force = min(max(wanted, least), nominal)
         speed = float(reference.max_velocity[0]) * self._speed_of
         speed = min(max(speed, limits.speed[0]), limits.speed[1])
-        held = report.grasping is Grasping.HOLDING
+        held = report.grasping is codec.Grasping.HOLDING
         order = self._follower.next(width, force, report.width, busy=self._busy, held=held)
         try:
             if order is Order.STOP:
-                await link.ask(Frame(Command.STOP))
+                await link.ask(codec.Frame(codec.Command.STOP))
                 self._follower.sent()
             elif order is Order.GO or self._meets(width):
                 # Before the motion, which applies the limit when it begins.
                 await self._limit_force(link, force)
                 motion = self._motion(width, speed)
-                if motion.command == Command.RELEASE:
+                if motion.command == codec.Command.RELEASE:
                     # Before it is sent: a stop before the next report must end the release.
-                    self._report = replace(self._report, grasping=Grasping.RELEASING)
+                    self._report = replace(self._report, grasping=codec.Grasping.RELEASING)
                 if await link.begin(motion):
                     self._follower.sent()
         except WsgRefusal as refusal:
@@ -264,23 +264,23 @@ class Wsg50Driver(Driver):
         """Return whether a closing motion has just met an object to grasp."""
         report = self._report
         closes = self._moving_to is not None and width < report.width - _REACHED
-        return closes and bool(report.state & State.BLOCKED_MINUS) and not self._busy
+        return closes and bool(report.state & codec.State.BLOCKED_MINUS) and not self._busy
 
-    def _motion(self, width: float, speed: float) -> Frame:
+    def _motion(self, width: float, speed: float) -> codec.Frame:
         """Return the command to reach a width [mm] at a speed [mm/s]."""
         report, meets = self._report, self._meets(width)
         self._moving_to = None
-        held = report.grasping is Grasping.HOLDING
+        held = report.grasping is codec.Grasping.HOLDING
         if meets or (held and width <= report.width):
-            return grasp(report.width, speed)
+            return codec.grasp(report.width, speed)
         if held:
-            return release(width, speed)
+            return codec.release(width, speed)
         self._moving_to = width
-        return move(width, speed, stop_on_block=True)
+        return codec.move(width, speed, stop_on_block=True)
 
     async def _limit_force(self, link: WsgLink, force: float) -> None:
         if force != self._force:
-            await link.ask(setting(Command.SET_FORCE, force))
+            await link.ask(codec.setting(codec.Command.SET_FORCE, force))
             self._force = force
 
     def _forget(self) -> None:
@@ -298,8 +298,8 @@ class Wsg50Driver(Driver):
         for _ in range(_TRIES):
             with contextlib.suppress(BusError):
                 # A grasp that holds has no motion to end.
-                if self._report.grasping is not Grasping.HOLDING:
-                    await self.connection.link.ask(Frame(Command.STOP))
+                if self._report.grasping is not codec.Grasping.HOLDING:
+                    await self.link.ask(codec.Frame(codec.Command.STOP))
                 self._forget()
                 return
 
@@ -310,11 +310,11 @@ class Wsg50Driver(Driver):
 
     async def recover(self) -> None:
         """Clear a fast stop; a gripper that lost its reference may then home."""
-        link = self.connection.link
+        link = self.link
         with link.relaxed_deadline():
             self._report = await link.report()
-            if self._report.state & State.FAST_STOP:
-                await link.ask(acknowledge())
+            if self._report.state & codec.State.FAST_STOP:
+                await link.ask(codec.acknowledge())
                 self._report = await link.report()
         self._refuse(self._report)
         # By asking for recovery the user agrees to the motion that homing may need.
@@ -334,5 +334,5 @@ class Wsg50Driver(Driver):
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):
                 # Sent once: a gripper that is gone must not delay closing.
-                await self.connection.link.ask(Frame(Command.DISCONNECT), retries=0)
+                await self.link.ask(codec.Frame(codec.Command.DISCONNECT), retries=0)
         await super().close()

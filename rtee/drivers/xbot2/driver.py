@@ -19,12 +19,10 @@ from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
-from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.xbot2 import codec
-from rtee.errors import BusTimeout, ConfigError, RteeError, suggestion
+from rtee.errors import BusTimeout, ConfigError, suggestion
 from rtee.hand.validation import Misfit, Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
@@ -114,10 +112,11 @@ class XBot2Driver(Driver):
     """
 
     Options = XBot2Options
+    options: XBot2Options
+    link: ZmqBus
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.options = read_options(XBot2Options, spec)
         names = [a.name for a in spec.actuators]
         for name in self.options.joints:
             if name not in names:
@@ -131,13 +130,11 @@ class XBot2Driver(Driver):
         pairs = list(zip(given, spec.actuators, strict=True))
         self._commanded = [_scale(g.command, a, spec.name) for g, a in pairs]
         self._reported = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
-        self.connection: Connection[ZmqBus] = Connection(spec)
         self._undo: Callable[[], None] | None = None
         self._state: codec.State | None = None
         self._index: list[int] = []
         self._stamp = -math.inf
         self._seen = -math.inf
-        self._attached = Attached(spec.actuators)
         self._arrived = asyncio.Event()
         effort = self.options.control != "position"
         self._limits = [math.inf] * len(names)
@@ -156,7 +153,7 @@ class XBot2Driver(Driver):
         # On reconnection, the old subscription must end.
         await self.close()
         # Any joint may hold an object.
-        self._attached.begin(range(len(self._names)))
+        self.attached.begin(range(len(self._names)))
         options = self.options
         joints = {
             a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
@@ -217,7 +214,7 @@ class XBot2Driver(Driver):
             # Each message names its joints, so their order may change.
             self._index = [state.names.index(name) for name in self._names]
         except (CodecError, ValueError):
-            self.connection.link.counters.checksum_errors += 1
+            self.link.counters.checksum_errors += 1
             return
         self._state, self._stamp = state, stamp
         self._arrived.set()
@@ -234,7 +231,7 @@ class XBot2Driver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Return the newest state that XBot2 has published; waits briefly for a new one."""
-        bus = self.connection.link
+        bus = self.link
         bus.check()
         # Only if there is no new state: one that has arrived already must not cost a wait.
         if self._stamp == self._seen:
@@ -261,7 +258,7 @@ class XBot2Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send position references, or efforts with ``control: effort``."""
-        left = self._attached.left(reference, self._here()) if self._attached else ()
+        left = self.attached.left(reference, self._here()) if self.attached else ()
         chosen = [i for i in range(len(self._names)) if reference.mask[i] and i not in left]
         if not chosen:
             return
@@ -287,7 +284,7 @@ class XBot2Driver(Driver):
         )
         efforts = tuple(0.0 if effort is None else effort for effort in pushed)
         names = tuple(self._names[i] for i in chosen)
-        self.connection.link.send_now(codec.Command(names, positions, efforts, control).to_bytes())
+        self.link.send_now(codec.Command(names, positions, efforts, control).to_bytes())
 
     def _here(self) -> FloatArray:
         """Return the newest positions of the joints ``(n,)`` [rad | m]; ``NaN``: not known."""
@@ -327,16 +324,14 @@ class XBot2Driver(Driver):
         )
         limited = any(math.isfinite(limit) for limit in limits)
         command = codec.Command(names, raw, efforts if limited else (), control)
-        self.connection.link.send_now(command.to_bytes())
+        self.link.send_now(command.to_bytes())
 
-    async def stop(self) -> None:
-        """Hold the measured posture."""
-        with contextlib.suppress(RteeError, OSError):
-            here = (await patiently(self.sense)).position.tolist()
-            instead = self.standstill.instead(here)
-            held = [instead.get(i, q) for i, q in enumerate(here)]
-            self._attached.begin()
-            self._send_positions(list(range(len(held))), held)
+    async def hold(self) -> None:
+        """Command the measured posture."""
+        here = (await patiently(self.sense)).position.tolist()
+        instead = self.standstill.instead(here)
+        held = [instead.get(i, q) for i, q in enumerate(here)]
+        self._send_positions(list(range(len(held))), held)
 
     async def recover(self) -> None:
         """Check that XBot2 still publishes states; a client cannot reset XBot2's faults."""
