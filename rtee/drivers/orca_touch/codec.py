@@ -12,7 +12,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,6 @@ LONGEST = 8192 + 6
 ENCODERS = 17
 """Number of joint encoders of a hand."""
 
-_REQUEST, _REPLY, _STREAM, _ENCODER = b"\x55\xaa", b"\xaa\x55", b"\xaa\x56", b"\xaa\xa9"
 _HEAD = struct.Struct("<BBHH")  # 0, function, address, count
 _OVERHEAD = 9  # bytes around a request's or reply's data: header, the four above, checksum
 _AROUND = 6  # bytes around a streamed frame's data: header, 0, length, checksum
@@ -91,6 +90,10 @@ def check_of(data: bytes) -> int:
     return -sum(data) & 0xFF
 
 
+def _sealed(raw: bytes) -> bytes:
+    return raw + bytes([check_of(raw)])
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """A request.
@@ -102,40 +105,34 @@ class Request:
         data: The bytes to write.
     """
 
+    HEADER: ClassVar[bytes] = b"\x55\xaa"
+
     function: int
     address: int
     count: int
     data: bytes = b""
 
     def to_bytes(self) -> bytes:
-        """Return the request as sent."""
-        return _framed(_REQUEST, self.function, self.address, self.count, self.data)
+        """Return the frame as sent."""
+        head = _HEAD.pack(0, self.function, self.address, self.count)
+        return _sealed(self.HEADER + head + self.data)
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the request that ``raw`` holds; raises `CodecError`."""
-        return cls(*_parts(raw))
+        """Return the frame that ``raw`` holds; raises `CodecError`."""
+        if len(raw) < _OVERHEAD or check_of(raw[:-1]) != raw[-1]:
+            raise CodecError("the check does not match")
+        zero, function, address, count = _HEAD.unpack_from(raw, 2)
+        if zero or function not in (Function.READ, Function.WRITE):
+            raise CodecError(f"unknown function {function:#04x}")
+        return cls(function, address, count, raw[_HEAD.size + 2 : -1])
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
-    """The answer to a request.
+class Reply(Request):
+    """The answer to a request; after a write, its data are one byte, 0 for success."""
 
-    Attributes:
-        function: Read or write.
-        address: First register.
-        count: Number of register bytes.
-        data: The bytes that were read; after a write one byte, 0 for success.
-    """
-
-    function: int
-    address: int
-    count: int
-    data: bytes
-
-    def to_bytes(self) -> bytes:
-        """Return the reply as sent."""
-        return _framed(_REPLY, self.function, self.address, self.count, self.data)
+    HEADER = b"\xaa\x55"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,29 +144,29 @@ class Stream:
         data: Resultants and taxels of the connected fingers.
     """
 
+    HEADER: ClassVar[bytes] = b"\xaa\x56"
+
     error: int
     data: bytes
 
     def to_bytes(self) -> bytes:
         """Return the frame as sent."""
-        return _streamed(_STREAM, self.error, self.data)
+        head = struct.pack("<BHB", 0, 1 + len(self.data), self.error)
+        return _sealed(self.HEADER + head + self.data)
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the frame that ``raw`` holds; raises `CodecError`."""
+        if len(raw) <= _AROUND or check_of(raw[:-1]) != raw[-1] or raw[2]:
+            raise CodecError("the check does not match")
+        return cls(raw[5], raw[6:-1])
 
 
 @dataclass(frozen=True, slots=True)
-class Encoders:
-    """A frame of the joint encoders.
+class Encoders(Stream):
+    """A frame of the joint encoders, with a word for each encoder."""
 
-    Attributes:
-        error: 0 for none.
-        data: A word for each encoder.
-    """
-
-    error: int
-    data: bytes
-
-    def to_bytes(self) -> bytes:
-        """Return the frame as sent."""
-        return _streamed(_ENCODER, self.error, self.data)
+    HEADER = b"\xaa\xa9"
 
     def angles(self) -> FloatArray:
         """Return the joints' angles ``(17,)`` [rad]; ``NaN`` where an encoder reports an error."""
@@ -180,33 +177,17 @@ class Encoders:
         return np.where(bad, math.nan, (found & _ANGLE) * _TURN)
 
 
-Answer = Reply | Stream | Encoders
-
-
-def _framed(header: bytes, function: int, address: int, count: int, data: bytes) -> bytes:
-    raw = header + _HEAD.pack(0, function, address, count) + data
-    return raw + bytes([check_of(raw)])
-
-
-def _streamed(header: bytes, error: int, data: bytes) -> bytes:
-    raw = header + struct.pack("<BHB", 0, 1 + len(data), error) + data
-    return raw + bytes([check_of(raw)])
-
-
-def _parts(raw: bytes) -> tuple[int, int, int, bytes]:
-    """Return function, address, count and data of a request or reply; raises `CodecError`."""
-    if len(raw) < _OVERHEAD or check_of(raw[:-1]) != raw[-1]:
-        raise CodecError("the check does not match")
-    zero, function, address, count = _HEAD.unpack_from(raw, 2)
-    if zero or function not in (Function.READ, Function.WRITE):
-        raise CodecError(f"unknown function {function:#04x}")
-    return function, address, count, raw[_HEAD.size + 2 : -1]
+Answer = Reply | Stream
+_ANSWERS: Mapping[bytes, type[Reply | Stream]] = {
+    kind.HEADER: kind for kind in (Reply, Stream, Encoders)
+}
 
 
 class RequestParser(FramedParser[Request]):
     """Finds requests in a stream, for the board."""
 
-    HEADER = _REQUEST
+    FRAME = Request
+    HEADER = Request.HEADER
     HEAD = 8
     PIECE = _OVERHEAD + _LARGEST
     LIMIT = 2 * PIECE
@@ -216,9 +197,6 @@ class RequestParser(FramedParser[Request]):
         if count > _LARGEST:
             return 0
         return _OVERHEAD + (count if function == Function.WRITE else 0)
-
-    def _decode(self, raw: bytes) -> Request:
-        return Request.from_bytes(raw)
 
 
 class AnswerParser(FramedParser[Answer]):
@@ -233,24 +211,19 @@ class AnswerParser(FramedParser[Answer]):
     def _length(self, at: int) -> int:
         buffer = self._buffer
         kind = bytes(buffer[at : at + 2])
-        if kind == _REPLY:
+        if kind == Reply.HEADER:
             _, function, _, count = _HEAD.unpack_from(buffer, at + 2)
             if count > _LARGEST:
                 return 0
             return _OVERHEAD + (count if function == Function.READ else 1)
-        if kind in (_STREAM, _ENCODER):
-            size = _AROUND - 1 + int.from_bytes(buffer[at + 3 : at + 5], "little")
-            right = size + 1 <= LONGEST if kind == _STREAM else size + 1 == _AROUND + 35
-            return size + 1 if right else 0
-        return 0
+        if kind not in _ANSWERS:
+            return 0
+        size = _AROUND + int.from_bytes(buffer[at + 3 : at + 5], "little")
+        right = size <= LONGEST if kind == Stream.HEADER else size == _AROUND + 35
+        return size if right else 0
 
     def _decode(self, raw: bytes) -> Answer:
-        if raw[:2] == _REPLY:
-            return Reply(*_parts(raw))
-        if len(raw) <= _AROUND or check_of(raw[:-1]) != raw[-1] or raw[2]:
-            raise CodecError("the check does not match")
-        kind = Stream if raw[:2] == _STREAM else Encoders
-        return kind(raw[5], raw[6:-1])
+        return _ANSWERS[raw[:2]].from_bytes(raw)
 
 
 def connected(data: bytes) -> tuple[str, ...]:
