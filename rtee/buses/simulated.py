@@ -47,6 +47,7 @@ class Simulation(ABC):
         self._timer: asyncio.TimerHandle | None = None
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._running = False
+        self._there = False
 
     faults: Faults
 
@@ -56,9 +57,9 @@ class Simulation(ABC):
         """The current address for the host."""
 
     @property
-    @abstractmethod
     def plugged(self) -> bool:
         """Whether the host can connect."""
+        return self._there
 
     @abstractmethod
     def _plug(self) -> None: ...
@@ -265,17 +266,14 @@ class SimulatedLine(Simulation):
         """The pty's path or the port's address."""
         return self._end.address
 
-    @property
-    def plugged(self) -> bool:
-        """Whether the port exists."""
-        return self._end.open
-
     def _plug(self) -> None:
-        if not self._end.open:
+        if not self._there:
             self._end.plug()
+            self._there = True
             self.wire.reset()
 
     def _unplug(self) -> None:
+        self._there = False
         self._end.unplug()
         self.wire.reset()
 

@@ -39,7 +39,6 @@ class SimulatedCan(Simulation):
         self.emulators = self.wire.emulators
         self._channel, self._interface = channel, interface
         self._bus: Any = None
-        self._there = False
         self._hosts: list[DirectCan] = []
         self.on_unplug: Callable[[], None] | None = None
 
@@ -57,11 +56,6 @@ class SimulatedCan(Simulation):
         """The channel."""
         return self._channel
 
-    @property
-    def plugged(self) -> bool:
-        """Whether the adapter exists."""
-        return self._bus is not None or self._there
-
     def connect(self, receive: Callable[[CanFrame], None]) -> DirectCan | None:
         """Connect a host that receives frames on simulated time; ``None`` in real time."""
         if self._loop is None:
@@ -71,21 +65,20 @@ class SimulatedCan(Simulation):
         return host
 
     def _plug(self) -> None:
-        if self._loop is not None:
-            if not self._there:
-                self.wire.reset()
-            self._there = True
-        elif self._bus is None:
+        if self._there:
+            return
+        if self._loop is None:
             self._bus = open_bus(self._interface, self._channel)
-            self.wire.reset()
+        self._there = True
+        self.wire.reset()
 
     def _unplug(self) -> None:
+        if not self._there:
+            return
+        self._there = False
         if self._bus is not None:
             self._bus.shutdown()
             self._bus = None
-        elif not self._there:
-            return
-        self._there = False
         self._hosts.clear()
         if self.on_unplug is not None:
             self.on_unplug()

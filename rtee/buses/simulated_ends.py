@@ -168,11 +168,6 @@ class Tcp:
         self._peer: socket.socket | None = None
 
     @property
-    def open(self) -> bool:
-        """Whether the host can find it."""
-        return self._server is not None
-
-    @property
     def address(self) -> str:
         """The address for the host."""
         return f"{self._scheme}://{self._host}:{self._port}"

@@ -54,17 +54,11 @@ class SimulatedEthercat(Simulation):
     def __init__(self, *, name: str = "ethercat") -> None:
         super().__init__(name)
         self.faults = Faults()
-        self._there = False
 
     @property
     def address(self) -> str:
         """The network interface that it replaces."""
         return self.name
-
-    @property
-    def plugged(self) -> bool:
-        """Whether the cable is plugged in."""
-        return self._there
 
     @property
     def played(self) -> PlaysSlaves:

@@ -51,7 +51,6 @@ class SimulatedZmq(Simulation, DirectServer):
         self.faults = Faults()
         self._context: zmq.Context[Any] | None = None
         self._sockets: list[Any] = []
-        self._there = False
         self._clients: list[tuple[Callable[[bytes], None], Callable[[str], None]]] = []
         self._late: list[tuple[float, Callable[[], None]]] = []
         self._stepped = 0.0
@@ -60,11 +59,6 @@ class SimulatedZmq(Simulation, DirectServer):
     def address(self) -> str:
         """The address at which it publishes states."""
         return self.endpoints.state
-
-    @property
-    def plugged(self) -> bool:
-        """Whether the server exists."""
-        return self._there
 
     @property
     def place(self) -> Endpoints | DirectServer:
