@@ -60,7 +60,7 @@ class Emulator(ABC):
             its bytes are the same as on a line.
         duplex: Duplex of its line: half, as on two-wire RS-485 or a single data wire, or full.
         WEAR: Deviations of the real device from its data sheet, as far as they were measured.
-        axes: Its motors.
+        axes: Its motors, which `wear_down` affects and ``stuck`` blocks.
         parser: Finds the host's frames in the bytes of a line.
         faults: Faults injected at present.
         wear: Deviations of this emulator from the data sheet.
@@ -77,7 +77,7 @@ class Emulator(ABC):
     period: float = 0.0
     baudrate: int = 115200
     duplex: ClassVar[Duplex] = Duplex.HALF
-    axes: Any = ()
+    axes: Sequence[Any] = ()
     parser: Parser[Any] | None = None
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class Emulator(ABC):
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``; by default for the motors alone."""
         dt = self._elapsed(now)
-        for motor in self.motors():
+        for motor in self.axes:
             motor.advance(dt)
 
     def line_reset(self) -> None:
@@ -126,14 +126,15 @@ class Emulator(ABC):
     def power_cycle(self, now: float) -> None:
         """Lose the state that the device loses in a power cycle."""
 
-    def motors(self) -> Sequence[Any]:
-        """Return the motors, which `wear_down` affects and ``stuck`` blocks."""
-        return list(self.axes)
+    def halt(self) -> None:
+        """Let the motors stay where they are."""
+        for motor in self.axes:
+            motor.target = motor.position
 
     def wear_down(self, wear: Wear) -> None:
         """Make the device deviate from its data sheet."""
         self.wear = wear
-        for motor in self.motors():
+        for motor in self.axes:
             motor.wear_down(wear)
 
     def inject(self, fault: str) -> None:
@@ -157,7 +158,7 @@ class Emulator(ABC):
 
     def on_faults(self) -> None:
         """Act on changed `faults`. By default, ``stuck`` blocks the motors."""
-        for motor in self.motors():
+        for motor in self.axes:
             motor.stuck = "stuck" in self.faults
 
     def _elapsed(self, now: float) -> float:

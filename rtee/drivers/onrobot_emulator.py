@@ -79,10 +79,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         self._busy = False
         self._contact = False
         self._building = 0.0
-        self._halt()
-
-    def _halt(self) -> None:
-        self.axis.target = self.axis.position
+        self.halt()
 
     @abstractmethod
     def _idle_targets(self) -> list[int]:

@@ -129,7 +129,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         self._left = 0.0
         self._releasing = False
         self._started = False
-        self._halt()
+        self.halt()
         if activated:
             self._order(self._staying())
 
@@ -201,7 +201,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             # A reset cannot clear a fault whose cause is still there.
             if not any(self.CODES.get(fault) == self._fault for fault in self.faults):
                 self._fault = 0
-            self._halt()
+            self.halt()
         elif command.release:
             if not self._releasing:
                 self._releasing = True
@@ -214,7 +214,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
 
     def _obey(self, command: RobotiqCommand) -> None:
         if self._blocked() or self._releasing or not command.go:
-            self._halt()
+            self.halt()
         elif self._follow(command):
             self.moves += 1
             self.begun = command
@@ -224,10 +224,6 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         fault = self.CODES_OF.get(self._fault)
         return fault is not None and not fault.warning
 
-    def _halt(self) -> None:
-        for axis in self.axes:
-            axis.target = axis.position
-
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
         dt = self._elapsed(now) * self._made.haste
@@ -236,7 +232,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self._started = False
         self._progress_by(dt)
         if self._blocked() and not self._releasing:
-            self._halt()
+            self.halt()
         for axis in self.axes:
             axis.advance(dt)
         if self._releasing and dt > 0.0 and all(not axis.moving for axis in self.axes):
@@ -265,6 +261,6 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         if self._left <= 0.0:
             self.activations += self._progress is Progress.ACTIVATING
             self._progress = Progress.DONE
-            self._halt()
+            self.halt()
             # A target received meanwhile is followed only from here on.
             self._obey(self._command())

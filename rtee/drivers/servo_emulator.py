@@ -123,6 +123,7 @@ class ServoLine(Emulator, Grasps, Generic[S]):
         self.ordered = list(servos)
         if len(self.servos) < len(self.ordered):
             raise ValueError("two of the servos have the same id")
+        self.axes = [servo.axis for servo in servos]
         self.parser = parser
         self._shown_rate = 0
 
@@ -167,10 +168,6 @@ class ServoLine(Emulator, Grasps, Generic[S]):
         """Return answers, after the return delays of servos and the adapter's latency."""
         self.turnaround = sum(servo.delay for servo in servos) + self.properties.latency
         return answers
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [servo.axis for servo in self.ordered]
 
     def power_cycle(self, now: float) -> None:
         """Cut the supply of all servos and bring it back."""

@@ -256,7 +256,7 @@ class DriverContract:
         self.wired()
         near, far = self.case.between()
         async with self._session_at(far) as (session, _):
-            motors = session.emulator.motors()
+            motors = session.emulator.axes
             if not motors:
                 pytest.skip("the emulator has no motors with encoders")
             ends = [motor.position for motor in motors]

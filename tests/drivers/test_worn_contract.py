@@ -93,6 +93,6 @@ def test_a_worn_device_differs_from_its_sheet(family: str) -> None:
     assert ideal.wear is IDEAL
     assert used.wear == type(used).WEAR
     assert used.wear.late > 0.0
-    for motor in used.motors():
+    for motor in used.axes:
         assert motor.lag > 0.0
         assert motor.pace < 1.0

@@ -10,7 +10,6 @@ from msgspec import structs
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.wear import TYPICAL
-from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
@@ -37,6 +36,7 @@ class Cia402Emulator(Emulator, Grasps):
         super().__init__()
         self.properties = properties or DriveProperties()
         self.drives = {n: Drive(n, self.properties) for n in self.properties.nodes}
+        self.axes = [drive.axis for drive in self.drives.values()]
         self._booted = False
 
     @classmethod
@@ -70,16 +70,12 @@ class Cia402Emulator(Emulator, Grasps):
 
     def on_faults(self) -> None:
         """Apply the injected faults: block or silence the drives, and set their device type."""
+        super().on_faults()
         for drive in self.drives.values():
-            drive.axis.stuck = "stuck" in self.faults
             drive.node.inhibited = "silent" in self.faults
             # The low half of the device type is the profile; 2 in the high half is a servo drive.
             kind = 401 if "wrong_device" in self.faults else self.properties.device_type
             drive.node.objects[Object.DEVICE_TYPE, 0].value = struct.pack("<I", 0x20000 | kind)
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [drive.axis for drive in self.drives.values()]
 
     def closings(self) -> Sequence[Closing]:
         """Return the closing motions of the drives."""

@@ -112,6 +112,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         super().__init__()
         self.properties = properties or BoardProperties()
         self.boards = [_Board(self.properties) for _ in range(self.properties.boards)]
+        self.axes = [motor for board in self.boards for motor in board.motors]
         self.state = SlaveState.INIT
         self.timeout = 0.0
         self._heard: float | None = None
@@ -132,10 +133,6 @@ class HeriEthercatEmulator(Emulator, Grasps):
             self.boards[0].fail(_FAULTS[fault])
         elif fault == "hot":
             self.boards[0].fault |= codec.Fault.CURRENT_LIMITED
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [motor for board in self.boards for motor in board.motors]
 
     def closings(self) -> Sequence[Closing]:
         """Return the closing motions of all motors."""
@@ -158,9 +155,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
         self._heard = now
         # Below operational the outputs have no effect, so the motors stay.
         if state < SlaveState.OPERATIONAL:
-            for board in self.boards:
-                for motor in board.motors:
-                    motor.target = motor.position
+            self.halt()
         return True
 
     def set_watchdog(self, position: int, seconds: float) -> None:

@@ -14,7 +14,6 @@ from msgspec import structs
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
 from rtee.buses.wear import TYPICAL, Wear
-from rtee.drivers.axis import Axis
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.memory import FAULTS, Rh56Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
@@ -49,6 +48,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         super().__init__(made.unit, made.framing, baudrate=made.baudrate)
         self.turnaround = max(self.turnaround, made.turnaround)
         self.memory = Rh56Memory(made)
+        self.axes = self.memory.axes
         self._frames = codec.RequestParser() if made.protocol == "frames" else None
         self._saved: tuple[float, bytes] | None = None  # time and content of the pending save reply
         self._before = b"\0\0"
@@ -58,15 +58,6 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         """Return the properties that follow from a driver's options."""
         found = super().fitting(options)
         return found | ({"protocol": "modbus"} if found["framing"] == "tcp" else {})
-
-    @property
-    def axes(self) -> Sequence[Any]:
-        """Its motors."""
-        return self.memory.axes
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return self.memory.axes
 
     def wear_down(self, wear: Wear) -> None:
         """Make the hand deviate from its data sheet; uncalibrated force sensors get offsets."""

@@ -104,8 +104,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         """Restart with the largest torques and speeds; the fingers stay where they are."""
         self.advance(now)
         self.line_reset()
-        for axis in self.axes:
-            axis.target = axis.position
+        self.halt()
         self._unlimited()
 
     def on_faults(self) -> None:

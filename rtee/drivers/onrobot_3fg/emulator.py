@@ -172,7 +172,7 @@ class OnRobot3FGEmulator(OnRobotEmulator):
 
     def _command(self, control: Control) -> None:
         if control is Control.STOP:
-            self._halt()
+            self.halt()
             self._busy = False
             self._control = control
         elif control is not Control.NONE and "calibration_lost" not in self.faults:

@@ -139,7 +139,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
     def _trip(self, switch: int) -> None:
         self._triggered[switch] = True
         self._busy = False
-        self._halt()
+        self.halt()
 
     # --- registers -------------------------------------------------------------------------------
 
@@ -179,7 +179,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         if control is codec.Control.STOP:
             self.stopped += self._busy
             self._busy = False
-            self._halt()
+            self.halt()
         elif control is not codec.Control.NONE and not (self._busy or self._locked()):
             tips = 2 * self._offset if control is codec.Control.GRIP_WITH_OFFSET else 0
             self._start((self._targets[1] + tips) * TENTH_MM)

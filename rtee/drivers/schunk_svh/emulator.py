@@ -95,6 +95,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         if before:
             closures = [self.closure(index) for index in range(codec.CHANNELS)]
         self.channels = [self._channel(index, closures[index]) for index in range(codec.CHANNELS)]
+        self.axes = [channel.axis for channel in self.channels]
         for old, new in zip(before, self.channels, strict=False):
             obstacle = old.axis.obstacle
             if obstacle is not None:
@@ -147,10 +148,6 @@ class SchunkSvhEmulator(Emulator, Grasps):
         spec = self.table[channel]
         zero = spec.zero(self.stop_of(channel))
         return spec.to_rad(self.channels[channel].axis.position, zero) / spec.range
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [channel.axis for channel in self.channels]
 
     def closings(self) -> Sequence[Closing]:
         """Return the closing motions; spread and opposition do not close on an object."""

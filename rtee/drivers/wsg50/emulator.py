@@ -134,7 +134,7 @@ class Wsg50Emulator(Emulator, Grasps):
             Command.SET_SOFT_LIMITS: (0.0, self.limits.stroke),
         }
         self._auto.clear()
-        self._halt()
+        self.halt()
 
     def power_cycle(self, now: float) -> None:
         """Lose the reference and the settings; the spindle keeps the fingers where they are."""
@@ -162,10 +162,7 @@ class Wsg50Emulator(Emulator, Grasps):
         self._latched = self._latched or latch
         self._abort()
         self._grasping = Grasping.ERROR if self._grasping else Grasping.IDLE
-        self._halt()
-
-    def _halt(self) -> None:
-        self.axis.target = self.axis.position
+        self.halt()
 
     # --- objects -----------------------------------------------------------------------------
 
@@ -349,7 +346,7 @@ class Wsg50Emulator(Emulator, Grasps):
     def _stop(self) -> None:
         if self._grasping is not Grasping.HOLDING:
             self._grasping = Grasping.IDLE
-            self._halt()
+            self.halt()
         self._abort()
 
     def _abort(self) -> None:
@@ -387,7 +384,7 @@ class Wsg50Emulator(Emulator, Grasps):
             self._referenced = True
             self.homings += 1
         if not there and self._stop_on_block:
-            self._halt()
+            self.halt()
         self._running, self._reached = None, there
         self._grasping = Grasping.IDLE
         return Status.OK if there else Status.AXIS_BLOCKED
@@ -397,7 +394,7 @@ class Wsg50Emulator(Emulator, Grasps):
         if there or self.axis.stuck:
             self._running = None
             self._grasping = Grasping.NO_PART
-            self._halt()
+            self.halt()
             return Status.FAILED
         self._building += dt
         if self._building < self.properties.force_time:

@@ -49,7 +49,7 @@ class XBot2Emulator(Emulator, Grasps):
     """The server.
 
     Attributes:
-        axes: Its joints by name.
+        joints: Its joints by name.
         commands: Number of commands received.
     """
 
@@ -60,7 +60,7 @@ class XBot2Emulator(Emulator, Grasps):
         super().__init__()
         self.properties = made = properties or ServerProperties()
         self.period = 1.0 / made.rate
-        self.axes = {
+        self.joints = {
             name: Axis(
                 made.start,
                 lower=made.lower,
@@ -74,6 +74,7 @@ class XBot2Emulator(Emulator, Grasps):
             )
             for name in made.joints
         }
+        self.axes = list(self.joints.values())
         self.commands = 0
         self._sequence = 0
 
@@ -90,35 +91,31 @@ class XBot2Emulator(Emulator, Grasps):
     def power_cycle(self, now: float) -> None:
         """Restart; the joints stay where they are."""
         self._sequence = 0
-        for axis in self.axes.values():
+        for axis in self.axes:
             axis.target = axis.position
             axis.max_effort = self.properties.effort
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return list(self.axes.values())
 
     def closings(self) -> Sequence[Closing]:
         """Return the closing motions of the joints."""
         made = self.properties
-        return [Closing(axis, made.lower, made.upper, made.effort) for axis in self.axes.values()]
+        return [Closing(axis, made.lower, made.upper, made.effort) for axis in self.axes]
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass; return the state that is published."""
-        for axis in self.axes.values():
+        for axis in self.axes:
             axis.step(now)
         if "silent" in self.faults:
             return []
         self._sequence += 1
         state = State(
             self._sequence,
-            tuple(self.axes),
-            tuple(a.measured for a in self.axes.values()),
-            tuple(a.velocity for a in self.axes.values()),
-            tuple(a.effort for a in self.axes.values()),
+            tuple(self.joints),
+            tuple(a.measured for a in self.axes),
+            tuple(a.velocity for a in self.axes),
+            tuple(a.effort for a in self.axes),
             (),
         )
-        return [state.to_bytes([a.target for a in self.axes.values()], int(now))]
+        return [state.to_bytes([a.target for a in self.axes], int(now))]
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive a command."""
@@ -128,7 +125,7 @@ class XBot2Emulator(Emulator, Grasps):
             return []
         self.commands += 1
         for i, name in enumerate(command.names):
-            axis = self.axes.get(name)
+            axis = self.joints.get(name)
             control = command.control[i] if command.control else Control(0)
             # A command may be for a whole robot, with further joints.
             if axis is None:
@@ -154,7 +151,7 @@ class XBot2Emulator(Emulator, Grasps):
         except CodecError as error:
             return codec.answer(False, str(error))
         if kind == "joint_names":
-            names = ["another_joint"] if "wrong_device" in self.faults else list(self.axes)
+            names = ["another_joint"] if "wrong_device" in self.faults else list(self.joints)
             return codec.answer(True, data=names)
         if kind in ("urdf", "srdf"):
             return codec.answer(True, data="")

@@ -140,13 +140,13 @@ async def test_a_closure_and_a_state_in_rad_are_mapped() -> None:
         assert (await made.sense()).position[0] == pytest.approx(1.4 / 2.8, abs=1e-3)
         await made.move(Reference.at([0.25]))
         await anyio.sleep(0.1)
-        assert server(pool).axes["dagana_1_claw_joint"].target == pytest.approx(0.25)
+        assert server(pool).joints["dagana_1_claw_joint"].target == pytest.approx(0.25)
 
 
 @pytest.mark.anyio
 async def test_effort_control_closes_with_the_limit_and_then_stays() -> None:
     async with BusPool() as pool, connected(pool, device("a", "b", control="effort")) as made:
-        obstruct(server(pool).axes["a"], 0.5, 100.0)
+        obstruct(server(pool).joints["a"], 0.5, 100.0)
         limit = np.array([4.0, 3.0])
         for _ in range(80):
             await made.sense()
@@ -183,7 +183,7 @@ async def test_limited_control_sends_the_limit_beside_the_position() -> None:
             return feed(data, now)
 
         server(pool).feed = heard  # type: ignore[method-assign]
-        obstruct(server(pool).axes["a"], 0.5, 100.0)
+        obstruct(server(pool).joints["a"], 0.5, 100.0)
 
         async def push(*limits: float) -> np.ndarray:
             for _ in range(80):
@@ -224,8 +224,8 @@ async def test_a_joint_that_holds_goes_on_holding_while_another_moves() -> None:
     spec = device("thumb", "index")
     async with BusPool() as pool:
         async with connected(pool, spec) as first:
-            obstruct(server(pool).axes["thumb"], 0.5, 200.0)
-            thumb = server(pool).axes["thumb"]
+            obstruct(server(pool).joints["thumb"], 0.5, 200.0)
+            thumb = server(pool).joints["thumb"]
             with anyio.fail_after(5.0):
                 while (await first.sense()).position[0] < 0.5 or not thumb.blocked:
                     await first.move(Reference.at([0.9, 0.2]))

@@ -13,7 +13,7 @@ class TestXBot2(DriverContract):
         driver="xbot2",
         actuators=(actuator("claw", 0.0, 1.0), actuator("other", 0.0, 1.0)),
         options={"emulator": {"rate": 500.0, "speed": 10.0}, "deadline": 1.0, "rate": 50.0},
-        grip_object=lambda emulator: obstruct(emulator.axes["claw"], 0.15, 200.0),
+        grip_object=lambda emulator: obstruct(emulator.joints["claw"], 0.15, 200.0),
         commands=lambda emulator: emulator.commands,
         homes=False,
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
@@ -26,6 +26,6 @@ class TestXBot2WithLimits(DriverContract):
     case = replace(
         TestXBot2.case,
         options={**TestXBot2.case.options, "control": "limited"},
-        efforts=lambda emulator: [axis.max_effort for axis in emulator.axes.values()],
+        efforts=lambda emulator: [axis.max_effort for axis in emulator.axes],
         max_efforts=[0.5, 0.8],
     )
