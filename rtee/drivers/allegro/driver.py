@@ -189,7 +189,6 @@ class AllegroDriver(Driver):
         self._joints = wire_order(spec, self.options)
         self._info: codec.HandInfo | None = None
         self._count = 0
-        self._driving = False
         self._returned = -1
         self.control = self._controller(self.options.version or 4)
         self.capabilities = Capabilities(
@@ -283,7 +282,7 @@ class AllegroDriver(Driver):
             await self.link.order(codec.Command.SYSTEM_ON)
             await asyncio.sleep(_PAUSE)
             # Before the check, which reports motors that have stayed off only while driving.
-            self._driving = True
+            self.active = True
             self._refuse(await self.link.info(patient=True))
         except BaseException:
             # Also on cancellation: a hand that is not active must not be driven.
@@ -310,7 +309,7 @@ class AllegroDriver(Driver):
 
     def _go_limp(self) -> None:
         """End the control and send zero torques; raises `BusError`."""
-        self._driving = False
+        self.active = False
         self.control.limp()
         if self.connection.is_open:
             # The hand may store its last torques and apply them when it is switched on again.
@@ -323,17 +322,16 @@ class AllegroDriver(Driver):
             # First, so that positions that still arrive cause no more torques.
             link.deafen()
             with contextlib.suppress(BusError):
-                if self._driving:
+                if self.active:
                     await self.deactivate()
                 await link.set_periods(codec.Periods())
-            self._driving = False
         await super().close()
 
     # --- the joint control -------------------------------------------------------------------
 
     def _receive(self, finger: int, counts: Sequence[int], stamp: float) -> None:
         torques = self.control.receive(finger, counts, stamp)
-        if torques is not None and self._driving and self.connection.is_open:
+        if torques is not None and self.active and self.connection.is_open:
             # The caller is the bus, which cannot handle the error; `sense` reports a broken bus.
             with contextlib.suppress(BusError):
                 self.link.torques(torques)
@@ -392,11 +390,9 @@ class AllegroDriver(Driver):
         ]
         for bit, name, hint in faults:
             if info.status & bit:
-                self._driving = False
                 raise self.fault(int(bit), name, hint=hint)
         # After a power cycle it answers again, but its motors stay off until they are switched on.
-        if self._driving and not info.status & codec.Status.SERVO_ON:
-            self._driving = False
+        if self.active and not info.status & codec.Status.SERVO_ON:
             raise self.fault(
                 _SERVO_OFF,
                 "motors off",

@@ -98,7 +98,6 @@ class HeriEthercatDriver(Driver):
         self._echoing: set[int] = set()
         self._stamp = self._returned = 0.0
         self._fresh = False
-        self._powered = False
         self._acknowledge = 0
         limits = self.options.limit_torque
         self.capabilities = Capabilities(
@@ -164,7 +163,7 @@ class HeriEthercatDriver(Driver):
             for b in range(self._boards)
         ]
         # Slaves after the hand's boards get no outputs.
-        deadline = self.options.deadline if self._powered else _PATIENCE
+        deadline = self.options.deadline if self.active else _PATIENCE
         inputs = await self.link.exchange(outputs, deadline)
         try:
             self._replies = [codec.Reply.from_bytes(data) for data in inputs[: self._boards]]
@@ -214,7 +213,7 @@ class HeriEthercatDriver(Driver):
             # Faults from before are cleared before position control holds anything.
             if code is codec.Order.POWER_ON:
                 await self._clear_faults()
-        self._powered = True
+        self.active = True
 
     async def examine(self) -> str:
         """Raise `DeviceFault` if a board reports a fault."""
@@ -276,15 +275,10 @@ class HeriEthercatDriver(Driver):
 
     async def deactivate(self) -> None:
         """Disable the motors."""
-        self._powered = False
+        self.active = False
         if self.connection.is_open:
             for position in range(self._boards):
                 await self._order(position, codec.Order.POWER_OFF)
-
-    async def close(self) -> None:
-        """Leave the network; without a master the boards do not hold."""
-        self._powered = False
-        await super().close()
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -294,7 +288,7 @@ class HeriEthercatDriver(Driver):
         if not self._fresh:
             await self._exchange()
         self._fresh = False
-        if self._powered:
+        if self.active:
             self._refuse()
         replies = [self._replies[m // codec.MOTORS] for m in self._motors]
         sides = [m % codec.MOTORS for m in self._motors]
@@ -363,7 +357,7 @@ class HeriEthercatDriver(Driver):
 
     async def recover(self) -> None:
         """Acknowledge faults; `activate` powers the motors again."""
-        self._powered = False
+        self.active = False
         await self._in_operation()
         await self._clear_faults()
 

@@ -168,7 +168,6 @@ class KinematicDriver(Driver):
             self.place_object(name, fraction)
         self._time_constant = self.options.time_constant
         self._last: float | None = None
-        self._powered = False
         self._plugged = True
         self._closed = False
         self._fault = ""
@@ -227,7 +226,7 @@ class KinematicDriver(Driver):
     def unplug(self) -> None:
         """Break the link; every exchange fails until `plug`."""
         self._plugged = False
-        self._powered = False
+        self.active = False
 
     def plug(self) -> None:
         """Restore the link."""
@@ -238,7 +237,7 @@ class KinematicDriver(Driver):
         # First, since the actuators have moved with power up to this moment.
         self._advance()
         self._fault = name
-        self._powered = False
+        self.active = False
 
     def _check(self) -> None:
         if not self._plugged:
@@ -264,7 +263,7 @@ class KinematicDriver(Driver):
         for plant in self.plants:
             # Activating must not move anything, as the contract of drivers requires.
             plant.target = plant.position
-        self._powered = True
+        self.active = True
 
     async def sense(self) -> ActuatorState:
         """See `Driver.sense`."""
@@ -307,7 +306,7 @@ class KinematicDriver(Driver):
     async def disable(self) -> None:
         """See `Driver.disable`."""
         if self._plugged:
-            self._powered = False
+            self.active = False
 
     async def recover(self) -> None:
         """See `Driver.recover`."""
@@ -327,13 +326,13 @@ class KinematicDriver(Driver):
 
     async def deactivate(self) -> None:
         """See `Driver.deactivate`."""
-        self._powered = False
+        self.active = False
 
     async def close(self) -> None:
         """See `Driver.close`."""
         # A driver that was never connected may be closed and still be configured later.
         self._closed = self._last is not None
-        self._powered = False
+        self.active = False
 
     def _advance(self) -> float:
         now = self.now()
@@ -345,7 +344,7 @@ class KinematicDriver(Driver):
             follow = 1.0 - math.exp(-dt / self._time_constant)
             options = self.options
             for plant in self.plants:
-                plant.step(dt, follow, options.full_effort_at, powered=self._powered)
+                plant.step(dt, follow, options.full_effort_at, powered=self.active)
                 if options.temperatures:
                     plant.warm(dt, options.ambient, options.heating, options.thermal_time)
         return now
