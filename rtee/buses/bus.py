@@ -9,9 +9,11 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TypeVar
 
-from rtee.errors import BusBroken, BusClosed
+from rtee.buses.parser import CodecError
+from rtee.errors import BusBroken, BusClosed, FrameError
 
 L = TypeVar("L")
+T = TypeVar("T")
 
 TraceHook = Callable[[str, str, bytes, float], None]
 """Called as ``hook(bus, direction, data, stamp)``; the direction is ``tx`` or ``rx``, the stamp
@@ -129,6 +131,17 @@ class Bus(ABC):
         if not self._cause:
             raise BusClosed(self.name, "it is closed")
         raise BusBroken(self.name, f"no link: {self._cause}")
+
+    def decoded(self, read: Callable[[bytes], T], data: bytes) -> T:
+        """Return ``read(data)``, the content of a received frame.
+
+        Raises:
+            FrameError: if the codec cannot read the bytes.
+        """
+        try:
+            return read(data)
+        except CodecError as error:
+            raise FrameError(self.name, str(error), data) from error
 
     def acquire(self, owner: str, on_empty: Callable[[], Awaitable[None]] | None = None) -> None:
         """Add a device as an owner; called by the pool."""

@@ -12,7 +12,6 @@ from msgspec import Meta, field
 
 from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, Ring, SlaveState
-from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
@@ -20,7 +19,7 @@ from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.wiring import numbers_of
-from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError
+from rtee.errors import BusTimeout, DeviceFault, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -164,11 +163,9 @@ class HeriEthercatDriver(Driver):
         ]
         # Slaves after the hand's boards get no outputs.
         deadline = self.options.deadline if self.active else _PATIENCE
-        inputs = await self.link.exchange(outputs, deadline)
-        try:
-            self._replies = [codec.Reply.from_bytes(data) for data in inputs[: self._boards]]
-        except CodecError as error:
-            raise FrameError(self.link.name, str(error), b"".join(inputs)) from error
+        bus, read = self.link, codec.Reply.from_bytes
+        inputs = await bus.exchange(outputs, deadline)
+        self._replies = [bus.decoded(read, data) for data in inputs[: self._boards]]
         if self._are_new():
             self._stamp = monotonic.now()
         self._fresh = True
@@ -243,10 +240,7 @@ class HeriEthercatDriver(Driver):
         while done is None and monotonic.now() < end:
             await self._exchange()
             raw = await bus.run(lambda ring: ring.read(position, *codec.ACKNOWLEDGE_OBJECT), 1.0)
-            try:
-                done = codec.acknowledged(raw, code)
-            except CodecError as error:
-                raise FrameError(bus.name, str(error), raw) from error
+            done = bus.decoded(partial(codec.acknowledged, code=code), raw)
             if done is None:
                 await asyncio.sleep(_POLL)
         if not done:

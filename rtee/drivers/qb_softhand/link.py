@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from functools import lru_cache, partial
-from typing import Any, TypeVar
+from typing import Any
 
-from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.qb_softhand import codec
 from rtee.errors import BusTimeout, FrameError
-
-T = TypeVar("T")
 
 _LIST_DEADLINE = 0.4
 """Longest time for the list of parameters, a packet of 700 bytes or more [s]."""
@@ -97,17 +94,13 @@ class QbLink(RelaxedDeadline):
 
     async def active(self) -> int:
         """Return the mask of active motors."""
-        return self._decoded(codec.activation, await self.request(codec.Command.GET_ACTIVATE))
+        mask = await self.request(codec.Command.GET_ACTIVATE)
+        return self.bus.decoded(codec.activation, mask)
 
     async def integers(self, command: codec.Command, least: int) -> tuple[int, ...]:
         """Return the 16-bit values in the answer to a command; raises `BusError`."""
-        return self._decoded(partial(codec.read_int16, least=least), await self.request(command))
-
-    def _decoded(self, decode: Callable[[bytes], T], data: bytes) -> T:
-        try:
-            return decode(data)
-        except CodecError as error:
-            raise FrameError(self.bus.name, str(error), data) from error
+        values = await self.request(command)
+        return self.bus.decoded(partial(codec.read_int16, least=least), values)
 
 
 @lru_cache(64)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
-from rtee.buses.parser import CodecError
 from rtee.buses.serial import SerialBus
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser
-from rtee.errors import FrameError
 
 T = TypeVar("T")
 
@@ -60,13 +58,7 @@ class SvhLink:
         self, read: Callable[[bytes], T], command: Command, channel: int = 0, data: bytes = b""
     ) -> T:
         """Send one packet and return the content of the reply; raises `BusError`."""
-        return self._decoded(read, await self.exchange(command, channel, data))
-
-    def _decoded(self, read: Callable[[bytes], T], reply: Packet) -> T:
-        try:
-            return read(reply.data)
-        except CodecError as error:
-            raise FrameError(self.bus.name, str(error), reply.data) from error
+        return self.bus.decoded(read, (await self.exchange(command, channel, data)).data)
 
     async def firmware(self) -> codec.FirmwareInfo:
         """Return the hand's identification, and record whether it echoes indices."""
@@ -74,7 +66,7 @@ class SvhLink:
         self.echoes = False
         reply = await self.exchange(Command.GET_FIRMWARE_INFO)
         self.echoes = reply.index == self._index
-        return self._decoded(codec.FirmwareInfo.from_bytes, reply)
+        return self.bus.decoded(codec.FirmwareInfo.from_bytes, reply.data)
 
     async def state(self) -> ControllerState:
         """Return the controllers' state."""
