@@ -6,6 +6,7 @@ import contextlib
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from rtee import monotonic
@@ -103,7 +104,7 @@ class DriveLink:
             (cia301.HEARTBEAT + self.id, self._receive_heartbeat),
             (cia301.EMERGENCY + self.id, self._receive_emergency),
         ):
-            self._undo.append(self.bus.subscribe(receive, cob))
+            self._undo.append(self.bus.subscribe(partial(self._receive, receive), cob))
         # A broken bus, too, has to end the wait for answers.
         self._undo.append(self.bus.watch(notify))
 
@@ -281,31 +282,26 @@ class DriveLink:
 
     # --- reports -------------------------------------------------------------------------------
 
+    def _receive(self, receive: Callable[[CanFrame], None], frame: CanFrame) -> None:
+        """Pass on a report; ignore one of a wrong length or content."""
+        with contextlib.suppress(CodecError):
+            receive(frame)
+
     def _receive_status(self, frame: CanFrame) -> None:
-        try:
-            self.status = Status.from_bytes(frame.data)
-        except CodecError:
-            return
+        self.status = Status.from_bytes(frame.data)
         self.stamp = frame.stamp or monotonic.now()
         self._notify()
 
     def _receive_motion(self, frame: CanFrame) -> None:
-        with contextlib.suppress(CodecError):
-            self.motion = Motion.from_bytes(frame.data)
+        self.motion = Motion.from_bytes(frame.data)
 
     def _receive_heartbeat(self, frame: CanFrame) -> None:
-        try:
-            self.nmt = cia301.read_heartbeat(frame.data)
-        except CodecError:
-            return
+        self.nmt = cia301.read_heartbeat(frame.data)
         if self.nmt is NmtState.BOOT:
             self.booted = True
             self._notify()
 
     def _receive_emergency(self, frame: CanFrame) -> None:
-        try:
-            emergency = Emergency.from_bytes(frame.data)
-        except CodecError:
-            return
+        emergency = Emergency.from_bytes(frame.data)
         # Code 0 means that the error has ended.
         self.emergency = emergency if emergency.code else None
