@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal, UnitUnreachable
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
-from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.onrobot_common import (
     FIRMWARE,
     PRODUCT,
@@ -65,10 +64,6 @@ class OnRobotDriver(Driver, Generic[S]):
     @abstractmethod
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         """Return the identity that only this model reports; raises `HandshakeError`."""
-
-    @abstractmethod
-    def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
-        """Return the capabilities of the device."""
 
     @abstractmethod
     def _measured(self, status: S, stamp: float) -> ActuatorState:
@@ -131,7 +126,7 @@ class OnRobotDriver(Driver, Generic[S]):
                 raise
             found = f"the Compute Box finds no tool ({where})"
             raise NotConnected(self.spec.name, found, hint=hint) from error.__cause__
-        self.capabilities = self._abilities(best, identity)
+        self.refine(best_rate=best, identity={**self.capabilities.identity, **identity})
         blocks.pace(self.spec, best)
 
     async def _identify(self, blocks: Blocks[S]) -> dict[str, str]:

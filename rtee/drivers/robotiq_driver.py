@@ -67,7 +67,14 @@ class RobotiqDriver(Driver, Generic[S, C]):
         super().__init__(spec, buses)
         self._status: S = self._decoded([0] * self.STATUS.COUNT)
         self._sent: C | None = None
-        self.capabilities = self._abilities(100.0)
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "current", "grasped"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            best_rate=100.0,
+            homing=True,
+            recoverable=True,
+            identity=self._identity(),
+        )
 
     def _decoded(self, block: Sequence[int]) -> S:
         status: S = self.STATUS.from_registers(block, self.options.port)  # type: ignore[assignment]
@@ -105,16 +112,6 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     # --- life --------------------------------------------------------------------------------
 
-    def _abilities(self, best_rate: float) -> Capabilities:
-        return Capabilities(
-            measures=frozenset({"position", "current", "grasped"}),
-            accepts=frozenset({"position", "max_effort", "max_velocity"}),
-            best_rate=best_rate,
-            homing=True,
-            recoverable=True,
-            identity=self._identity(),
-        )
-
     async def configure(self) -> None:
         """Open the line and check that such a gripper answers; moves nothing."""
         options = self.options
@@ -140,7 +137,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
             gap=self._gap(),
         )
         best = blocks.best_rate(self.COMMAND.COUNT)
-        self.capabilities = self._abilities(best)
+        self.refine(best_rate=best)
         await self._identify()
         blocks.pace(self.spec, best)
 

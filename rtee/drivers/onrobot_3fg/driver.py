@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -77,7 +77,14 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         self._wanted: tuple[int, int] = (0, 0)
         self._wanted_since = 0.0
         self._moved_at = 0.0
-        self.capabilities = self._abilities(self.options.rate, {})
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "effort", "grasped"}),
+            accepts=frozenset({"position", "max_effort"}),
+            best_rate=self.options.rate,
+            recoverable=True,
+            grip=self._grip_force(),
+            identity={"model": "OnRobot 3FG"},
+        )
 
     def _scaled(self, largest: float) -> FingerScale:
         actuator = self.spec.actuators[0]
@@ -85,17 +92,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
             actuator.lower, actuator.upper, largest, self.options.smallest, self.options.force
         )
 
-    def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
-        return Capabilities(
-            measures=frozenset({"position", "effort", "grasped"}),
-            accepts=frozenset({"position", "max_effort"}),
-            best_rate=best_rate,
-            recoverable=True,
-            grip={self.spec.actuators[0].name: self._grip_force()},
-            identity={"model": "OnRobot 3FG", **identity},
-        )
-
-    def _grip_force(self) -> GripForce:
+    def _grip_force(self) -> dict[str, GripForce]:
         """Return the total force of the three fingers by diameter; see `Fingers.leverage`."""
         actuator, scale = self.spec.actuators[0], self.scale
         positions = np.linspace(actuator.lower, actuator.upper, _GRIP_POINTS)
@@ -103,7 +100,8 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         most = tuple(self.options.force * self._fingers.leverage(d) for d in diameters)
         # The force register counts from 0, so the weakest grip has no force anywhere.
         none = (0.0,) * _GRIP_POINTS
-        return GripForce(scale.effort.si, none, most, tuple(positions.tolist()))
+        force = GripForce(scale.effort.si, none, most, tuple(positions.tolist()))
+        return {actuator.name: force}
 
     # --- life --------------------------------------------------------------------------------
 
@@ -129,6 +127,7 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
                 f"the largest diameter ({largest} m)",
                 key=f"devices.{self.spec.name}.options.smallest",
             )
+        self.refine(grip=self._grip_force())
         return {
             "finger length": f"{metres(length) * 1000:.1f} mm",
             "finger position": str(hole),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -66,18 +66,15 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         self._closed = self.scale.width(actuator.lower)
         step = self.options.step / TENTH_MM
         self._follower = StepFollower(self.options.settle, step, _SAME, _REACHED)
-        self.capabilities = self._abilities(self.options.rate, {})
-
-    def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
         grip = GripForce(self.scale.effort.si, (0.0,), (self._model.force,))
-        return Capabilities(
+        self.capabilities = Capabilities(
             measures=frozenset({"position", "grasped"}),
             accepts=frozenset({"position", "max_effort"}),
             refuses={"max_velocity": "it takes no speed; limit the velocity in hand.yaml"},
-            best_rate=best_rate,
+            best_rate=self.options.rate,
             recoverable=True,
-            grip={self.spec.actuators[0].name: grip},
-            identity={"model": f"OnRobot {self._model.name}", **identity},
+            grip={actuator.name: grip},
+            identity={"model": f"OnRobot {self._model.name}"},
         )
 
     # --- life --------------------------------------------------------------------------------
