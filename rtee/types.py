@@ -129,6 +129,11 @@ class DeviceSpec:
     source: str = ""
     folder: str = ""
 
+    @property
+    def owner(self) -> str:
+        """Name under which the device owns its bus, unique among all hands of a process."""
+        return f"{self.hand}/{self.name}"
+
 
 @dataclass(frozen=True, slots=True)
 class Reference:

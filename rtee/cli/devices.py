@@ -169,7 +169,6 @@ def doctor(
 def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
     """Go through the first contact with each device; return the exit status."""
     from rtee.buses.pool import BusPool
-    from rtee.drivers.connection import owner_of
     from rtee.drivers.diagnosis.contact_report import Conclusion, ContactQuestion
     from rtee.drivers.diagnosis.first_contact import ContactGuide
     from rtee.drivers.registry import find_driver
@@ -189,7 +188,7 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
             for spec in specs:
                 driver = find_driver(spec.driver, source=spec.source)(spec, pool)
 
-                def unplug(off: bool, owner: str = owner_of(spec)) -> None:
+                def unplug(off: bool, owner: str = spec.owner) -> None:
                     wire = pool.simulation(owner)
                     wire.unplug() if off else wire.replug()
 

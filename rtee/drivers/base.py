@@ -7,12 +7,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.connection import Connection
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.standstill import Standstill
@@ -47,7 +46,6 @@ class Driver(ABC):
         doing: A lengthy operation under way, in words such as ``homing the thumb``; otherwise
             empty. It is published while the call is under way.
         object_description: Shape of the object that a simulated device grasps, after `configure`.
-        connection: The device's bus from `configure` to `close`, for drivers that have one bus.
         attached: The actuators that were active when the driver connected, for drivers that leave
             them alone until a reference moves them.
         standstill: Judges the positions that `hold` measures, before they are commanded; the caller
@@ -65,20 +63,28 @@ class Driver(ABC):
         self.spec = spec
         self.buses = buses
         self.capabilities = Capabilities()
-        self.connection: Connection[Any] = Connection(spec)
+        self._owned_bus: Bus | None = None
+        self._owned_link: Any = None
         self.attached = Attached(spec.actuators)
         self.standstill = Standstill(spec.actuators)
         if self.Options is not None:
             self.options = read_options(self.Options, spec)
 
     @property
+    def connected(self) -> bool:
+        """Whether `open` was called since the last `close`; the bus may be broken."""
+        return self._owned_bus is not None
+
+    @property
     def link(self) -> Any:
-        """The link of `connection`, by which the driver talks to its device.
+        """The link that `open` made: the bus, or what implements the device's protocol on it.
 
         Raises:
-            NotConnected: if the connection is not open.
+            NotConnected: if the driver is not connected.
         """
-        return self.connection.link
+        if self._owned_bus is None:
+            raise NotConnected(self.spec.name, "is not connected")
+        return self._owned_link
 
     async def configure(self) -> None:
         """Open the bus and identify the device, without moving anything.
@@ -101,7 +107,7 @@ class Driver(ABC):
         emulated: Mapping[str, Any] | None = None,
         **settings: Any,
     ) -> L:
-        """Open `connection`, to the device or to its emulator, and return the new link.
+        """Connect to the device, or to its emulator, and return the new link.
 
         Args:
             bus: The method of `buses` that acquires the bus.
@@ -118,8 +124,19 @@ class Driver(ABC):
         from rtee.drivers.emulators import emulator_of
 
         played = emulator_of(self.spec, emulator, **(emulated or {}))
-        owner, connection = self.connection.owner, cast("Connection[L]", self.connection)
-        return await connection.open(bus(address, owner=owner, emulator=played, **settings), talk)
+        # A second `configure` must not leave the driver attached to the first bus.
+        await self.detach()
+        found = await bus(address, owner=self.spec.owner, emulator=played, **settings)
+        link = talk(found)
+        self._owned_bus, self._owned_link = found, link
+        return link
+
+    async def detach(self) -> None:
+        """Detach from the bus; idempotent."""
+        # Cleared before waiting: a second call meanwhile must not detach again.
+        bus, self._owned_bus, self._owned_link = self._owned_bus, None, None
+        if bus is not None:
+            await bus.detach(self.spec.owner)
 
     @contextmanager
     def identifying(
@@ -261,7 +278,7 @@ class Driver(ABC):
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the device's bus, for its status; must return at once."""
-        return self.connection.counters()
+        return {} if self._owned_bus is None else self._owned_bus.counters.as_mapping()
 
     def gains(self) -> Mapping[str, float]:
         """Return the present values of those ``capabilities.gains`` that the driver knows.
@@ -279,4 +296,4 @@ class Driver(ABC):
     async def close(self) -> None:
         """Detach from the bus; may be called any number of times, in any state."""
         self.active = False
-        await self.connection.close()
+        await self.detach()

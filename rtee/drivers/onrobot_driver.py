@@ -165,7 +165,7 @@ class OnRobotDriver(Driver, Generic[S]):
 
     async def stop(self) -> None:
         """End the motion; a gripped object stays gripped."""
-        if self.connection.is_open and await self.link.insist(self._stopping()):
+        if self.connected and await self.link.insist(self._stopping()):
             self._forget()
 
     async def deactivate(self) -> None:

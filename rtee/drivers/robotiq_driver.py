@@ -241,7 +241,7 @@ class RobotiqDriver(Driver, Generic[S, C]):
 
     async def stop(self) -> None:
         """End the motion; a gripped object stays gripped."""
-        if self.connection.is_open and await self.link.insist(self._stopping()):
+        if self.connected and await self.link.insist(self._stopping()):
             self._sent = None
 
     async def deactivate(self) -> None:

@@ -494,7 +494,7 @@ class ServoDriver(Driver, Generic[L]):
         """Disable the torque."""
         # From here on, missing torque is not a fault.
         self.active = False
-        if self.connection.is_open:
+        if self.connected:
             with self.link.relaxed_deadline():
                 await self._release()
 

@@ -25,7 +25,6 @@ import anyio.to_thread
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
-from rtee.drivers.connection import owner_of
 from rtee.drivers.objects import ObjectInHand, grasping
 from rtee.errors import ConfigError, RteeError, suggestion
 from rtee.loop.handloop import HandLoop
@@ -181,7 +180,7 @@ def _chosen(
     if name is not None and name not in specs:
         raise ConfigError(f"there is no device '{name}'; {suggestion(name, specs)}")
     for device in specs if name is None else [name]:
-        owner = owner_of(specs[device])
+        owner = specs[device].owner
         try:
             yield pool.simulation(owner), pool.played(owner)
         except KeyError:

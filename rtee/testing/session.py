@@ -15,7 +15,6 @@ from rtee.buses.retry import LATE, patiently
 from rtee.buses.simulated import Simulation
 from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.base import Driver
-from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import (
     BusBroken,
@@ -74,12 +73,12 @@ class Session:
     @property
     def emulator(self) -> Any:
         """The emulator of the device."""
-        return self.pool.played(owner_of(self.spec))
+        return self.pool.played(self.spec.owner)
 
     @property
     def wire(self) -> Simulation:
         """The simulated wire."""
-        return self.pool.simulation(owner_of(self.spec))
+        return self.pool.simulation(self.spec.owner)
 
     async def before(self, prepare: Callable[[Emulator], None]) -> None:
         """Change the emulated device before the driver under test connects to it."""

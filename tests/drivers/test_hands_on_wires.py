@@ -14,7 +14,6 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
-from rtee.drivers.connection import owner_of
 from rtee.drivers.objects import ObjectInHand
 from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver
@@ -49,11 +48,11 @@ class Wired(Observer):
 
     @property
     def emulator(self) -> Any:
-        return self._pool.played(owner_of(self.device.spec))
+        return self._pool.played(self.device.spec.owner)
 
     @property
     def wire(self) -> Simulation:
-        return self._pool.simulation(owner_of(self.device.spec))
+        return self._pool.simulation(self.device.spec.owner)
 
     @property
     def position(self) -> float:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import DeviceFault
 from rtee.hand.load import hand_folder
@@ -45,7 +44,7 @@ async def test_a_hand_is_homed_when_the_user_says_so(tmp_path: Path, home: bool)
             assert "rtee recover" in caught.value.hint
         else:
             await driver.activate()
-            hand, state = pool.played(owner_of(spec)), await driver.sense()
+            hand, state = pool.played(spec.owner), await driver.sense()
             truth = [hand.closure(i) * hand.table[i].range for i in range(9)]
             by_name = {hand.table[i].name: truth[i] for i in range(9)}
             names = [a.name.removeprefix("left_hand_") for a in spec.actuators]

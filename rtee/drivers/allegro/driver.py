@@ -304,20 +304,20 @@ class AllegroDriver(Driver):
     async def deactivate(self) -> None:
         """Send no torque, then switch the motors off."""
         self._go_limp()
-        if self.connection.is_open:
+        if self.connected:
             await self.link.order(codec.Command.SYSTEM_OFF)
 
     def _go_limp(self) -> None:
         """End the control and send zero torques; raises `BusError`."""
         self.active = False
         self.control.limp()
-        if self.connection.is_open:
+        if self.connected:
             # The hand may store its last torques and apply them when it is switched on again.
             self.link.torques([[0] * (codec.JOINTS // codec.FINGERS)] * codec.FINGERS)
 
     async def close(self) -> None:
         """Switch the hand off, stop its position frames and detach from the bus."""
-        if self.connection.is_open:
+        if self.connected:
             link = self.link
             # First, so that positions that still arrive cause no more torques.
             link.deafen()
@@ -331,7 +331,7 @@ class AllegroDriver(Driver):
 
     def _receive(self, finger: int, counts: Sequence[int], stamp: float) -> None:
         torques = self.control.receive(finger, counts, stamp)
-        if torques is not None and self.active and self.connection.is_open:
+        if torques is not None and self.active and self.connected:
             # The caller is the bus, which cannot handle the error; `sense` reports a broken bus.
             with contextlib.suppress(BusError):
                 self.link.torques(torques)

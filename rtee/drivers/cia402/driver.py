@@ -218,7 +218,7 @@ class Cia402Driver(Driver):
     async def close(self) -> None:
         """Detach from the network; enabled drives stay enabled and stop watching the host."""
         self.active = False
-        if self.connection.is_open:
+        if self.connected:
             cycle = self.link
             # Otherwise the drives would take the end of the heartbeats for a failure.
             if cycle.bus.connected and cycle.operational and self.options.watchdog > 0.0:
@@ -276,7 +276,7 @@ class Cia402Driver(Driver):
     async def deactivate(self) -> None:
         """Disable the motors."""
         self.active = False
-        if self.connection.is_open and self.link.operational:
+        if self.connected and self.link.operational:
             cycle = self.link
             for drive in cycle.drives:
                 drive.controlword = Control.SHUTDOWN

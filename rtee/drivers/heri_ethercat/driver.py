@@ -270,7 +270,7 @@ class HeriEthercatDriver(Driver):
     async def deactivate(self) -> None:
         """Disable the motors."""
         self.active = False
-        if self.connection.is_open:
+        if self.connected:
             for position in range(self._boards):
                 await self._order(position, codec.Order.POWER_OFF)
 

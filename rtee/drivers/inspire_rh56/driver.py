@@ -248,7 +248,7 @@ class InspireRh56Driver(Driver):
     async def _pause(self) -> None:
         """Wait as long as a hand on the network needs between two connections."""
         if self.options.port.startswith("tcp://") and not self.spec.emulated:
-            await self.connection.close()
+            await self.detach()
             await asyncio.sleep(max(0.0, self._closed + _PAUSE - monotonic.now()))
 
     async def _identify(self, link: Rh56Link) -> None:
@@ -465,7 +465,7 @@ class InspireRh56Driver(Driver):
 
     async def close(self) -> None:
         """Detach from the bus; the hand keeps its set-points."""
-        if self.connection.is_open:
+        if self.connected:
             self._closed = monotonic.now()
         await super().close()
 

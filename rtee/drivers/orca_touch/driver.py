@@ -244,7 +244,7 @@ class OrcaTouchDriver(Driver):
 
     async def close(self) -> None:
         """Detach from the line; the board continues to send."""
-        if self.connection.is_open:
+        if self.connected:
             # The board continues to send, and this driver must not receive it any more.
             self.link.listen(None)
         await super().close()

@@ -360,5 +360,5 @@ class QbSoftHandDriver(Driver):
     async def deactivate(self) -> None:
         """Deactivate the motors."""
         self.active = False
-        if self.connection.is_open:
+        if self.connected:
             await self.link.send(Command.ACTIVATE, b"\x00")

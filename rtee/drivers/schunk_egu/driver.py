@@ -545,7 +545,7 @@ class SchunkEguDriver(Driver):
 
     async def stop(self) -> None:
         """End the motion; a gripped object stays gripped."""
-        if not self.connection.is_open:
+        if not self.connected:
             return
         if self._input.status & codec.Status.GRIPPED and not self._running:
             # A stop is not needed, and might end the grip.

@@ -361,7 +361,7 @@ class SchunkSvhDriver(Driver):
     async def deactivate(self) -> None:
         """Disable every channel."""
         self._answer = None
-        if self.connection.is_open:
+        if self.connected:
             self._health.off()
             await homing.disable(self.link)
 

@@ -293,7 +293,7 @@ class Wsg50Driver(Driver):
 
     async def stop(self) -> None:
         """End the motion; a gripped object stays gripped."""
-        if not self.connection.is_open:
+        if not self.connected:
             return
         for _ in range(_TRIES):
             with contextlib.suppress(BusError):
@@ -331,7 +331,7 @@ class Wsg50Driver(Driver):
     async def close(self) -> None:
         """Announce the end of the connection, so that no fast stop follows, and detach."""
         self.active = False  # even if the announcement is cancelled
-        if self.connection.is_open:
+        if self.connected:
             with contextlib.suppress(BusError, DeviceFault):
                 # Sent once: a gripper that is gone must not delay closing.
                 await self.link.ask(codec.Frame(codec.Command.DISCONNECT), retries=0)

@@ -351,7 +351,7 @@ async def test_an_activation_that_fails_leaves_the_hand_without_torque(
         raise BusTimeout("can0", "no answer")
 
     async with BusPool() as pool, connected(pool, device()) as made:
-        monkeypatch.setattr(made.connection.link, "info", silent)
+        monkeypatch.setattr(made.link, "info", silent)
         with pytest.raises(BusTimeout):
             await made.activate()
         sets = made.control.sets

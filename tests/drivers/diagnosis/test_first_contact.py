@@ -16,7 +16,6 @@ from mcap.reader import make_reader
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.assumptions import ASSUMPTIONS, Topic
-from rtee.drivers.connection import owner_of
 from rtee.drivers.diagnosis.contact_report import Conclusion, ContactQuestion, ContactReport
 from rtee.drivers.diagnosis.first_contact import ContactGuide
 from rtee.drivers.registry import find_driver
@@ -62,7 +61,7 @@ class Person:
         if question.topic is Topic.SCALE and measurable(self.spec):
             one = self.spec.actuators[0]
             per = 1e3 if one.kind is JointKind.PRISMATIC else math.degrees(1.0)
-            part = self.truth(self.pool.played(owner_of(self.spec)))
+            part = self.truth(self.pool.played(self.spec.owner))
             # A ruler: a fiftieth of the way at best.
             return f"{round(part * 50) / 50 * (one.upper - one.lower) * per:.2f}"
         return "n" if question.topic is Topic.FORCE else ""
@@ -86,7 +85,7 @@ async def played(
         person = Person(spec, pool, truth, **words)
 
         def unplug(off: bool) -> None:
-            wire = pool.simulation(owner_of(spec))
+            wire = pool.simulation(spec.owner)
             wire.unplug() if off else wire.replug()
 
         driver = find_driver(spec.driver)(spec, pool)
@@ -148,7 +147,7 @@ async def test_a_device_is_kept_awake_while_a_person_measures() -> None:
         wire = {True: "unplug", False: "replug"}
 
         def unplug(off: bool) -> None:
-            getattr(pool.simulation(owner_of(spec)), wire[off])()
+            getattr(pool.simulation(spec.owner), wire[off])()
 
         report = await ContactGuide(driver, Slow(spec, pool, closed), unplug=unplug).run()
     assert report.ended == ""

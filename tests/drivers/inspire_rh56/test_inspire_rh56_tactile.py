@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.connection import owner_of
 from rtee.drivers.inspire_rh56.driver import InspireRh56Driver
 from rtee.drivers.inspire_rh56.tactile import AREAS, FIRST, LAST, blocks
 from rtee.errors import ConfigError
@@ -40,7 +39,7 @@ async def reading(**options: Any) -> AsyncIterator[tuple[InspireRh56Driver, Any]
     async with BusPool() as pool:
         driver = InspireRh56Driver(spec(**options), pool)
         await driver.configure()
-        yield driver, pool.played(owner_of(driver.spec)).memory
+        yield driver, pool.played(driver.spec.owner).memory
         await driver.close()
 
 

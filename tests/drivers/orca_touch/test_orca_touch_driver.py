@@ -13,7 +13,6 @@ import pytest
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
-from rtee.drivers.connection import owner_of
 from rtee.drivers.orca_touch import driver as module
 from rtee.drivers.orca_touch.driver import OrcaTouchDriver
 from rtee.drivers.orca_touch.emulator import OrcaTouchEmulator, OrcaTouchProperties
@@ -32,7 +31,7 @@ async def connected(**options: Any) -> AsyncIterator[tuple[OrcaTouchDriver, Orca
     async with BusPool() as pool:
         driver = OrcaTouchDriver(replace(SPEC, options=options), pool)
         await driver.configure()
-        emulator = pool.played(owner_of(SPEC))
+        emulator = pool.played(SPEC.owner)
         assert isinstance(emulator, OrcaTouchEmulator)
         yield driver, emulator
         await driver.close()
