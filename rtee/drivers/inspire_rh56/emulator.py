@@ -73,6 +73,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         """Restart; the fingers stay where they are."""
         self.advance(now)
         self.line_reset()
+        self.halt()
         self.memory.power_cycle()
 
     def line_reset(self) -> None:
@@ -84,6 +85,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
 
     def on_faults(self) -> None:
         """Pass the injected faults to the motors."""
+        super().on_faults()
         self.memory.set_faults(self.faults)
 
     def advance(self, now: float) -> None:

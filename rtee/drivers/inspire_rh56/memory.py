@@ -124,15 +124,13 @@ class Rh56Memory:
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Restore the initial speeds and force limits; the fingers stay where they are.
+        """Restore the initial speeds and force limits.
 
         Until its first command, a motor then has no set-point and no state.
         """
         self.errors = [codec.Error(0)] * codec.COUNT
         self._put(codec.Register.SPEED_SET, self._get(codec.Register.INITIAL_SPEED, codec.WORDS))
         self._put(codec.Register.FORCE_SET, self._get(codec.Register.INITIAL_FORCE, codec.WORDS))
-        for axis in self.axes:
-            axis.target = axis.position
         self._put(codec.Register.ANGLE_SET, codec.table([codec.KEEP] * codec.COUNT))
         self._limit()
 
@@ -143,8 +141,6 @@ class Rh56Memory:
     def set_faults(self, faults: set[str]) -> None:
         """Set the injected faults; errors stay until they are cleared."""
         self._faults = frozenset(faults & FAULTS)
-        for axis in self.axes:
-            axis.stuck = "stuck" in faults
         self._latch()
 
     def _latch(self) -> None:
