@@ -49,17 +49,15 @@ class CanBus(Bus):
         self._waiting: set[asyncio.Future[CanFrame]] = set()
         self._watching: list[Callable[[], None]] = []
 
-    async def send(self, frame: CanFrame) -> None:
-        """Send a frame; return when it is in the controller's queue.
+    def send_now(self, frame: CanFrame) -> None:
+        """Send a frame without waiting; may be called from any thread.
+
+        It returns when the frame is in the controller's queue.
 
         Raises:
             BusBroken: if the bus is broken or its queue is full.
             BusClosed: if it is closed.
         """
-        self.send_now(frame)
-
-    def send_now(self, frame: CanFrame) -> None:
-        """Send a frame without waiting; may be called from any thread. Errors as for `send`."""
         import can
 
         self.check()
@@ -85,7 +83,7 @@ class CanBus(Bus):
             retries: How often the request may be sent again within that time.
 
         Raises:
-            BusTimeout: if no answer came in time; other errors as for `send`.
+            BusTimeout: if no answer came in time; other errors as for `send_now`.
         """
         self.counters.transactions += 1
         end = monotonic.now() + deadline

@@ -99,7 +99,7 @@ async def test_a_closed_bus_says_so(pool: BusPool) -> None:
     bus = await bus_in(pool)
     await bus.detach("a")
     with pytest.raises(BusClosed):
-        await bus.send(CanFrame(0x10))
+        bus.send_now(CanFrame(0x10))
 
 
 async def test_an_interface_that_is_not_there_is_named() -> None:

@@ -68,11 +68,11 @@ class AllegroLink:
 
     async def order(self, command: codec.Command) -> None:
         """Send a command without data; raises `BusError`."""
-        await self.bus.send(codec.order(command, self.hand))
+        self.bus.send_now(codec.order(command, self.hand))
 
     async def set_periods(self, periods: codec.Periods) -> None:
         """Set the periods at which the hand sends data unasked; raises `BusError`."""
-        await self.bus.send(periods.to_frame(self.hand))
+        self.bus.send_now(periods.to_frame(self.hand))
 
     def torques(self, counts: Sequence[Sequence[int]]) -> None:
         """Send the torques of all fingers; raises `BusError`."""

@@ -177,13 +177,13 @@ class Cia402Driver(Driver):
         )
         for drive in cycle.drives:
             # PDOs can be mapped only in this state; an enabled drive keeps its power.
-            await bus.send(cia301.nmt(NmtCommand.PRE_OPERATIONAL, drive.id))
+            bus.send_now(cia301.nmt(NmtCommand.PRE_OPERATIONAL, drive.id))
         for drive in cycle.drives:
             await bus.run(partial(self._set_up, drive), SET_UP_WITHIN)
         for drive in cycle.drives:
             # A drive that was just switched on may have sent its boot-up message meanwhile.
             drive.booted = False
-            await bus.send(cia301.nmt(NmtCommand.START, drive.id))
+            bus.send_now(cia301.nmt(NmtCommand.START, drive.id))
         cycle.operational = True
         await self._attach(cycle)
 

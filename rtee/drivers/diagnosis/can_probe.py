@@ -45,12 +45,12 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     undo = bus.subscribe(hear)
     try:
         for hand in range(4):
-            await bus.send(request(Command.HAND_INFO, hand))
+            bus.send_now(request(Command.HAND_INFO, hand))
         for unit in (linker.RIGHT, linker.LEFT):
             for code in (1, 4):  # both halves of the positions
-                await bus.send(linker.query(unit, code))
+                bus.send_now(linker.query(unit, code))
         for node in range(1, cia301.NODES + 1):
-            await bus.send(CanFrame(cia301.SDO_REQUEST + node, device_type))
+            bus.send_now(CanFrame(cia301.SDO_REQUEST + node, device_type))
             # One request per millisecond, so that buffers do not overflow on a slow bus.
             await asyncio.sleep(0.001)
         # Long enough to receive a heartbeat of nodes that send nothing else.

@@ -183,7 +183,7 @@ class CanLink(_LinkerHand):
         # In the order of the maker's SDK.
         for frame in reversed(parts):
             await self._pause()
-            await self.bus.send(frame)
+            self.bus.send_now(frame)
 
     def cycle_time(self) -> float:
         """Return the shortest time to read the positions and to set them [s]."""
