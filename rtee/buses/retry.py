@@ -1,12 +1,12 @@
-"""Retry calls that may time out on a busy computer."""
+"""Exchanges that may fail: repeat those that time out on a busy computer, or note a silence."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
-from rtee.errors import BusTimeout, FrameError, RteeError
+from rtee.errors import BusBroken, BusClosed, BusError, BusTimeout, FrameError, RteeError
 
 T = TypeVar("T")
 
@@ -37,3 +37,32 @@ async def patiently(
         except late:
             await asyncio.sleep(_PAUSE)
     return await call()
+
+
+async def heard(answer: Awaitable[T]) -> T | None:
+    """Return the answer; ``None`` if none arrives or it cannot be decoded.
+
+    Raises:
+        BusError: if the bus is broken or closed, which says nothing about the device.
+    """
+    try:
+        return await answer
+    except (BusBroken, BusClosed):
+        raise
+    except BusError:
+        return None
+
+
+async def answered(answer: Awaitable[Any]) -> bool:
+    """Return whether anything answers; answers of several devices, which collide, count, too.
+
+    Raises:
+        BusError: if the bus is broken or closed.
+    """
+    try:
+        await answer
+    except FrameError:
+        return True
+    except BusTimeout:
+        return False
+    return True

@@ -11,13 +11,13 @@ from rtee.buses.dynamixel import DynamixelBus
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
+from rtee.buses.retry import answered, heard
 from rtee.buses.serial import SerialBus
 from rtee.drivers.diagnosis.slaves import ANSWER, Found, slave
-from rtee.errors import BusBroken, BusClosed, BusError, BusTimeout, FrameError
+from rtee.errors import BusError, BusTimeout, FrameError
 
 _NOBODYS_UNIT = 213
 """Modbus number that no known device has: a device that answers to it answers to all numbers."""
-T = TypeVar("T")
 B = TypeVar("B", bound=Bus)
 OWNER = "scan"
 """Owner of the buses during a scan."""
@@ -37,16 +37,6 @@ class Probe:
 
     name: str
     ask: Callable[[BusPool, str], Awaitable[list[Found]]]
-
-
-async def heard(answer: Awaitable[T]) -> T | None:
-    """Return the answer; ``None`` if none arrives or it cannot be decoded."""
-    try:
-        return await answer
-    except (BusBroken, BusClosed):
-        raise
-    except BusError:
-        return None
 
 
 async def ended(bus: Bus, answers: Awaitable[list[Found]]) -> list[Found]:
@@ -323,18 +313,9 @@ def feetech(baudrate: int) -> Probe:
     from rtee.drivers.feetech.link import FeetechLink
     from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES
 
-    async def anybody(bus: SerialBus) -> bool:
-        ping = Frame(BROADCAST, Instruction.PING).to_bytes()
-        try:
-            await bus.transact(ping, ReplyParser(), ANSWER.get(), 0)
-        except FrameError:
-            return True  # the answers of several servos collide
-        except BusTimeout:
-            return False
-        return True
-
     async def listen(bus: SerialBus, address: str) -> list[Found]:
-        if not await anybody(bus):
+        ping = Frame(BROADCAST, Instruction.PING).to_bytes()
+        if not await answered(bus.transact(ping, ReplyParser(), ANSWER.get(), 0)):
             return []
         # Any family will do: only the raw bytes of the model count, and their order identifies the
         # family.

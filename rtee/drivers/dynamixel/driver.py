@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.pool import BusPool
+from rtee.buses.retry import heard
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
@@ -21,7 +22,7 @@ from rtee.drivers.options import Positive
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
 from rtee.drivers.servos import Coupling, FoundServo, Goals, Readings, ServoDriver
 from rtee.drivers.wiring import check_names
-from rtee.errors import BusError, BusTimeout, ConfigError, FrameError
+from rtee.errors import BusError, ConfigError
 from rtee.sample import FloatArray
 from rtee.types import DeviceSpec
 
@@ -384,11 +385,8 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         with link.relaxed_deadline():
             broken = []
             for number in self.ids:
-                try:
-                    hurt = (await link.values(table.HARDWARE_ERROR, [number]))[number]
-                except (BusTimeout, FrameError):
-                    hurt = 1
-                if hurt:
+                there = await heard(link.values(table.HARDWARE_ERROR, [number]))
+                if there is None or there[number]:
                     broken.append(number)
                     await link.run(partial(link.reboot, number))
             # A servo is silent until its reboot is done.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from rtee.buses.retry import heard
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.feetech import codec
 from rtee.drivers.feetech.table import MODEL, Family, Register
 from rtee.drivers.servos import ServoLink
-from rtee.errors import BusTimeout, FrameError
 
 
 class FeetechLink(RelaxedDeadline, ServoLink):
@@ -122,11 +122,8 @@ class FeetechLink(RelaxedDeadline, ServoLink):
 
     async def model(self, number: int) -> int | None:
         """Return a servo's model number, or ``None`` if it does not answer."""
-        try:
-            return (await self.values(MODEL, [number]))[number]
-        # The error of a broken line propagates: it says nothing about this servo.
-        except (BusTimeout, FrameError):
-            return None
+        there = await heard(self.values(MODEL, [number]))
+        return None if there is None else there[number]
 
     async def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
         """Set registers of several servos at once, by id, without answers; raises `BusError`."""

@@ -6,10 +6,10 @@ from collections.abc import Coroutine
 from functools import lru_cache, partial
 from typing import Any
 
+from rtee.buses.retry import answered, heard
 from rtee.buses.serial import SerialBus
 from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.qb_softhand import codec
-from rtee.errors import BusTimeout, FrameError
 
 _LIST_DEADLINE = 0.4
 """Longest time for the list of parameters, a packet of 700 bytes or more [s]."""
@@ -53,28 +53,16 @@ class QbLink(RelaxedDeadline):
 
     async def ping(self) -> bool:
         """Return whether the hand answers."""
-        try:
-            await self.request(codec.Command.PING)
-        except (BusTimeout, FrameError):
-            return False
-        return True
+        return await heard(self.request(codec.Command.PING)) is not None
 
     async def anybody(self) -> int | None:
         """Return the number of the hand that answers, or ``None``; answers of several collide."""
-        try:
-            return (await self._ping_all()).device
-        except (BusTimeout, FrameError):
-            return None
+        found = await heard(self._ping_all())
+        return None if found is None else found.device
 
     async def hears_any(self) -> bool:
         """Return whether any hand answers; a collision of several is an answer, too."""
-        try:
-            await self._ping_all()
-        except BusTimeout:
-            return False
-        except FrameError:
-            return True
-        return True
+        return await answered(self._ping_all())
 
     async def _ping_all(self) -> codec.Frame:
         ping = codec.Frame(codec.BROADCAST, codec.Command.PING).to_bytes()
@@ -84,13 +72,9 @@ class QbLink(RelaxedDeadline):
     async def parameters(self) -> dict[int, codec.Parameter]:
         """Return the hand's parameters by index; empty if it does not answer."""
         request = codec.Frame(self.device, codec.Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
-        try:
-            # Only one retry: the whole list is sent again, and defaults are known.
-            return await self.bus.transact(
-                request, codec.ListParser(self.device), _LIST_DEADLINE, retries=1
-            )
-        except (BusTimeout, FrameError):
-            return {}
+        parser = codec.ListParser(self.device)
+        # Only one retry: the whole list is sent again, and defaults are known.
+        return await heard(self.bus.transact(request, parser, _LIST_DEADLINE, retries=1)) or {}
 
     async def active(self) -> int:
         """Return the mask of active motors."""
