@@ -175,7 +175,9 @@ def main() -> None:
     except BrokenPipeError:
         _exit_unflushed(0)
     # Before RuntimeError, of which typer's Abort is one.
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as error:
+        if isinstance(error.__context__, EOFError):
+            print("\nrtee: the input has ended before the question was answered", file=sys.stderr)
         sys.exit(130)  # 128 + SIGINT, the shells' convention
     except (ImportError, MemoryError, OSError, RuntimeError) as error:
         shortage = _shortage(error)
