@@ -232,7 +232,7 @@ def _place_in_hand(
     place: FloatArray,
     mount: FloatArray,
     closing: Closing | None,
-) -> FloatArray:
+) -> FloatArray | None:
     """Return the pose at which a hand closes on an object.
 
     A gripper closes with its two tips, so the object is put between them if it fits. More
@@ -248,7 +248,7 @@ def _place_in_hand(
         closing: The closing motion of a gripper; ``None``: not a gripper, or not known.
 
     Returns:
-        The pose found; ``place`` if no suitable one is nearby.
+        The pose found; ``None`` if the open hand overlaps the object in all that are nearby.
 
     Raises:
         ConfigError: if the object's mesh cannot be used.
@@ -290,7 +290,7 @@ def _place_in_hand(
         if is_clear(open_hand, origin + out * (mount[:3, :3] @ way)):
             moved[:3, 3] += out * way
             return moved
-    return place
+    return None
 
 
 def _file_of(shape: ObjectShape | None) -> tuple[str, Path] | None:
@@ -357,6 +357,7 @@ def make_simulation(
         ConfigError: if there is no such object, or its mesh cannot be used.
     """
     shape: ObjectShape | None = None
+    doubts: list[str] = []
     built = copied(built, hand, options.friction) if built else build_hand(hand, options)
     pose = np.eye(4)
     if options.carrier != "fixed":
@@ -369,6 +370,12 @@ def make_simulation(
             inside[:3, 3] = grasp_centre(hand)
             inside[:3, :3] = pose[:3, :3].T  # upright in the world
             place = _place_in_hand(hand, built.spec, shape, inside, pose, closing)
+            if place is None:
+                place = inside
+                doubts.append(
+                    f"'{options.object}' overlaps the open hand wherever it is put; it may be too "
+                    "large, and forces push it out"
+                )
         pose = pose @ place
         add_object(built.spec, shape, mass=options.object_mass, pose=pose)
         if options.support == "table":
@@ -379,4 +386,6 @@ def make_simulation(
                 add_container(built.spec, shape.lowest(pose), container)
     model = compiled(built.spec, hand, _file_of(shape))
     notes = (*built.notes, *built.following, *_notes_on(shape))
-    return Simulation(model, hand, options, actuators, period, built.servos, notes)
+    simulation = Simulation(model, hand, options, actuators, period, built.servos, notes)
+    simulation.doubts += tuple(doubts)
+    return simulation

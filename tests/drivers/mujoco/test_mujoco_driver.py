@@ -272,6 +272,15 @@ async def test_what_is_no_object_is_refused() -> None:
         await make(object="banana").configure()
 
 
+async def test_an_object_for_which_the_hand_has_no_room_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    await make(object="sphere:0.03").configure()
+    assert "overlaps" not in caplog.text
+    await make(object="sphere:0.1").configure()
+    assert "'sphere:0.1' overlaps the open hand wherever it is put" in caplog.text
+
+
 async def test_two_runs_are_equal_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     # As where the loop keeps its rate: a late exchange would make up for what it missed.
     monkeypatch.setattr(MujocoDriver, "_due", lambda *_: 1)
