@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import coal
 import numpy as np
 import pinocchio as pin
 
+from rtee.extract.levers import Levers
 from rtee.hand.geometry import Shape
+from rtee.hand.linalg import dot
+from rtee.sample import FloatArray
 
 TOUCH: Final = 1e-8
 """Distance below which surfaces touch [m]: above the rounding errors of Coal."""
@@ -34,6 +38,25 @@ _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 
 _place, _measure = pin.updateGeometryPlacements, pin.computeDistances
+
+
+@dataclass(frozen=True, slots=True)
+class _Lead:
+    """The deepest couple of two links that overlap, when all couples were measured.
+
+    Attributes:
+        joints: Joint positions then ``(m,)`` [rad | m].
+        levers: Levers of the joints on the shapes ``(m,)``.
+        couple: The couple's number.
+        first: Its distance [m].
+        second: Distance of the next couple [m].
+    """
+
+    joints: FloatArray
+    levers: FloatArray
+    couple: int
+    first: float
+    second: float
 
 
 class DistanceQueries:
@@ -63,6 +86,7 @@ class DistanceQueries:
         *,
         coarse: bool = False,
         slack: float = 0.0,
+        levers: Levers | None = None,
     ) -> None:
         """Prepare the couples of two links.
 
@@ -75,10 +99,11 @@ class DistanceQueries:
                 original geometry.
             coarse: Whether to measure for a search, with more precise distances of polytopes.
             slack: Largest excess of the bodies' distance over that of the convex parts [m].
+            levers: Levers of the joints on the shapes, if only the nearest couple matters.
         """
         self.slack = slack
         self.couples = tuple((i, j) for i in first for j in second)
-        self._robot, self._joints = robot
+        self._robot, self._robot_data = robot
         self._model = pin.GeometryModel()
         number = {}
         self._guided = False
@@ -87,17 +112,22 @@ class DistanceQueries:
             self._guided |= isinstance(body, coal.BVHModelBase)
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, body)
             number[i] = self._model.addGeometryObject(placed)
-        self._precise, self.remembers = [], False
+        self._precise, self.remembers, hulls = [], False, False
         for couple in self.couples:
             self._model.addCollisionPair(pin.CollisionPair(*(number[n] for n in couple)))
             # Only flat faces have exact depths.
             flat = not any(isinstance(bodies[n], _ENDLESS) for n in couple)
             hull = flat and any(shapes[n].is_mesh for n in couple)
+            hulls |= hull
             self._precise.append(flat and (coarse or hull))
             self.remembers |= not hull and any(
                 isinstance(bodies[n], coal.ConvexBase) and bodies[n].num_points > _CLIMBED
                 for n in couple
             )
+        self._levers: FloatArray | None = None
+        # Depths of hulls are slow, those of primitives as fast as the comparison of a lead.
+        if levers is not None and hulls and len(self.couples) > 1 and not self.remembers:
+            self._levers = levers.between(first, second)
         self.forget()
 
     def forget(self) -> None:
@@ -118,40 +148,55 @@ class DistanceQueries:
                 request.epa_tolerance = request.gjk_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)
-        self._measured = self._placed = -1
+        self._lead: _Lead | None = None
+        self._measured: FloatArray | None = None
+        self._placed: FloatArray | None = None
         self._least = (0.0, 0)
 
     @property
     def used(self) -> bool:
         """Whether anything was measured since the last `forget`."""
-        return self._measured >= 0 or self._placed >= 0
+        return self._placed is not None
 
     @property
     def measures_meshes(self) -> bool:
         """Whether any of the shapes is an original mesh, which is slow."""
         return self._guided
 
-    def least(self, stamp: int, convex: DistanceQueries | None = None) -> tuple[float, int]:
+    def least(self, joints: FloatArray, convex: DistanceQueries | None = None) -> tuple[float, int]:
         """Return the least distance [m] and the number of its couple.
 
-        The distance is negative if convex shapes overlap. ``stamp`` identifies the placement of the
-        joints. With ``convex``, the queries of the convex parts, couples whose convex parts are
-        farther apart than the nearest couple are not measured.
+        The distance is negative if convex shapes overlap. With ``convex``, the queries of the
+        convex parts, couples whose convex parts are farther apart than the nearest couple are not
+        measured.
+
+        Args:
+            joints: Joint positions ``(m,)`` [rad | m] for which the data has the placements; a new
+                array for each placement.
+            convex: Queries of the convex parts at the same positions.
         """
         # Cached, since goal, constraints and checks request it at the same posture.
-        if stamp != self._measured:
-            _place(self._robot, self._joints, self._model, self._data)
+        if joints is not self._measured:
+            _place(self._robot, self._robot_data, self._model, self._data)
             if self._guided:
                 for request in self._distances:
                     _forget(request)
-            if convex is None:
+            if convex is not None:
+                k = self._nearest([result.min_distance for result in convex.results])
+            elif self._lead is None:
                 k = _measure(self._model, self._data)
             else:
-                k = self._nearest([result.min_distance for result in convex.results])
-            if self.results[k].min_distance < _FAILED:
+                k = self._still_nearest(self._lead, joints)
+            distance = self.results[k].min_distance
+            if distance < _FAILED:
                 k = self._measured_again()
-            self._least = self.results[k].min_distance, k
-            self._measured = self._placed = stamp
+                distance = self.results[k].min_distance
+            elif distance < 0.0 and self._levers is not None and self._lead is None:
+                others = [result.min_distance for result in self.results]
+                del others[k]
+                self._lead = _Lead(joints, self._levers, k, distance, min(others))
+            self._least = distance, k
+            self._measured = self._placed = joints
         return self._least
 
     def _nearest(self, bounds: Sequence[float]) -> int:
@@ -163,6 +208,18 @@ class DistanceQueries:
             pin.computeDistance(self._model, self._data, k)
             nearest = min(nearest, (self.results[k].min_distance, k))
         return nearest[1]
+
+    def _still_nearest(self, lead: _Lead, joints: FloatArray) -> int:
+        """Return the number of the nearest couple, which most often is the leading one."""
+        # No other couple can have come nearer than this since all were measured.
+        others = lead.second - dot(lead.levers, np.abs(joints - lead.joints))
+        if lead.first < others:
+            pin.computeDistance(self._model, self._data, lead.couple)
+            if self.results[lead.couple].min_distance < others - TOUCH:
+                return lead.couple
+        self._lead = None
+        k: int = _measure(self._model, self._data)
+        return k
 
     def _measured_again(self) -> int:
         """Measure failed depths again, less precisely; return the number of the nearest couple."""
@@ -176,16 +233,16 @@ class DistanceQueries:
             request.epa_tolerance = precision
         return min(range(len(self.results)), key=lambda k: float(self.results[k].min_distance))
 
-    def collide(self, couple: int, stamp: int, margin: float) -> bool:
+    def collide(self, couple: int, joints: FloatArray, margin: float) -> bool:
         """Return whether the surfaces of a couple are closer than a margin [m].
 
         Use a margin of 10 nm for contact: if a triangle lies symmetrically in a primitive, Coal
         returns a distance of the order of rounding errors instead of a collision. Primitives are
-        solid. ``stamp`` identifies the placement of the joints.
+        solid. ``joints`` are the joint positions, as in `least`.
         """
-        if stamp != self._placed:
-            _place(self._robot, self._joints, self._model, self._data)
-            self._placed = stamp
+        if joints is not self._placed:
+            _place(self._robot, self._robot_data, self._model, self._data)
+            self._placed = joints
         request = self._collisions[couple]
         request.security_margin = margin
         if self._guided:

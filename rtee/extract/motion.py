@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from typing import Final
 
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import dot, matmul, matvec, norm, norms, rotated
-from rtee.hand.transmission import sample
+from rtee.hand.linalg import dot, matmul, matvec
 from rtee.sample import FloatArray
-from rtee.types import JointKind, from_rest
+from rtee.types import from_rest
 
 _STATIONS: Final = 33
 """Number of points of a path at which non-linear couplings are evaluated; between these, those of
@@ -69,11 +67,7 @@ class _Placed:
 
 
 class Motion:
-    """Bounds on the speed of links, from the lengths of the chains that carry them.
-
-    The distance from a revolute joint to a point of a body that it moves is at most the length of
-    the chain between them plus the body's radius.
-    """
+    """Bounds on the motion of links on straight paths."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -106,7 +100,7 @@ class Motion:
         move both links or neither.
         """
         if pair.links not in self._bounds:
-            self._bounds[pair.links] = self._bound(pair)
+            self._bounds[pair.links] = self._scene.levers.of(pair.shapes, pair.bodies)
         return self._bounds[pair.links]
 
     def speed(self, pair: LinkPair, path: StraightPath) -> float:
@@ -180,53 +174,6 @@ class Motion:
             np.array([shape.box[0] for shape in chosen]),
             np.array([shape.box[1] for shape in chosen]),
         )
-
-    def _bound(self, pair: LinkPair) -> FloatArray:
-        """Return the longest lever of each joint on the pair ``(m,)`` [m]; 1 if it is prismatic."""
-        scene = self._scene
-        levers = np.zeros(len(scene.hand.joints))
-        for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
-            reach = max(self._radius[i] for i in shapes)
-            # From the link to the base, along all joints that carry the link.
-            while body:
-                if pair.moved_by[body - 1] != 0.0:
-                    joint = scene.hand.joints[body - 1]
-                    lever = 1.0 if joint.kind is JointKind.PRISMATIC else reach
-                    levers[body - 1] = max(levers[body - 1], lever)
-                # From the next joint towards the base, the point is farther away by this link.
-                reach += self._length[body]
-                body = scene.kinematics.model.parents[body]
-        return levers
-
-    @cached_property
-    def _length(self) -> list[float]:
-        """Distance of each joint's frame from its parent's frame, including travel [m]."""
-        scene = self._scene
-        lengths = [norm(m.translation) for m in scene.kinematics.model.jointPlacements]
-        for i, joint in enumerate(scene.hand.joints):
-            if joint.kind is JointKind.PRISMATIC:
-                lengths[i + 1] += max(abs(joint.lower), abs(joint.upper), self._farthest(i))
-        return lengths
-
-    def _farthest(self, joint: int) -> float:
-        """Return the largest distance of a joint from 0 in its actuator's range [rad | m]."""
-        hand = self._scene.hand
-        coupling = hand.transmission.couplings[joint]
-        if coupling.actuator is None:
-            return abs(coupling.value(0.0))
-        spec = hand.actuators[coupling.actuator]
-        # Followers may exceed their own limits; use those of the actuator.
-        return max(abs(coupling.value(u)) for u in sample(spec.lower, spec.upper))
-
-    @cached_property
-    def _radius(self) -> list[float]:
-        """Distance of each shape's farthest point from its joint's frame [m]."""
-        radii = []
-        for shape in self._scene.shapes:
-            placement = shape.placement
-            points = rotated(shape.points, placement.rotation) + placement.translation
-            radii.append(float(norms(points).max()))
-        return radii
 
 
 class LinkDistanceBounds:

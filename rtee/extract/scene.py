@@ -15,6 +15,7 @@ from rtee.extract.coarse_shapes import CoarseShape, coarse_shape, least_width, o
 from rtee.extract.couplings import Couplings
 from rtee.extract.distance_queries import TOUCH, DistanceQueries
 from rtee.extract.hinge import TipShape, clip_tips
+from rtee.extract.levers import Levers
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.space import Space
 from rtee.extract.surface import encloses
@@ -59,6 +60,7 @@ class Scene:
         geometry: Collision geometry of the hand.
         couplings: Transmission of the hand.
         shapes: All collision shapes, and the clipped shapes of joined tips.
+        levers: Levers of the joints on the shapes.
         pairs: All pairs of links that have geometry and different bodies, by names in the order of
             the URDF's tree.
         joints: Joint positions at the posture ``(m,)`` [rad | m].
@@ -84,6 +86,7 @@ class Scene:
         self.geometry = HandGeometry(hand, self.kinematics)
         self.couplings = Couplings(hand)
         self.shapes: list[Shape] = list(self.geometry.shapes)
+        self.levers = Levers(self.kinematics, self.shapes)
         self.pairs: Pairs[str, LinkPair] = Pairs(turned=LinkPair.reversed)
         self._couples = 0  # numbers the pairs
         links = list(dict.fromkeys(shape.link for shape in self.shapes))
@@ -106,7 +109,7 @@ class Scene:
         self._outers: dict[tuple[int, ...], tuple[int, ...]] = {}
         self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
         self._joints = np.zeros((6, self._model.nv))
-        self._stamp = self._jacobian_stamp = 0
+        self._jacobian_at: FloatArray | None = None
         # Place the hand at rest, where `_tip_pairs` tests which joined tips touch.
         self.place(hand.rest)
         self.tips = self._tip_pairs()
@@ -182,31 +185,30 @@ class Scene:
 
     def place(self, u: FloatArray) -> None:
         """Move all links to actuator positions ``(n,)`` [rad | m]."""
+        # A new array, which tells all measurements that they are at another posture.
         self.joints = self.couplings.joints(u)
         pin.forwardKinematics(self._model, self._data, self.joints)
-        # Invalidate all measurements at the previous posture.
-        self._stamp += 1
         self._at = u
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
-        return queries.least(self._stamp)[0]
+        return queries.least(self.joints)[0]
 
     def at_least(self, pair: LinkPair) -> float:
         """Return a lower bound on the signed distance of two links' full convex parts [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
-        return queries.least(self._stamp)[0] - queries.slack
+        return queries.least(self.joints)[0] - queries.slack
 
     def distances(self, pairs: Sequence[LinkPair]) -> list[float]:
         """Return the signed distances of several pairs of links [m]."""
-        known, stamp = self._searched, self._stamp
-        return [(known.get(p.number) or self._queries(p, known)).least(stamp)[0] for p in pairs]
+        known, joints = self._searched, self.joints
+        return [(known.get(p.number) or self._queries(p, known)).least(joints)[0] for p in pairs]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links by coordinates ``(k,)`` [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
-        result = queries.results[queries.least(self._stamp)[1]]
+        result = queries.results[queries.least(self.joints)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
 
@@ -217,10 +219,10 @@ class Scene:
             for pair, weight in terms:
                 result += weight * self.derivative(pair, space)
             return result
-        rows, stamp, known = [], self._stamp, self._searched
+        rows, joints, known = [], self.joints, self._searched
         for pair, weight in terms:
             queries = known.get(pair.number) or self._queries(pair, known)
-            nearest = queries.results[queries.least(stamp)[1]]
+            nearest = queries.results[queries.least(joints)[1]]
             sign = -weight if pair.turned else weight
             x, y, z = nearest.normal.tolist()
             x, y, z = x * sign, y * sign, z * sign
@@ -269,12 +271,12 @@ class Scene:
 
     def _jacobian(self) -> FloatArray:
         """Return the Jacobian of all joints in the base frame ``(6, m)``."""
-        if self._jacobian_stamp != self._stamp:
+        if self._jacobian_at is not self.joints:
             pin.computeJointJacobians(self._model, self._data)
             if not self.couplings.linear:
                 self._slope = self.couplings.slope(self._at)
             # Computed once per posture, and only if a derivative is needed.
-            self._jacobian_stamp = self._stamp
+            self._jacobian_at = self.joints
             self._joints = self._data.J.reshape(6, -1)
         return self._joints
 
@@ -300,7 +302,7 @@ class Scene:
         # New queries have no memory, so that evidence does not depend on earlier measurements.
         if queries.remembers:
             queries = self._undrafted(pair, convex=True)
-        return _witness(pair, queries, self._stamp)
+        return _witness(pair, queries, self.joints)
 
     def forget(self) -> None:
         """Drop Coal's memory of earlier queries, which changes later results by about 10 nm."""
@@ -328,7 +330,7 @@ class Scene:
         if self.at_least(pair) > margin:
             return False
         convex = self._queries(pair, self._convex)
-        if convex.least(self._stamp)[0] > margin:
+        if convex.least(self.joints)[0] > margin:
             return False
         results = convex.results
         return any(
@@ -357,7 +359,7 @@ class Scene:
         if not (a.is_mesh or b.is_mesh):  # both already exact; Coal's Boolean query misses some
             return True
         self.query_cost += _COLLIDE
-        if surfaces and self._queries(pair, self._exact).collide(k, self._stamp, margin):
+        if surfaces and self._queries(pair, self._exact).collide(k, self.joints, margin):
             return True
         # One mesh may be inside the other without intersecting its surface. The convex parts then
         # overlap by its whole width, so few pairs need the expensive test.
@@ -372,13 +374,13 @@ class Scene:
         exact, convex = self._queries(pair, self._exact), self._queries(pair, self._convex)
         if exact.measures_meshes:
             self.query_cost += _DISTANCE
-        convex.least(self._stamp)
-        least = exact.least(self._stamp, convex)[0]
+        convex.least(self.joints)
+        least = exact.least(self.joints, convex)[0]
         return 0.0 if self.touching(pair, surfaces=least <= TOUCH) else max(0.0, least)
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return the closest points of the original geometry of two links that do not touch."""
-        witness = _witness(pair, self._queries(pair, self._exact), self._stamp)
+        witness = _witness(pair, self._queries(pair, self._exact), self.joints)
         gap = witness.second - witness.first
         length = norm(gap)
         return witness if length == 0.0 else replace(witness, normal=gap / length)
@@ -461,7 +463,16 @@ class Scene:
         slack += max(self._coarse_shape(i).slack for i in theirs)
         bodies = {i: self._coarse_shape(i).shape for i in (*ours, *theirs)}
         robot = self._model, self._data
-        return DistanceQueries(robot, self.shapes, ours, theirs, bodies, coarse=True, slack=slack)
+        return DistanceQueries(
+            robot,
+            self.shapes,
+            ours,
+            theirs,
+            bodies,
+            coarse=True,
+            slack=slack,
+            levers=self.levers,
+        )
 
     def _undrafted(self, pair: LinkPair, *, convex: bool) -> DistanceQueries:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
@@ -470,8 +481,8 @@ class Scene:
         return DistanceQueries((self._model, self._data), self.shapes, first, second, bodies)
 
 
-def _witness(pair: LinkPair, queries: DistanceQueries, stamp: int) -> Witness:
-    least, k = queries.least(stamp)
+def _witness(pair: LinkPair, queries: DistanceQueries, joints: FloatArray) -> Witness:
+    least, k = queries.least(joints)
     result = queries.results[k]
     points = [np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())]
     normal = np.array(result.normal)

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from extract.models import Model, box
+from rtee.extract import distance_queries
 from rtee.extract.coarse_shapes import SLACK, coarse_shape, least_width, outer, simplified
 from rtee.extract.scene import Scene
 from rtee.hand.geometry import HandGeometry, hull_of
@@ -75,6 +77,42 @@ def test_distances_of_hulls_do_not_depend_on_earlier_ones(shared: Path) -> None:
     # At its last posture, Coal's default precision leaves 80 nm between the two.
     postures = np.random.default_rng(0).uniform(hand.lower, hand.upper, (33, len(hand.lower)))
     assert measured(postures) == pytest.approx(measured(postures[-1:]), abs=1e-12)
+
+
+def test_a_couple_that_leads_hides_no_deeper_one(
+    leap: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, fresh, random = Scene(leap), Scene(leap), np.random.default_rng(0)
+    pairs, measured = list(scene.tips.values()), list[object]()
+
+    def counted(model: object, data: object) -> int:
+        measured.append(model)
+        return int(pin.computeDistances(model, data))
+
+    def deepest(u: np.ndarray) -> float:
+        scene.place(u)
+        return min(scene.distances(pairs))
+
+    monkeypatch.setattr(distance_queries, "_measure", counted)
+    asked = whole = 0
+    for reach in (0.002, 0.005, 0.02, 0.05):
+        u = min(random.uniform(leap.lower, leap.upper, (60, len(leap.rest))), key=deepest)
+        assert deepest(u) < -0.003
+        for _ in range(40):
+            u = np.clip(u + random.uniform(-reach, reach, len(u)), leap.lower, leap.upper)
+            # Far away, no couple leads: there, all of them are measured next.
+            fresh.place(leap.rest)
+            fresh.distances(pairs)
+            fresh.place(u)
+            expected = fresh.distances(pairs)
+            scene.place(u)
+            for pair, gap in zip(pairs, expected, strict=True):
+                before = len(measured)
+                assert scene.distance(pair) == pytest.approx(gap, abs=1e-12)
+                if gap < 0.0:
+                    asked, whole = asked + 1, whole + len(measured) - before
+    assert asked > 100
+    assert whole < 0.7 * asked
 
 
 def test_distances_of_prisms_do_not_depend_on_the_order_of_links(tmp_path: Path) -> None:
