@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import cross, matmul, matvec, norm, norms, rotated
+from rtee.hand.linalg import applied, composed, cross, inner, matmul, matvec, norm, norms, rotated
 from rtee.sample import FloatArray
 from rtee.types import JointKind
 
@@ -70,12 +70,12 @@ class _Level:
     Attributes:
         bodies: Numbers of the joints, and of the bodies that they move.
         parents: Numbers of the parent bodies.
-        rotations: Orientations of the joints in the parent bodies ``(b, 3, 3)``.
-        positions: Positions of the joints in the parent bodies ``(b, 3, 1)`` [m].
-        axes: Axes of the joints ``(b, 3, 1)``.
-        across: Cross-product matrices of the axes ``(b, 3, 3)``.
-        along: Projection matrices onto the axes ``(b, 3, 3)``.
-        slides: Whether the joints are prismatic ``(b, 1, 1)``.
+        rotations: Orientations of the joints in the parent bodies ``(3, 3, 1, b)``.
+        positions: Positions of the joints in the parent bodies ``(3, 1, b)`` [m].
+        axes: Axes of the joints ``(3, 1, b)``.
+        across: Cross-product matrices of the axes ``(3, 3, 1, b)``.
+        along: Projection matrices onto the axes ``(3, 3, 1, b)``.
+        slides: Whether the joints are prismatic ``(b,)``.
     """
 
     bodies: list[int]
@@ -105,13 +105,13 @@ def _levels(scene: Scene) -> list[_Level]:
             _Level(
                 bodies,
                 [parents[body] for body in bodies],
-                np.array([p.rotation for p in placed]),
-                np.array([p.translation for p in placed])[:, :, None],
-                axes[:, :, None],
+                np.array([p.rotation for p in placed]).transpose(1, 2, 0)[:, :, None],
+                np.array([p.translation for p in placed]).T[:, None],
+                axes.T[:, None],
                 # The columns of a cross-product matrix are the products with the unit vectors.
-                cross(axes[:, None, :], np.eye(3)).transpose(0, 2, 1),
-                axes[:, :, None] * axes[:, None, :],
-                slides[:, None, None],
+                cross(axes[:, None, :], np.eye(3)).transpose(2, 1, 0)[:, :, None],
+                (axes.T[:, None] * axes.T)[:, :, None],
+                slides,
             )
         )
     return levels
@@ -162,49 +162,45 @@ class Envelopes:
     def _placed(self, postures: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return rotations ``(3, 3, t, l)`` and positions ``(3, t, l)`` of the links' bodies."""
         rotations, positions = self._bodies_at(postures)
-        rotations, positions = rotations[:, self._bodies], positions[..., 0][:, self._bodies]
-        # Components first: each is one array, which is faster than a last axis of three.
-        return (
-            np.ascontiguousarray(rotations.transpose(2, 3, 0, 1)),
-            np.ascontiguousarray(positions.transpose(2, 0, 1)),
-        )
+        return rotations[..., self._bodies], positions[..., self._bodies]
 
     def _bodies_at(self, postures: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Return rotations ``(t, b, 3, 3)`` and positions ``(t, b, 3, 1)`` of all bodies."""
+        """Return rotations ``(3, 3, t, b)`` and positions ``(3, t, b)`` of all bodies."""
         if len(postures) == 1:
             self._scene.place(postures[0])
             turns, places = self._scene.bodies()
-            return turns[None], places[None, :, :, None]
+            return turns.transpose(1, 2, 0)[:, :, None], places.T[:, None]
         joints = np.array([self._scene.couplings.joints(u) for u in postures])
         cosines, sines = _each(math.cos, joints), _each(math.sin, joints)
         count = joints.shape[1] + 1
-        rotations = np.empty((len(joints), count, 3, 3))
-        positions = np.zeros((len(joints), count, 3, 1))
-        rotations[:, 0] = np.eye(3)
+        rotations = np.empty((3, 3, len(joints), count))
+        positions = np.zeros((3, len(joints), count))
+        unit = np.eye(3)[:, :, None, None]
+        rotations[..., :1] = unit
         # Place all joints of one depth at once.
         for level in self._levels:
             columns = [body - 1 for body in level.bodies]
-            q, cosine, sine = (a[:, columns, None, None] for a in (joints, cosines, sines))
-            above = rotations[:, level.parents]
-            frames = matmul(above, level.rotations)
-            there = positions[:, level.parents] + matmul(above, level.positions)
+            q, cosine, sine = (a[:, columns] for a in (joints, cosines, sines))
+            above = rotations[..., level.parents]
+            frames = composed(above, level.rotations)
+            there = positions[..., level.parents] + applied(above, level.positions)
             if level.slides.any():
-                there += matmul(frames, level.axes * np.where(level.slides, q, 0.0))
+                there += applied(frames, level.axes * np.where(level.slides, q, 0.0))
                 cosine = np.where(level.slides, 1.0, cosine)
                 sine = np.where(level.slides, 0.0, sine)
             # Rodrigues' formula.
-            turn = cosine * np.eye(3) + sine * level.across + (1.0 - cosine) * level.along
-            positions[:, level.bodies] = there
-            rotations[:, level.bodies] = matmul(frames, turn)
+            turn = cosine * unit + sine * level.across + (1.0 - cosine) * level.along
+            positions[..., level.bodies] = there
+            rotations[..., level.bodies] = composed(frames, turn)
         return rotations, positions
 
     def _between_balls(
         self, rotations: FloatArray, positions: FloatArray, pairs: Ends
     ) -> FloatArray:
         centres, radii = self._balls
-        there = _applied(rotations, centres[:, None, :]) + positions
+        there = applied(rotations, centres[:, None, :]) + positions
         between = there[..., pairs[1]] - there[..., pairs[0]]
-        result: FloatArray = np.sqrt(_inner(between, between)) - (radii[pairs[0]] + radii[pairs[1]])
+        result: FloatArray = np.sqrt(inner(between, between)) - (radii[pairs[0]] + radii[pairs[1]])
         return result
 
     def _between_rods(
@@ -213,20 +209,20 @@ class Envelopes:
         """Return the largest of the distances of two capsules, and of either box from a capsule."""
         ends, radii, centres, axes, halves = self._stacked
         first, second = pairs
-        tips = [_applied(rotations, end[:, None, :]) + positions for end in ends]
+        tips = [applied(rotations, end[:, None, :]) + positions for end in ends]
         least = _between_segments(
             (tips[0][..., first], tips[1][..., first]),
             (tips[0][..., second], tips[1][..., second]),
         )
         least -= radii[first] + radii[second]
-        middles = _applied(rotations, centres[:, None, :]) + positions
-        edges = _product(rotations, axes[:, :, None, :])
+        middles = applied(rotations, centres[:, None, :]) + positions
+        edges = composed(rotations, axes[:, :, None, :])
         for box, rod in ((first, second), (second, first)):
             beside = np.zeros(least.shape)
             starts, stops = (tip[..., rod] - middles[..., box] for tip in tips)
             for k in range(3):
                 edge, half = edges[:, k][..., box], halves[k][box]
-                a, b = _inner(starts, edge), _inner(stops, edge)
+                a, b = inner(starts, edge), inner(stops, edge)
                 out = np.maximum(np.minimum(a, b) - half, -np.maximum(a, b) - half)
                 out = np.maximum(out, 0.0)
                 beside += out * out
@@ -326,23 +322,6 @@ def _each(function: Callable[[float], float], values: FloatArray) -> FloatArray:
     return np.array([function(v) for v in values.ravel().tolist()]).reshape(values.shape)
 
 
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the products of matrices ``(3, 3, ...)``."""
-    rows = [[_inner(a[i], b[:, k]) for k in range(3)] for i in range(3)]
-    return np.array(rows)
-
-
-def _applied(a: FloatArray, v: FloatArray) -> FloatArray:
-    """Return the products of matrices ``(3, 3, ...)`` and vectors ``(3, ...)``."""
-    return np.array([_inner(a[i], v) for i in range(3)])
-
-
-def _inner(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the inner products of vectors ``(3, ...)``."""
-    result: FloatArray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return result
-
-
 def _between_segments(
     one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
@@ -351,8 +330,8 @@ def _between_segments(
     Source: Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
     """
     along, across, apart = one[1] - one[0], other[1] - other[0], one[0] - other[0]
-    a, e = _inner(along, along), _inner(across, across)
-    b, c, f = _inner(along, across), _inner(along, apart), _inner(across, apart)
+    a, e = inner(along, along), inner(across, across)
+    b, c, f = inner(along, across), inner(along, apart), inner(across, apart)
     both = a * e
     skew = both - b * b
     s = np.where(skew > _ALONG * both, (b * f - c * e) / np.maximum(skew, _TINY), 0.0)
@@ -360,4 +339,4 @@ def _between_segments(
     t = np.minimum(np.maximum((b * s + f) / np.maximum(e, _TINY), 0.0), 1.0)
     s = np.minimum(np.maximum((b * t - c) / np.maximum(a, _TINY), 0.0), 1.0)
     between = apart + s * along - t * across
-    return np.sqrt(_inner(between, between))
+    return np.sqrt(inner(between, between))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import dot, matmul, matvec
+from rtee.hand.linalg import applied, composed, dot, inner, matvec
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -28,8 +29,8 @@ _NEAR: Final = 0.005
 """Distance within which the motion of points matters [m]: farther points cannot touch between two
 checks, which are at most a millimetre of motion apart."""
 
-_UPPER: Final = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=bool)
-"""Whether each corner of a box is at the upper end of each axis ``(8, 3)``."""
+_UPPER: Final = np.array([*product((False, True), repeat=3)]).T[:, :, None, None]
+"""Whether each corner of a box is at the upper end of each axis ``(3, 8, 1, 1)``."""
 
 _sum = np.add.reduce
 
@@ -53,11 +54,10 @@ class StraightPath:
         return from_rest(self.rest, self.goal, t)
 
 
-@dataclass(frozen=True, slots=True)
-class _Placed:
-    """Shapes on their bodies: rotations ``(c, 3, 3)``, positions ``(c, 3)`` [m] and bounding boxes.
+class _Placed(NamedTuple):
+    """Shapes on their bodies: rotations ``(3, 3, c)``, positions ``(3, c)`` [m] and bounding boxes.
 
-    ``low`` and ``high`` are the corners of the boxes ``(c, 3)`` [m].
+    ``low`` and ``high`` are the corners of the boxes ``(3, c)`` [m].
     """
 
     rotations: FloatArray
@@ -126,53 +126,59 @@ class Motion:
         poses = [self._scene.relative_pose(pair, path.at(t)) for t in stations]
         there = _stacked(poses)
         back = _stacked([pose.inverse() for pose in poses])
-        couples = [*product(*pair.shapes)]
-        most = self._displacements(couples, there)
-        most = np.maximum(most, self._displacements([(j, i) for i, j in couples], back))
+        couples = np.array([*product(*pair.shapes)]).T
+        most = self._displacements(couples[0], couples[1], there)
+        most = np.maximum(most, self._displacements(couples[1], couples[0], back))
         return np.concatenate([[0.0], np.cumsum(most)])
 
     def _displacements(
-        self, couples: Sequence[tuple[int, int]], motion: tuple[FloatArray, FloatArray]
+        self,
+        first: NDArray[np.intp],
+        second: NDArray[np.intp],
+        motion: tuple[FloatArray, FloatArray],
     ) -> FloatArray:
         """Return the largest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
         The points belong to the second shape of a couple, which moves. ``motion`` has the rotations
-        ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of its body in that of the fixed shape.
+        ``(3, 3, s)`` and positions ``(3, s)`` [m] of its body in that of the fixed shape.
         """
-        fixed, moving = (self._placed([couple[k] for couple in couples]) for k in (0, 1))
-        inward = fixed.rotations.transpose(0, 2, 1)[:, None]
-        rotations = matmul(matmul(inward, motion[0]), moving.rotations[:, None])
-        positions = _sum(motion[0] * moving.positions[:, None, None, :], axis=3) + motion[1]
-        positions = matmul(positions - fixed.positions[:, None], fixed.rotations)
+        shapes, turns, places = self._placed, motion[0][:, :, None], motion[1][:, None]
+        fixed, moving = (_Placed(*(a[..., i, None] for a in shapes)) for i in (first, second))
+        inward = fixed.rotations.swapaxes(0, 1)
+        rotations = composed(composed(inward, turns), moving.rotations)
+        positions = applied(inward, applied(turns, moving.positions) + places - fixed.positions)
         # The bounding box of the other shape's box, in the frame of the shape.
         middles, sizes = (fixed.high + fixed.low) / 2.0, (fixed.high - fixed.low) / 2.0 + _NEAR
-        centres = _sum(rotations * (middles[:, None] - positions)[..., None], axis=2)
-        halves = _sum(np.abs(rotations) * sizes[:, None, :, None], axis=2)
-        lower = np.maximum(moving.low[:, None], centres - halves)
-        upper = np.minimum(moving.high[:, None], centres + halves)
-        near = (lower < upper).all(axis=2)
-        most = np.zeros(len(motion[0]) - 1)
+        outward = rotations.swapaxes(0, 1)
+        centres, halves = applied(outward, middles - positions), applied(np.abs(outward), sizes)
+        lower = np.maximum(moving.low, centres - halves)
+        upper = np.minimum(moving.high, centres + halves)
+        near = np.logical_and.reduce(lower < upper, axis=0)
+        most = np.zeros(near.shape[1] - 1)
         # Usually, few of the shapes come near each other.
         some = near.any(axis=1)
         if not some.any():
             return most
-        rotations, positions, near = rotations[some], positions[some], near[some]
-        corners = np.where(_UPPER, upper[some][:, :, None], lower[some][:, :, None])
-        turns, steps = np.diff(rotations, axis=1), np.diff(positions, axis=1)[:, :, None]
+        near, lower, upper = near[some], lower[:, None, some], upper[:, None, some]
+        corners = np.where(_UPPER, upper, lower)
+        turns = np.diff(rotations[:, :, None, some])
+        steps = np.diff(positions[:, None, some])
         for ends in (slice(None, -1), slice(1, None)):
-            moved = matmul(corners[:, ends], turns.transpose(0, 1, 3, 2)) + steps
-            squares = _sum(moved * moved, axis=3).max(axis=2)
+            moved = applied(turns, corners[..., ends]) + steps
+            squares = inner(moved, moved).max(axis=0)
             most = np.maximum(most, np.where(near[:, ends], squares, 0.0).max(axis=0))
         result: FloatArray = np.sqrt(most)
         return result
 
-    def _placed(self, shapes: Sequence[int]) -> _Placed:
-        chosen = [self._scene.shapes[i] for i in shapes]
+    @cached_property
+    def _placed(self) -> _Placed:
+        """All shapes on their bodies."""
+        shapes = self._scene.shapes
         return _Placed(
-            np.array([shape.placement.rotation for shape in chosen]),
-            np.array([shape.placement.translation for shape in chosen]),
-            np.array([shape.box[0] for shape in chosen]),
-            np.array([shape.box[1] for shape in chosen]),
+            np.array([shape.placement.rotation for shape in shapes]).transpose(1, 2, 0),
+            np.array([shape.placement.translation for shape in shapes]).T,
+            np.array([shape.box[0] for shape in shapes]).T,
+            np.array([shape.box[1] for shape in shapes]).T,
         )
 
 
@@ -202,4 +208,6 @@ class LinkDistanceBounds:
 
 
 def _stacked(poses: Sequence[pin.SE3]) -> tuple[FloatArray, FloatArray]:
-    return np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])
+    """Return the rotations ``(3, 3, s)`` and positions ``(3, s)`` [m] of poses."""
+    rotations = np.array([pose.rotation for pose in poses]).transpose(1, 2, 0)
+    return rotations, np.array([pose.translation for pose in poses]).T

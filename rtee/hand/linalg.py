@@ -71,3 +71,23 @@ def norms(vectors: FloatArray) -> FloatArray:
     """Return the lengths of vectors ``(..., k)``."""
     result: FloatArray = np.sqrt(_sum(vectors * vectors, axis=-1))
     return result
+
+
+def inner(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the inner products of vectors ``(3, ...)``.
+
+    In this function and the next two, components come first: each is one array of many numbers,
+    which is several times as fast as a last axis of three.
+    """
+    result: FloatArray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return result
+
+
+def applied(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the products of matrices ``(3, 3, ...)`` and vectors ``(3, ...)``."""
+    return inner(matrices.swapaxes(0, 1), vectors[:, None])
+
+
+def composed(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the products of matrices ``(3, 3, ...)``."""
+    return inner(a.swapaxes(0, 1)[:, :, None], b[:, None])
