@@ -254,10 +254,13 @@ def _landmarks(space: Space) -> FloatArray:
 
 def distinct(found: Sequence[Minimum]) -> list[Minimum]:
     """Return distinct minima, the deepest first."""
-    kept: list[Minimum] = []
-    for minimum in sorted(found, key=lambda m: m.value):
-        if all(np.abs(minimum.y - other.y).max() > _SAME for other in kept):
+    ordered = sorted(found, key=lambda m: m.value)
+    places = np.array([minimum.y for minimum in ordered])
+    kept, new = list[Minimum](), np.ones(len(ordered), dtype=bool)
+    for i, minimum in enumerate(ordered):
+        if new[i]:
             kept.append(minimum)
+            new &= np.abs(places - minimum.y).max(axis=1) > _SAME
     return kept
 
 
