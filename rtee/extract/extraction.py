@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import Final
 
@@ -12,9 +14,9 @@ import numpy as np
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.canonical import Canonical, canonical
 from rtee.extract.evidence import Inspector, as_posture
-from rtee.extract.jobs import Progress, parallel_map, processors
+from rtee.extract.jobs import Progress, Workers, processors
 from rtee.extract.kinematic import kinematic_primitives
-from rtee.extract.multi import MultiSearch
+from rtee.extract.multi import MultiSearch, Pinches
 from rtee.extract.pinch import PinchProbe, pinch_search
 from rtee.extract.ranking import FoundPinch, Rank
 from rtee.hand.geometry import HandGeometry
@@ -78,40 +80,46 @@ def extract(
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
     """Return all pinches, of two fingers and of more."""
-    fingers = inspector.scene.hand.fingers
-    tipped = [finger for finger in fingers if finger.tip]
-
-    def probed(pair: tuple[Finger, ...]) -> PinchProbe | None:
-        inspector.scene.forget()  # so that results do not depend on the distribution of tasks
-        search = pinch_search(inspector, pair[0], pair[1], rank)
-        return None if search is None else search.probe()
-
-    pairs: list[tuple[Finger, ...]] = list(combinations(tipped, 2))
-    results = parallel_map(probed, pairs, jobs, progress)
-    probes = {pair: probe for pair, probe in zip(pairs, results, strict=True) if probe}
-    # Searches for several tips start from the pinches of two fingers.
-    tight = {
-        frozenset(finger.name for finger in pair): probe.explored
-        for pair, probe in probes.items()
-        if probe.kind is PrimitiveKind.PINCH_TIGHT
-    }
-
-    def finished(group: tuple[Finger, ...]) -> FoundPinch | None:
-        inspector.scene.forget()
-        if len(group) > 2:
-            return MultiSearch(inspector, group, tight, rank).run()
-        search = pinch_search(inspector, group[0], group[1], rank)
-        return None if search is None else search.finish(probes[group])
-
+    tipped = [finger for finger in inspector.scene.hand.fingers if finger.tip]
+    pairs = list(combinations(tipped, 2))
     # The longest searches first, so that all processes end at about the same time.
-    tasks: list[tuple[Finger, ...]]
-    tasks = [g for size in range(len(tipped), 2, -1) for g in combinations(tipped, size)]
-    tasks += probes
-    before = len(pairs)
-    pinches = parallel_map(
-        finished, tasks, jobs, lambda done, total: progress(before + done, before + total)
-    )
+    groups = [g for size in range(len(tipped), 2, -1) for g in combinations(tipped, size)]
+    most, before = len(groups) + len(pairs), len(pairs)
+    with Workers(inspector, min(jobs, most)) as workers:
+        found = workers.map([partial(_probed, pair, rank) for pair in pairs], progress)
+        probes = {pair: probe for pair, probe in zip(pairs, found, strict=True) if probe}
+        # Searches for several tips start from the pinches of two fingers.
+        tight = {
+            frozenset(finger.name for finger in pair): probe.explored
+            for pair, probe in probes.items()
+            if probe.kind is PrimitiveKind.PINCH_TIGHT
+        }
+        tasks: list[Callable[[Inspector], FoundPinch | None]]
+        tasks = [partial(_of_several, group, tight, rank) for group in groups]
+        tasks += [partial(_of_two, pair, probe, rank) for pair, probe in probes.items()]
+        pinches = workers.map(tasks, lambda done, total: progress(before + done, before + total))
     return [pinch for pinch in pinches if pinch is not None]
+
+
+def _probed(pair: tuple[Finger, Finger], rank: Rank, inspector: Inspector) -> PinchProbe | None:
+    inspector.scene.forget()  # so that results do not depend on the distribution of tasks
+    search = pinch_search(inspector, *pair, rank)
+    return None if search is None else search.probe()
+
+
+def _of_two(
+    pair: tuple[Finger, Finger], probe: PinchProbe, rank: Rank, inspector: Inspector
+) -> FoundPinch | None:
+    inspector.scene.forget()
+    search = pinch_search(inspector, *pair, rank)
+    return None if search is None else search.finish(probe)
+
+
+def _of_several(
+    group: tuple[Finger, ...], tight: Pinches, rank: Rank, inspector: Inspector
+) -> FoundPinch | None:
+    inspector.scene.forget()
+    return MultiSearch(inspector, group, tight, rank).run()
 
 
 def _primitive(form: Canonical, pinch: FoundPinch) -> Primitive:

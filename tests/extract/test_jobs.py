@@ -6,11 +6,12 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from rtee.extract.jobs import parallel_map
+from rtee.extract.jobs import Workers, parallel_map
 
 HERE = os.getpid()
 
@@ -60,6 +61,26 @@ def test_several_processes_work_and_none_is_left() -> None:
     for other in first, second:
         with pytest.raises(ProcessLookupError):
             os.kill(other, 0)
+
+
+def collected(task: int, seen: list[int]) -> tuple[int, list[int]]:
+    seen.append(task)
+    return os.getpid(), list(seen)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked on Linux")
+@pytest.mark.usefixtures("alone")
+def test_processes_keep_what_they_know_for_further_tasks() -> None:
+    seen: list[int] = []
+    with Workers(seen, 2) as workers:
+        first = workers.map([partial(collected, task) for task in range(6)], nothing)
+        second = workers.map([partial(collected, task) for task in range(6, 12)], nothing)
+    known = dict(first)
+    assert not seen
+    for task, (process, found) in enumerate(second, 6):
+        assert process in known
+        assert found[: len(known[process])] == known[process]
+        assert found[-1] == task
 
 
 @pytest.mark.usefixtures("alone")
