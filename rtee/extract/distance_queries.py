@@ -9,6 +9,7 @@ from typing import Any, Final
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from rtee.extract.levers import Levers
 from rtee.hand.geometry import Shape
@@ -30,6 +31,9 @@ _FAILED: Final = -1e6
 
 _CLIMBED: Final = 32
 """Number of vertices above which Coal climbs along edges, starting where its last query ended."""
+
+_MOST_KNOWN: Final = 4096
+"""Maximum number of distances that the queries of two links keep, in less than a megabyte."""
 
 _ENDLESS: Final = (coal.Cylinder, coal.BVHModelBase)
 """Shapes that no polytope with finitely many faces represents exactly."""
@@ -125,9 +129,12 @@ class DistanceQueries:
                 for n in couple
             )
         self._levers: FloatArray | None = None
-        # Depths of hulls are slow, those of primitives as fast as the comparison of a lead.
+        self._movers: NDArray[np.intp] | None = None
+        self._known: dict[bytes, float] = {}
+        # Several hulls are slow; one, or primitives, are measured as fast as anything is compared.
         if levers is not None and hulls and len(self.couples) > 1 and not self.remembers:
             self._levers = levers.between(first, second)
+            self._movers = levers.movers((*first, *second))
         self.forget()
 
     def forget(self) -> None:
@@ -162,6 +169,22 @@ class DistanceQueries:
     def measures_meshes(self) -> bool:
         """Whether any of the shapes is an original mesh, which is slow."""
         return self._guided
+
+    def distance(self, joints: FloatArray) -> float:
+        """Return the least distance [m], known if the links have been in the same place before.
+
+        Unlike after `least`, the results may be those of another posture. Searches often move one
+        finger, while the tips of two others stay where they are.
+        """
+        if self._movers is None or joints is self._measured:
+            return self.least(joints)[0]
+        key = joints[self._movers].tobytes()
+        known = self._known.get(key)
+        if known is None:
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
+            known = self._known[key] = self.least(joints)[0]
+        return known
 
     def least(self, joints: FloatArray, convex: DistanceQueries | None = None) -> tuple[float, int]:
         """Return the least distance [m] and the number of its couple.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape
 from rtee.hand.kinematics import Kinematics
@@ -68,6 +69,11 @@ class Levers:
         levers = [self.of((some, others), (a, b)) for a, some in sides[0] for b, others in sides[1]]
         longest: FloatArray = np.max(levers, axis=0)
         return longest
+
+    def movers(self, shapes: Sequence[int]) -> NDArray[np.intp]:
+        """Return the joints, by index, that move any of the shapes in the base frame."""
+        bodies = {self._shapes[i].body for i in shapes}
+        return np.flatnonzero(np.any([self._kinematics.support(b) for b in bodies], axis=0))
 
     @cached_property
     def _lengths(self) -> list[float]:

@@ -193,17 +193,17 @@ class Scene:
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
-        return queries.least(self.joints)[0]
+        return queries.distance(self.joints)
 
     def at_least(self, pair: LinkPair) -> float:
         """Return a lower bound on the signed distance of two links' full convex parts [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
-        return queries.least(self.joints)[0] - queries.slack
+        return queries.distance(self.joints) - queries.slack
 
     def distances(self, pairs: Sequence[LinkPair]) -> list[float]:
         """Return the signed distances of several pairs of links [m]."""
         known, joints = self._searched, self.joints
-        return [(known.get(p.number) or self._queries(p, known)).least(joints)[0] for p in pairs]
+        return [(known.get(p.number) or self._queries(p, known)).distance(joints) for p in pairs]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links by coordinates ``(k,)`` [m]."""

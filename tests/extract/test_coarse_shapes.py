@@ -13,6 +13,7 @@ from extract.models import Model, box
 from rtee.extract import distance_queries
 from rtee.extract.coarse_shapes import SLACK, coarse_shape, least_width, outer, simplified
 from rtee.extract.scene import Scene
+from rtee.extract.space import make_space, real_limits
 from rtee.hand.geometry import HandGeometry, hull_of
 from rtee.hand.halton import halton
 from rtee.hand.load import load_model
@@ -113,6 +114,20 @@ def test_a_couple_that_leads_hides_no_deeper_one(
                     asked, whole = asked + 1, whole + len(measured) - before
     assert asked > 100
     assert whole < 0.7 * asked
+
+
+def test_a_known_distance_has_the_slope_of_its_posture(leap: Hand) -> None:
+    scene = Scene(leap)
+    pairs = list(scene.tips.values())
+    space = make_space(leap, range(len(leap.rest)), real_limits(leap))
+    here, there = np.random.default_rng(0).uniform(leap.lower, leap.upper, (2, len(leap.rest)))
+    found = []
+    for u in (here, there, here):
+        scene.place(u)
+        found.append([(scene.distance(pair), scene.derivative(pair, space)) for pair in pairs])
+    for (gap, slope), (known, again), (other, _) in zip(found[0], found[2], found[1], strict=True):
+        assert known == gap != other
+        np.testing.assert_allclose(again, slope, atol=1e-9)
 
 
 def test_distances_of_prisms_do_not_depend_on_the_order_of_links(tmp_path: Path) -> None:
