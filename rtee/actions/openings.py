@@ -251,16 +251,20 @@ def astride(hand: Hand, action: Action, opening: Opening, intensity: float) -> f
     return apart
 
 
-def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> float:
-    """Return the opening at which the empty hand's fingertips meet one another [m].
+def meeting(
+    action: Action, opening: Opening, actions: Iterable[Action], openings: Openings
+) -> float:
+    """Return the opening at which the empty hand's fingers meet one another [m].
 
     It is the opening at the first contact in the action's evidence, or in that of an action with
-    the same posture; otherwise the narrowest of the table.
+    the same posture; otherwise the narrowest of the table. A single motor also moves fingers beside
+    the opening, and may be stopped by their first contact.
 
     Args:
         action: The action.
         opening: Its opening.
         actions: All actions of the hand.
+        openings: Where the empty hand meets itself.
     """
     wanted = action.waypoints[-1]
     contacts = [
@@ -268,7 +272,13 @@ def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> floa
         for each in actions
         if each.evidence and each.waypoints[-1].position == wanted.position
     ]
-    return max((opening.at(at) for at in contacts if at is not None), default=opening.narrowest)
+    own = max((opening.at(at) for at in contacts if at is not None), default=opening.narrowest)
+    first = openings.meeting(action) if len(opening.actuators) == 1 else None
+    if not first:
+        return own
+    # That is where links come as near as the clearance, which the fingers have yet to close.
+    near = max(opening.at(first.get(name, 1.0)) for name in opening.actuators)
+    return max(own, near - openings.hand.clearance)
 
 
 def best_for(

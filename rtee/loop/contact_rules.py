@@ -31,6 +31,10 @@ _OTHER_SIDE: Final = 0.1
 """Least share of one side's force that the other side must show: in simulation, efforts of sides
 that hold an object between them differ by a factor of 4 at most, those of other sides by 60."""
 
+_YIELDED: Final = 0.5
+"""Share of the opening that is left when the fingers have closed past an object [1]: a soft one
+yields by less."""
+
 _CREEP: Final = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
 than noise, and before the grasp counts as lost."""
@@ -201,6 +205,19 @@ def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
         word: Whether the device itself says that it holds something.
     """
     return opening <= doubt and not word
+
+
+def closed_past(opening: float, doubt: float, held: float) -> bool:
+    """Return whether fingertips have closed past what they held, and meet as in the empty hand.
+
+    They press on one another then as they did on the object.
+
+    Args:
+        opening: The opening by the actuators' positions [m].
+        doubt: Largest opening that may be measured while the tips touch one another [m].
+        held: The opening when the object was grasped [m].
+    """
+    return held > doubt and opening <= min(doubt, _YIELDED * held)
 
 
 def came_as_far(came: float, meets: float, early: float) -> bool:

@@ -362,7 +362,9 @@ class Executor:
         # Without sensors: a bending finger bends before its effort reaches half of its limit.
         met = bool(self._reflexes.touched) and bends and not sensed
         if not (met or grip.touches(measured.position, measured.effort, limits, touch, least)):
-            if not (bends and sensed and stamp - self._felt <= _APART):
+            # A bending finger slips and catches itself again on what the other side still touches.
+            kept = grip.feels(touch, least) or (sensed and stamp - self._felt <= _APART)
+            if not (bends and kept):
                 self._met = ()
             return
         self._felt = stamp
@@ -391,10 +393,11 @@ class Executor:
             return not word and not (self._path[2] and self._stopped_early(run))
         if plan.grip is None or not (self._reflexes.touched or grasped or closes):
             return False
-        # Fingers that bend as they press have an opening only where they met the object.
-        met = self._met if self._met and self._bends(run) else measured.position
-        opening, doubt = plan.grip.opening(met), plan.grip.doubt(met)
-        if rules.may_be_nothing(opening, doubt, word=word):
+        met, grip = self._met or measured.position, plan.grip
+        # Fingers that met one another push each other off the path. Those that bend as they press
+        # have an opening only where they met the object.
+        places = (met,) if self._bends(run) else (met, measured.position)
+        if any(rules.may_be_nothing(grip.opening(p), grip.doubt(p), word=word) for p in places):
             return True
         last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
         if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):

@@ -405,6 +405,15 @@ class Grip:
         chosen = self.squeezing(min(max(share, self.intensity[0]), self.intensity[-1]))
         return any(abs(effort[i]) >= _PRESSES * limits[i] for _, i, _ in chosen)
 
+    def feels(self, touch: Sequence[float], least: float) -> bool:
+        """Return whether any fingertip touches, by sensors.
+
+        Args:
+            touch: Forces at the fingertips [N], if they are measured.
+            least: Least force at which a fingertip counts as touching [N].
+        """
+        return any(touch[i] >= least for i in (*self.fingers, *self.others) if i < len(touch))
+
     def tip_force(self, touch: Sequence[float]) -> float:
         """Return the force that sensors at the fingertips measure [N]; ``NaN``: not at all of them.
 

@@ -168,7 +168,7 @@ def _tips(
     action: Action, opening: Opening, hand: Hand, library: ActionLibrary, devices: DeviceForces
 ) -> OpposingTips:
     targets = targets_of(action.waypoints[-1], hand)
-    empty = meeting(action, opening, library)
+    empty = meeting(action, opening, library, library.openings)
     return OpposingTips(opening, Grip.of(hand, opening, targets, devices.grips, empty))
 
 

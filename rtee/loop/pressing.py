@@ -333,7 +333,7 @@ class Pressing:
         self._first = self._before = self._rate = 0.0
         self._stiffness = force / _YIELDS
         self._stamp = self._began = self._off = math.nan
-        self._by_efforts = math.nan
+        self._by_efforts = self._width = math.nan
         self._rested: dict[int, float] = {}
         self._slipping = 0
         self._reported = -math.inf
@@ -373,7 +373,7 @@ class Pressing:
         share = self.felt / wanted
         # All fingers count: one that stopped elsewhere holds nothing by itself.
         changed = self.answers_slips and self.built and self._slips(stamp, measured)
-        self._contact.presses_now(self._way, share >= _TOUCHES)
+        self._contact.presses_now(self._way, share >= _TOUCHES and not self._past(measured))
         if self.built and self._rests(share, measured):
             self._velocity = self._rate = 0.0
             self._before = self.felt
@@ -387,6 +387,13 @@ class Pressing:
             if stamp - self._off >= _SETTLE or stamp - self._began >= _LONGEST or self._at_end:
                 self._arrive(stamp, share, measured)
         return changed
+
+    def _past(self, measured: Measured) -> bool:
+        """Return whether the fingertips have closed past what they held."""
+        if not self.built or self._grip.bends:  # the actuators of bending fingers go on
+            return False
+        opening, doubt = self._grip.opening(measured.position), self._grip.doubt(measured.position)
+        return rules.closed_past(opening, doubt, self._width)
 
     def _rests(self, share: float, measured: Measured) -> bool:
         """Return whether a force that was reached stays unchanged."""
@@ -470,6 +477,7 @@ class Pressing:
         for i in self.held:
             here = measured.position[i]
             self._contact.pin(i, stamp, here, grasping=i in self._predicted and not self.failed)
+        self._width = self._grip.opening(measured.position)
         self._rested = self._touches(measured)
         self._by_efforts = self._estimate.by_efforts(measured.effort, measured.position)
 

@@ -154,7 +154,7 @@ def _fields(
 ) -> dict[str, Any]:
     hand, last = library.hand, action.waypoints[-1]
     targets = {hand.actuator_index(name): last.position[name] for name in last.involved}
-    empty = meeting(action, opening, library)
+    empty = meeting(action, opening, library, library.openings)
     grip = Grip.of(hand, opening, targets, forces.grips, empty)
     reason = unlimited(hand, opening, grip, grip.intensity[0], forces)
     ranges = [(0.0, 0.0) if reason else grip.forces(hand, at) for at in grip.intensity]

@@ -137,6 +137,35 @@ def test_nothing_is_never_grasped(hand: str, force: float, numb: bool) -> None:
     assert not truth.result.within
 
 
+@pytest.mark.samples("True")
+@pytest.mark.parametrize("numb", [False, True])
+def test_fingers_that_another_finger_of_their_motor_stops_are_not_said_to_hold(numb: bool) -> None:
+    # Thumb and index finger meet where thumb and middle finger are still 20 mm apart.
+    ready, pinch = bench("qb_softhand", RATE), ("thumb", "middle")
+    truth = try_case(ready, Case(CaseObject.NONE, 0.05, 3.0, None, numb, elements=pinch))
+    assert (truth.said, truth.unknown) == (False, True)
+    assert truth.own > 1.0
+
+
+def test_fingers_that_met_an_object_before_another_finger_of_their_motor_hold_it() -> None:
+    case = Case(CaseObject.SPHERE, 0.03, 3.0, elements=("thumb", "middle"))
+    truth = try_case(bench("qb_softhand", RATE), case)
+    assert (truth.said, truth.held, truth.result.within) == (True, True, True)
+
+
+def test_fingers_that_snap_past_an_object_say_that_it_is_lost() -> None:
+    case = Case(CaseObject.BOX, 0.01, 2.7, numb=True, seed=674445930)
+    truth = try_case(bench("allegro", RATE), case)
+    assert (truth.result.grasped, truth.lost, truth.held) == (True, True, False)
+    assert truth.own > 1.0  # they press on one another, with the force that they had on the object
+
+
+def test_fingers_that_met_one_another_are_not_said_to_hold_when_one_pushes_the_other_back() -> None:
+    case = Case(CaseObject.BOX, 0.07, 5.1, numb=True, seed=330940140)
+    truth = try_case(bench("ability_hand", RATE), case)
+    assert (truth.said, truth.unknown, truth.held) == (False, True, False)
+
+
 @pytest.mark.parametrize("thing", [CaseObject.HEAVY, CaseObject.SLIPPERY])
 def test_what_falls_out_is_not_said_to_be_held(thing: CaseObject) -> None:
     truth = try_case(bench("wsg50", RATE), Case(thing, 0.03, 20.0, None, seed=6))

@@ -130,6 +130,14 @@ def test_an_opening_of_the_empty_hand_holds_nothing_that_is_known() -> None:
     assert not rules.may_be_nothing(NAN, 0.0005, word=False)
 
 
+def test_fingers_that_meet_as_in_the_empty_hand_have_closed_past_what_they_held() -> None:
+    assert rules.closed_past(0.0001, 0.005, 0.007)
+    assert not rules.closed_past(0.006, 0.005, 0.007)
+    assert not rules.closed_past(0.004, 0.005, 0.007)  # a soft object yields as far
+    assert not rules.closed_past(0.0001, 0.005, 0.004)  # it was never told from the empty hand
+    assert not rules.closed_past(NAN, NAN, 0.007)
+
+
 def test_fingers_of_one_side_press_on_one_another() -> None:
     assert rules.both_press([3.9, 6.7])
     assert not rules.both_press([0.07, 4.0])
