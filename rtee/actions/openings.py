@@ -43,9 +43,22 @@ _WHAT: Final = "the openings"
 MARGIN: Final = 0.01
 """Excess of the opening over the object's width before a hand closes, if it opens so far [m]."""
 
+TABLE: Final = 5e-4
+"""Error of the table of openings, and of measured positions, at the tips [m]: that of goals."""
+
+JOINTS: Final = 3e-3
+"""The same where several actuators press [m]: each yields, and the tips miss the points of the
+table. In MuJoCo, an empty Ability Hand's tips meet at 1.4 mm by its table."""
+
 _ASTRIDE: Final = 0.01
 """Step in which the gap between neighbouring fingertips beyond the object's width counts as worse
 [m]: about half of a fingertip, by whose edge they may still hold it."""
+
+_LATE: Final = 0.4
+"""Largest angle by which an object may turn between the first and the last finger of a side [rad],
+as the distance between these over its width, where one motor moves them, so that none can wait. A
+SoftHand's pinch of three fingers loses balls of 30 and 40 mm, at 0.6 and 0.5, and holds those of 50
+to 70 mm."""
 
 _SQUARE: Final = 0.1
 """Difference of the tips' angles to the object below which actions count as equally good [rad]."""
@@ -119,6 +132,11 @@ class Opening:
     def narrowest(self) -> float:
         """The smallest opening [m]."""
         return float(self.width[-1])
+
+    @property
+    def error(self) -> float:
+        """Error of the opening [m]: of the table, and of measured positions."""
+        return TABLE if len(self.actuators) == 1 else JOINTS
 
     def at(self, intensity: float) -> float:
         """Return the opening at an intensity [m]; beyond the table, that of its end."""
@@ -230,25 +248,46 @@ def crowded(action: Action, opening: Opening) -> bool:
     )
 
 
-def astride(hand: Hand, action: Action, opening: Opening, intensity: float) -> float:
-    """Return how far neighbouring fingertips of one side are apart at an intensity [m].
+def spread(hand: Hand, action: Action, opening: Opening, intensity: float) -> tuple[float, float]:
+    """Return how neighbouring fingertips of one side lie at an intensity.
 
-    A narrower object lies between them, and they close past it.
+    Args:
+        hand: The hand.
+        action: The action.
+        opening: Its opening.
+        intensity: Where on its path.
+
+    Returns:
+        How far they are apart [m]: a narrower object lies between them, and they close past it. And
+        by how much the last one is farther from the other sides than the first [m]: the first one
+        meets the object alone, and pushes it aside.
     """
     tips = {finger.name: finger.tip for finger in hand.fingers}
     target = action.waypoints[-1].position
     way = np.array([target[name] for name in hand.actuator_names]) - hand.rest
-    apart = 0.0
-    for side in opening.sides:
-        points = [
+    sides = [
+        [
             tip_pose_and_jacobian(hand, tip, hand.rest + intensity * way)[0][:3, 3]
             for tip in (tips.get(finger) for finger in side)
-            if tip is not None and len(side) > 1
+            if tip is not None
         ]
+        for side in opening.sides
+    ]
+    apart = behind = 0.0
+    for side, points in enumerate(sides):
+        if len(points) < 2:
+            continue
         for k, point in enumerate(points):
-            others = [float(np.linalg.norm(point - p)) for j, p in enumerate(points) if j != k]
-            apart = max(apart, min(others, default=0.0))
-    return apart
+            apart = max(apart, _nearest(point, [p for j, p in enumerate(points) if j != k]))
+        opposed = [point for other, those in enumerate(sides) if other != side for point in those]
+        ways = [_nearest(point, opposed) for point in points]
+        behind = max(behind, max(ways) - min(ways))
+    return apart, behind
+
+
+def _nearest(point: FloatArray, others: Iterable[FloatArray]) -> float:
+    """Return the distance of the nearest one of some points [m]; 0: there are none."""
+    return min((float(np.linalg.norm(point - other)) for other in others), default=0.0)
 
 
 def meeting(
@@ -286,9 +325,10 @@ def best_for(
 ) -> tuple[Action, Opening]:
     """Return the action that suits an object of a width best, and its opening; the first of equals.
 
-    The criteria, in order: collision-free and in force closure; opens by the whole margin; fingers
-    of one side clear of one another; those of one side not astride the object; force in the
-    direction of pressing, in coarse classes; tips meet the object squarely; few actuators; a pinch
+    The criteria, in order: collision-free and in force closure; closes further than the object is
+    wide; opens by the whole margin; fingers of one side clear of one another; those of one side not
+    astride the object; force in the direction of pressing, in coarse classes; fingers of one side
+    that one motor moves arrive together; tips meet the object squarely; few actuators; a pinch
     before the motion of one finger.
 
     Args:
@@ -300,7 +340,10 @@ def best_for(
 
     def quick(pair: tuple[Action, Opening]) -> tuple[bool, ...]:
         action, opening = pair
-        return doubtful(action), width + margin > opening.widest, crowded(action, opening)
+        # Tips that stay apart press on nothing much narrower; within the error, they may meet.
+        apart = opening.narrowest > opening.error
+        ends = apart and width <= opening.narrowest + opening.error
+        return doubtful(action), ends, width + margin > opening.widest, crowded(action, opening)
 
     def thorough(pair: tuple[Action, Opening]) -> tuple[float, ...]:
         action, opening = pair
@@ -311,9 +354,11 @@ def best_for(
         force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
         # By the logarithm, so that a class is a ratio of forces, for weak and strong ones alike.
         strength = math.log(force) / math.log(_STRONGER)
+        apart, behind = spread(hand, action, opening, at)
         return (
-            max(round((astride(hand, action, opening, at) - width) / _ASTRIDE), 0),
+            max(round((apart - width) / _ASTRIDE), 0),
             -round(strength),
+            len(opening.actuators) == 1 and behind > _LATE * width,
             round(angle / _SQUARE),
             len(opening.actuators),
             -len(action.fingers),

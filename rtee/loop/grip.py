@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rtee.actions.openings import Opening
+from rtee.actions.openings import JOINTS, TABLE, Opening
 from rtee.drivers.capabilities import GripForce
 from rtee.hand.config_schema import ActuatorDynamics, Following
 from rtee.hand.inertia import inertia_of
@@ -70,17 +70,10 @@ _PRESSES: Final = 0.5
 """Without sensors at the tips, an actuator presses above this share of its effort limit: free
 motion takes less."""
 
-_TABLE: Final = 5e-4
-"""Error of the table of openings, and of measured positions, at the tips [m]: that of goals."""
-
 _SAGS: Final = 7e-3
 """By how much fingers that bend are off the table where they meet an object, as an error of their
 actuator [rad]: springs give way to their weight, and to the force that first shows the contact. In
 MuJoCo, a 3-Finger is 1.1 mm too wide to 2.6 mm too narrow at a lever of 0.42 m/rad."""
-
-_JOINTS: Final = 3e-3
-"""The same where several actuators press [m]: each yields, and the tips miss the points of the
-table. In MuJoCo, an empty Ability Hand's tips meet at 1.4 mm by its table."""
 
 _FIRST_ORDER: Final = 0.5
 """Error of a correction by levers, as a share of it: levers change over the corrected distance."""
@@ -228,7 +221,7 @@ class Grip:
             return math.nan
         at = min(max(share, self.intensity[0]), self.intensity[-1])
         off = abs(max(self._interpolated(self.width, at), 0.0) - self.opening(position))
-        table = _TABLE if len(self.indices) == 1 else _JOINTS
+        table = TABLE if len(self.indices) == 1 else JOINTS
         return table + _FIRST_ORDER * off
 
     def intensity_of(self, position: Sequence[float]) -> float:

@@ -290,6 +290,26 @@ def test_without_fingers_the_best_action_for_the_width_is_taken() -> None:
         plan("schunk_svh", Goal(Fingers(("index",)), Around(0.03)))
 
 
+def chosen(hand: str, width: float) -> tuple[str, ...]:
+    return plan(hand, Goal(Fingers(), Around(width))).elements
+
+
+def test_tips_that_stay_apart_are_not_taken_for_an_object_as_narrow() -> None:
+    # Index and middle finger come as near as 9.6 mm, and can press on 10 mm only weakly.
+    assert set(chosen("amazing_hand", 0.01)) == {"thumb", "index"}
+    assert set(chosen("ability_hand", 0.012)) == {"thumb", "middle", "ring"}  # not thumb and pinky
+
+
+@pytest.mark.parametrize("width", [0.026, 0.03, 0.035, 0.04, 0.045])
+def test_a_finger_that_lags_behind_its_neighbour_is_left_out_for_a_small_object(
+    width: float,
+) -> None:
+    # The middle finger is 18 mm behind the index finger, which would meet the object alone.
+    assert set(chosen("qb_softhand", width)) == {"thumb", "index"}
+    assert len(chosen("qb_softhand", 0.05)) == 3  # which turns by less
+    assert len(chosen("robotiq_3f", width)) == 3  # whose two fingers arrive together
+
+
 def test_a_recorded_plan_tells_opening_and_force_as_before() -> None:
     hand, _ = load_configured(CONFIG / "robotiq_2f_85")
     sheet = GripForce((2.0, 24.0), (20.0, 10.0), (235.0, 200.0), (0.0, 0.8))
