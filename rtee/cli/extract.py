@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.actions.openings import Openings
     from rtee.actions.types import Primitive
-    from rtee.exchange.reading import ReadableModel
+    from rtee.exchange.readable import ReadableModel
     from rtee.extract.extraction import Extraction
     from rtee.extract.report import TrialSummary
     from rtee.hand.model import Hand as HandModel

@@ -18,7 +18,7 @@ from rtee.errors import ConfigError, ModelError, UnknownLink
 from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import ParsedModel, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, ModelMotion, joint_name, joint_range
-from rtee.exchange.reading import ReadableModel
+from rtee.exchange.readable import ReadableModel
 from rtee.hand.files import make_folder, write_atomically
 from rtee.hand.frames import angles
 from rtee.hand.model import DisabledPair

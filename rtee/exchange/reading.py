@@ -4,37 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from rtee.errors import ConfigError, needing_extra
+from rtee.exchange.readable import ReadableModel
 from rtee.exchange.xacro_expand import arguments_of, expand
 from rtee.hand.files import temporary_folder
-from rtee.hand.model import DisabledPair
 from rtee.units import AngleUnit
 
 XACRO: Final = ".xacro"
 """Suffix of files that are expanded; other files are never run."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReadableModel:
-    """A model as a URDF, with properties that a URDF cannot represent.
-
-    Attributes:
-        urdf: The URDF.
-        passive: Joints without a motor; ``None`` if unknown, as for an MJCF without any motor.
-        excluded: Pairs of links that are never checked for collision, with the reason.
-        notes: Sentences about choices and omissions.
-        package_dirs: Folders of mesh packages.
-    """
-
-    urdf: Path
-    passive: tuple[str, ...] | None = None
-    excluded: tuple[DisabledPair, ...] = ()
-    notes: tuple[str, ...] = ()
-    package_dirs: tuple[Path, ...] = ()
 
 
 def as_urdf(
