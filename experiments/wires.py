@@ -10,7 +10,6 @@ import anyio
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
-from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import RteeError
 from rtee.hand.files import make_folder
@@ -46,7 +45,7 @@ class WiredHand(Observer):
     @property
     def emulator(self) -> Emulator:
         """What plays its (first) device."""
-        return self._pool.played(owner_of(self.prepared.devices[0].spec))
+        return self._pool.played(self.prepared.devices[0].spec.owner)
 
     def on_result(self, result: Result) -> None:
         """Keep how a goal ended."""
