@@ -14,7 +14,7 @@ import numpy as np
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.canonical import Canonical, canonical
 from rtee.extract.evidence import Inspector, as_posture
-from rtee.extract.jobs import Progress, Workers, processors
+from rtee.extract.jobs import ForkedProcesses, Progress, processors
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.extract.multi import MultiSearch, Pinches
 from rtee.extract.pinch import PinchProbe, pinch_search
@@ -85,7 +85,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     # The longest searches first, so that all processes end at about the same time.
     groups = [g for size in range(len(tipped), 2, -1) for g in combinations(tipped, size)]
     most, before = len(groups) + len(pairs), len(pairs)
-    with Workers(inspector, min(jobs, most)) as workers:
+    with ForkedProcesses(inspector, min(jobs, most)) as workers:
         found = workers.map([partial(_probed, pair, rank) for pair in pairs], progress)
         probes = {pair: probe for pair, probe in zip(pairs, found, strict=True) if probe}
         # Searches for several tips start from the pinches of two fingers.

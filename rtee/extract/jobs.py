@@ -36,7 +36,7 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-class Workers(Generic[Shared]):
+class ForkedProcesses(Generic[Shared]):
     """Forked processes that share large data, such as meshes, without copies.
 
     What a process computes and keeps with the data, such as a cache, serves its later tasks, too.
@@ -112,7 +112,7 @@ class Workers(Generic[Shared]):
 def parallel_map(
     function: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, progress: Progress
 ) -> list[Result]:
-    """Return the results of a function for all tasks, in their order, computed by `Workers`.
+    """Return the results of a function for all tasks, in their order; see `ForkedProcesses`.
 
     Args:
         function: A function without relevant side effects.
@@ -122,7 +122,7 @@ def parallel_map(
     """
     # By number, since the processes inherit the function and its arguments, too.
     numbers = [partial(_nth, number) for number in range(len(tasks))]
-    with Workers((function, tasks), min(jobs, len(tasks))) as workers:
+    with ForkedProcesses((function, tasks), min(jobs, len(tasks))) as workers:
         return workers.map(numbers, progress)
 
 

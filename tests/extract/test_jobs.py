@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rtee.extract.jobs import Workers, parallel_map
+from rtee.extract.jobs import ForkedProcesses, parallel_map
 
 HERE = os.getpid()
 
@@ -72,7 +72,7 @@ def collected(task: int, seen: list[int]) -> tuple[int, list[int]]:
 @pytest.mark.usefixtures("alone")
 def test_processes_keep_what_they_know_for_further_tasks() -> None:
     seen: list[int] = []
-    with Workers(seen, 2) as workers:
+    with ForkedProcesses(seen, 2) as workers:
         first = workers.map([partial(collected, task) for task in range(6)], nothing)
         second = workers.map([partial(collected, task) for task in range(6, 12)], nothing)
     known = dict(first)
