@@ -101,6 +101,13 @@ class Request:
         """Return the key on the network; the hand ``*`` matches all hands."""
         return f"{PREFIX}/{hand}/{self.group}/{self.name}"
 
+    def refusal(self, role: Role) -> str:
+        """Return why a client with a role may not send the request; ``""`` if it may."""
+        if role >= self.role:
+            return ""
+        least, given = self.role.name.lower(), role.name.lower()
+        return f"'{self.name}' needs the role {least}; this client has the role {given}"
+
 
 def _request(
     group: str, name: str, question: str, answer: str, text: str, role: Role | None = None

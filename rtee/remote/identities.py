@@ -257,11 +257,8 @@ class Identities:
         rates, admitted = client.rates, self._admitted(client.access_path)
         if admitted is None:
             rates.refuse("the certificate of this client was revoked")
-        if admitted.role < request.role:
-            rates.refuse(
-                f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
-                f" the role {admitted.role.name.lower()}"
-            )
+        if text := request.refusal(admitted.role):
+            rates.refuse(text)
         name, together, reserved = request.name, self._together(client.share), client.reserved
         if not (rates.allow(name) and (together.allow(name) or reserved.allow(name))):
             rates.refuse(f"too many requests '{name}' in a short time", TooManyRequests)

@@ -39,6 +39,7 @@ from rtee.messages.requests import (
     REQUESTS,
     SAMPLE,
     STOP,
+    Request,
     Role,
     inbox_key,
     topic_for,
@@ -262,13 +263,13 @@ class Link:
 
         def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                self._call_soon(self._settle, future, True, reply.ok.payload.to_bytes())
+                self._call_soon(self._settle, future, request, True, reply.ok.payload.to_bytes())
             elif reply.err is not None:
-                self._call_soon(self._settle, future, False, reply.err.payload.to_bytes())
+                self._call_soon(self._settle, future, request, False, reply.err.payload.to_bytes())
 
         def ended() -> None:
             # Without effect after a reply, which has completed the future.
-            self._call_soon(self._settle, future, False, b"")
+            self._call_soon(self._settle, future, request, False, b"")
 
         try:
             self._session.get(
@@ -315,9 +316,11 @@ class Link:
 
     def _refuse(self, label: str, data: bytes) -> None:
         if (refused := self._refusals.get(label)) is not None:
-            refused(self._refusal(data))
+            refused(self._refusal(REQUESTS[SAMPLE], data))
 
-    def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
+    def _settle(
+        self, future: asyncio.Future[bytes], request: Request, ok: bool, data: bytes
+    ) -> None:
         """Complete the future of an answer; empty data of a refusal mean that none arrived."""
         # The caller may have been cancelled, or the answer has arrived before the end of the query.
         if future.done():
@@ -325,14 +328,19 @@ class Link:
         if ok:
             future.set_result(data)
         else:
-            future.set_exception(self._refusal(data))
+            future.set_exception(self._refusal(request, data))
 
-    def _refusal(self, data: bytes) -> RemoteError:
+    def _refusal(self, request: Request, data: bytes) -> RemoteError:
         """Return the error of a refusal; empty data mean that there was no answer."""
         try:
             reply = _REPLY.decode(data)
         except MessageError:
-            return self.lost() if self.gone else NoHand(f"the hand '{self.hand}' does not answer")
+            if self.gone:
+                return self.lost()
+            # Zenoh drops what a role may not send.
+            if text := request.refusal(self.role):
+                return RequestRejected(text)
+            return NoHand(f"the hand '{self.hand}' does not answer")
         match reply["error"]:
             case "LeaseHeld":
                 return LeaseHeld(reply["text"])
