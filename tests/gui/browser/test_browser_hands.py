@@ -212,7 +212,7 @@ def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window, gate: 
     window.button("Try").click()
     window.says("a trial begins …")
     window.button("Try").click()
-    window.told("a trial is still running; wait for it to end, or cancel it")
+    window.told("a trial is still running, here or in another window; wait for it to end")
     window.button("Cancel").last.click()
     window.says("cancelled")
     window.choose("Table", "below it")
