@@ -111,6 +111,12 @@ async def has(app: App, kind: ActionKind, name: str, *, there: bool = True) -> N
         await anyio.sleep(0.02)
 
 
+async def labelled(server: viser.ViserServer, fingers: int) -> None:
+    """Wait until the fingers of a hand have their names, which its first states draw."""
+    while sum(name.endswith("/label") for name in server.scene._handle_from_node_name) < fingers:  # noqa: ASYNC110
+        await anyio.sleep(0.02)
+
+
 @pytest.mark.heavy
 async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path: Path) -> None:
     controls, nodes, commands = [], [], []
@@ -124,6 +130,7 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
                 app.pages[0].choose(name)
                 await shows(app, f"{name}: connected")
                 await has(app, ActionKind.TIMED, "wave")
+                await labelled(server, len(hand.fingers))
                 controls.append(len(server.gui._gui_input_handle_from_uuid))
                 nodes.append(len(server.scene._handle_from_node_name))
                 commands.append(len(server.gui._command_handle_from_uuid))
