@@ -8,7 +8,7 @@ import logging
 import math
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -292,6 +292,7 @@ class Service:
         self.type, self.name = kind, entity.topic
         self._participant, self._key, self._handler, self._most = participant, key, handler, at_once
         self._under_way: set[tuple[bytes, int]] = set()
+        self._by_client: Counter[bytes] = Counter()
         self._waiting: deque[_Asked] = deque()
         self._closed = False
         self._limit = Limit(_MOST_A_SECOND)
@@ -346,13 +347,26 @@ class Service:
         self._inbox.put(_Asked(query, bytes(payload), attachment))
 
     def _take(self, received: _Asked) -> None:
-        if len(self._under_way) >= self._most:
-            if len(self._waiting) >= _MOST_WAITING:
-                self._too_many()
-            else:
-                self._waiting.append(received)
+        if self._has_place(received):
+            self._begin(received)
             return
-        self._begin(received)
+        self._waiting.append(received)
+        if len(self._waiting) > _MOST_WAITING:
+            # The client with the most waiting requests loses its last one, so that a client that
+            # sends many takes no other's turn.
+            clients = [asked.attachment.gid for asked in self._waiting]
+            most = Counter(reversed(clients)).most_common(1)[0][0]
+            del self._waiting[max(n for n, client in enumerate(clients) if client == most)]
+            self._too_many()
+
+    def _has_place(self, received: _Asked) -> bool:
+        """Whether a request can begin: its client has fewer under way than there are places left.
+
+        So one client takes half of the places at most, the next one half of the rest, and a client
+        without a request under way finds one as long as there is any.
+        """
+        left = self._most - len(self._under_way)
+        return self._by_client[received.attachment.gid] < left
 
     def _begin(self, received: _Asked) -> None:
         number = (received.attachment.gid, received.attachment.sequence)
@@ -367,6 +381,7 @@ class Service:
             self._reply(received, self._nothing)
             return
         self._under_way.add(number)
+        self._by_client[number[0]] += 1
         self._participant.start(self._answer(received, number, request))
 
     async def _answer(self, received: _Asked, number: tuple[bytes, int], request: Any) -> None:
@@ -381,9 +396,13 @@ class Service:
                     self._reply(received, response)
         finally:
             self._under_way.discard(number)
-            # A loop, since a request that `_begin` refuses makes room for the next one.
-            while self._waiting and len(self._under_way) < self._most:
-                self._begin(self._waiting.popleft())
+            self._by_client -= Counter((number[0],))  # which forgets a client at zero
+            waiting, self._waiting = self._waiting, deque()
+            for asked in waiting:
+                if self._has_place(asked):
+                    self._begin(asked)
+                else:
+                    self._waiting.append(asked)
 
     def _reply(self, received: _Asked, response: Any) -> None:
         if not isinstance(response, self.type.response):

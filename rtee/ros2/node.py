@@ -149,7 +149,8 @@ class Node:
             handler: Returns the response to a request; may take any time. If it raises an error,
                 the client gets an empty response, since ROS 2 has no error responses.
             qos: Quality of service.
-            at_once: Most requests handled at once; 100 more wait, and further ones are dropped.
+            at_once: Most requests handled at once, those of one client only while as many places
+                are left for others; 100 more wait, and further ones are dropped.
 
         Raises:
             ConfigError: if ROS 2 would refuse the name.

@@ -159,6 +159,53 @@ async def test_too_many_requests_are_dropped_and_told_once(
     assert len([text for text in warnings(caplog) if "too many at once" in text]) == 1
 
 
+async def test_a_client_of_many_requests_delays_no_other(
+    settings: Ros2Settings, peer: Peer
+) -> None:
+    async with Context.open(settings, {}) as context, Context.open(settings, {}) as other:
+        set_bool = context.interfaces.service("std_srvs/srv/SetBool")
+        held, under_way = anyio.Event(), list[bool]()
+
+        async def answer(request: Any) -> Any:
+            under_way.append(request.data)
+            if request.data:
+                await held.wait()
+            return set_bool.response(success=True)
+
+        service = context.node("hand").service("/wait", set_bool, answer, at_once=4)
+        client = other.node("other").client("/wait", "std_srvs/srv/SetBool")
+        await client.wait(20)
+        key, greedy = f"0/wait/std_srvs::srv::dds_::SetBool_/{set_bool.hash}", peer()
+        with greedy.declare_querier(key) as querier:
+            await until(lambda: querier.matching_status.matching)
+        ended: list[int] = []
+
+        def ask(number: int) -> None:
+            greedy.get(
+                key,
+                zenoh.handlers.Callback(
+                    lambda reply: None, lambda: ended.append(number), indirect=False
+                ),
+                payload=set_bool.request(data=True).encode(),
+                attachment=numbered(number),
+                timeout=30,
+            )
+
+        for number in range(endpoints._MOST_WAITING + 2):
+            ask(number)
+            # Step by step, since the queue of Zenoh's threads is as short as that of the service.
+            await until(lambda: len(service._under_way) + len(service._waiting) == number + 1)  # noqa: B023
+        # Two of four places, and all of the queue; the other client finds a place all the same,
+        assert (await client.call(client.type.request(data=False), 20)).success
+        assert under_way == [True, True, False]
+        async with anyio.create_task_group() as group:
+            for _ in range(4):  # and when its requests have to wait, a place in the queue.
+                group.start_soon(client.call, client.type.request(data=True), 20)
+            await until(lambda: len(ended) == 3)
+            assert ended == [101, 100, 99]
+            held.set()
+
+
 async def test_nodes_that_come_and_go_leave_nothing(
     settings: Ros2Settings,
     peer: Peer,
