@@ -87,11 +87,11 @@ def _chosen_hand(ctx: typer.Context) -> str | None:
 
 
 def complete_running(incomplete: str) -> list[str]:
-    """Return the hands running on this computer that begin with the given text."""
-    from rtee.remote.directory import running
+    """Return the hands on this computer, running or just starting, that begin with the text."""
+    from rtee.remote.directory import running, starting
 
     try:
-        return [name for name in running() if name.startswith(incomplete)]
+        return [name for name in (*running(), *starting()) if name.startswith(incomplete)]
     except (RteeError, OSError):
         return []
 
@@ -228,8 +228,8 @@ class _Command(TyperCommand):
     def _with_hand(self, args: list[str]) -> list[str]:
         """Return the arguments with a hand that is the first word as the option ``--hand``.
 
-        Where words may mean something else, it counts as a hand if a hand of this name runs here,
-        or if there is one for which the command waits.
+        Where words may mean something else, it counts as a hand if a hand of this name runs or
+        starts here, or if there is one for which the command waits.
         """
         given = any(word == "--hand" or word.startswith("--hand=") for word in args)
         place = None if given or not self._takes_running() else self._first_word(args)

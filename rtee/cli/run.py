@@ -104,46 +104,50 @@ def run(
         duration (0.0..; S): End after this many seconds.
         trace: Record the bytes on all buses.
     """
-    import anyio
+    from rtee.remote.directory import about_to_run
 
-    from rtee.loop.realtime import backend_options
-    from rtee.running.run import RunOptions, run_hands
+    # First, since importing the rest takes a second, and clients should wait for the hands.
+    with about_to_run([Path(hand).name for hand in hands]):
+        import anyio
 
-    check_files()
-    if driver is not None and not driver.strip():
-        raise ConfigError("--driver is empty; give kinematic, devices or a driver's name")
-    log_to_stderr(verbose)
-    if ros2:
-        from rtee.ros2.session import check_environment
+        from rtee.loop.realtime import backend_options
+        from rtee.running.run import RunOptions, run_hands
 
-        check_environment()
-    driver_options = named_values(option or [], "--option", "the option")
-    driver_options |= _scene(driver, object_, gravity, friction)
-    options = RunOptions(
-        driver=driver,
-        emulated=emulated,
-        ideal=ideal,
-        # There, the object is an option of the driver, see `_scene`.
-        object_in_hand=None if driver == "mujoco" else object_,
-        driver_options=driver_options,
-        home=home,
-        rate=rate,
-        realtime=realtime,
-        log=log,
-        record=not no_log,
-        duration=duration,
-        trace=trace,
-        companions=_companions(gui, hands),
-        ros2=ros2,
-        metrics=metrics,
-        events=events,
-    )
+        check_files()
+        if driver is not None and not driver.strip():
+            raise ConfigError("--driver is empty; give kinematic, devices or a driver's name")
+        log_to_stderr(verbose)
+        if ros2:
+            from rtee.ros2.session import check_environment
 
-    async def main() -> int:
-        def say(line: str) -> None:
-            # Flushed, since a program that reads the output may wait for a line.
-            print(line, flush=True, file=sys.stderr if events is Lines.STDOUT else sys.stdout)
+            check_environment()
+        driver_options = named_values(option or [], "--option", "the option")
+        driver_options |= _scene(driver, object_, gravity, friction)
+        options = RunOptions(
+            driver=driver,
+            emulated=emulated,
+            ideal=ideal,
+            # There, the object is an option of the driver, see `_scene`.
+            object_in_hand=None if driver == "mujoco" else object_,
+            driver_options=driver_options,
+            home=home,
+            rate=rate,
+            realtime=realtime,
+            log=log,
+            record=not no_log,
+            duration=duration,
+            trace=trace,
+            companions=_companions(gui, hands),
+            ros2=ros2,
+            metrics=metrics,
+            events=events,
+        )
 
-        return await run_hands(hands, options, say=say)
+        async def main() -> int:
+            def say(line: str) -> None:
+                # Flushed, since a program that reads the output may wait for a line.
+                print(line, flush=True, file=sys.stderr if events is Lines.STDOUT else sys.stdout)
 
-    raise typer.Exit(anyio.run(main, backend_options=backend_options()))
+            return await run_hands(hands, options, say=say)
+
+        raise typer.Exit(anyio.run(main, backend_options=backend_options()))

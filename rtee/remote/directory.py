@@ -2,7 +2,8 @@
 
 A server keeps the file of its hand locked for as long as it lives. A file without a lock was left
 behind by a process that was killed. Programs that clean temporary folders may remove a file that
-is in use, so a server also keeps a name in the kernel, and writes its file again.
+is in use, so a server also keeps a name in the kernel, and writes its file again. A process that is
+about to run hands says so in a file of its own, until it has those of the hands.
 
 Servers and clients use a folder and its files only if no other user could have made them.
 """
@@ -51,6 +52,9 @@ _WATCH_PERIOD = 1.0
 _ASKING = 64
 """Processes that may ask for the owner of a name between two of these checks: more than ever start
 a hand at once."""
+
+_HAND, _STARTS = ".json", ".starts"
+"""Suffixes of the files of hands, and of processes that are about to run hands."""
 
 _OPEN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 """Flags for opening files: no links are followed, and a named pipe does not block."""
@@ -149,6 +153,7 @@ class HandLock:
         self._hand, self._name = hand, name
         self._entry = b""
         self._descriptor = _locked(path, hand)
+        os.ftruncate(self._descriptor, 0)  # a killed server may have left an entry
         self._changing = threading.Lock()
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name=f"place {hand}", daemon=True)
@@ -159,8 +164,8 @@ class HandLock:
         self._put(json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)}).encode())
 
     def withdraw(self) -> None:
-        """Withdraw the announcement of the hand."""
-        self._put(b"")
+        """Withdraw the announcement of the hand, which ends: clients do not wait for it."""
+        self._put(json.dumps({"pid": os.getpid(), "ends": True}).encode())
 
     def close(self) -> None:
         """Remove the file."""
@@ -175,7 +180,7 @@ class HandLock:
     def _put(self, entry: bytes) -> None:
         with self._changing:
             self._entry = entry
-            os.ftruncate(self._descriptor, 0)  # a killed server may have left a longer entry
+            os.ftruncate(self._descriptor, 0)
             os.pwrite(self._descriptor, entry, 0)
 
     def _watch(self) -> None:
@@ -206,7 +211,7 @@ def claimed(hand: str) -> Iterator[HandLock]:
 
     Raises `ConfigError` if the hand runs already, or the folder cannot be used.
     """
-    path = runtime_folder() / f"{check_name(hand, 'hand')}.json"
+    path = runtime_folder() / f"{check_name(hand, 'hand')}{_HAND}"
     folder = _own_folder(make=True)
     if folder is None:
         raise ConfigError("cannot be created", path=path.parent)
@@ -217,8 +222,37 @@ def claimed(hand: str) -> Iterator[HandLock]:
         name = stack.enter_context(_named(hand, folder, path.parent))
         place = HandLock(path, hand, name)
         stack.callback(place.close)
-        place.withdraw()
+        _unlink(f"{os.getpid()}{_STARTS}", folder)
         yield place
+
+
+@contextlib.contextmanager
+def about_to_run(hands: Sequence[str]) -> Iterator[None]:
+    """Tell clients that this process is about to run hands, until it has `claimed` the first.
+
+    They wait for it instead of being told that no hand runs. Whatever is wrong with the folder is
+    left to `claimed`, which says so.
+    """
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ConfigError, OSError):
+            folder = _own_folder(make=True)
+            if folder is not None:
+                stack.callback(os.close, folder)
+                for name in os.listdir(folder):  # what killed processes have left
+                    if name.endswith(_STARTS) and _entry(folder, name) is None:
+                        os.unlink(name, dir_fd=folder)
+                name = f"{os.getpid()}{_STARTS}"
+                descriptor = os.open(name, os.O_RDWR | os.O_CREAT | _OPEN, 0o640, dir_fd=folder)
+                stack.callback(os.close, descriptor)
+                _lock(descriptor, fcntl.LOCK_EX)
+                os.pwrite(descriptor, json.dumps({"hands": list(hands)}).encode(), 0)
+                stack.callback(_unlink, name, folder)
+        yield
+
+
+def _unlink(name: str, folder: int) -> None:
+    with contextlib.suppress(OSError):
+        os.unlink(name, dir_fd=folder)
 
 
 @contextlib.contextmanager
@@ -308,11 +342,8 @@ def _read(descriptor: int) -> dict[str, object]:
     return entry if isinstance(entry, dict) else {}
 
 
-def _hand_in(folder: int, name: str) -> Running | None:
-    """Return the hand of a file, ``None`` if its server has ended.
-
-    It has no endpoints if its server has not announced it yet, or no longer does.
-    """
+def _entry(folder: int, name: str) -> dict[str, object] | None:
+    """Return what a living process has written to a file, ``None`` if its process has ended."""
     try:
         descriptor = os.open(name, os.O_RDONLY | _OPEN, dir_fd=folder)
     except OSError:
@@ -323,14 +354,8 @@ def _hand_in(folder: int, name: str) -> Running | None:
         if not stat.S_ISREG(status.st_mode) or not is_trusted(status, owner):
             return None
         entry = _read(descriptor)
-        pid, endpoints = entry.get("pid", 0), entry.get("endpoints", [])
-        if not isinstance(pid, int) or not isinstance(endpoints, list):
-            return None
-        # A shared lock, so that several readers do not mistake each other for the server.
-        if _lock(descriptor, fcntl.LOCK_SH):
-            return None
-        hand = name.removesuffix(".json")
-        return Running(hand, pid, tuple(map(str, endpoints)))
+        # A shared lock, so that several readers do not mistake each other for the process.
+        return None if _lock(descriptor, fcntl.LOCK_SH) else entry
     finally:
         os.close(descriptor)
 
@@ -340,19 +365,29 @@ def running() -> dict[str, Running]:
 
     Raises `ConfigError` if others can write to this user's folder.
     """
-    return {name: hand for name, hand in _served().items() if hand.endpoints}
+    hands: dict[str, Running] = {}
+    for name, entry in _entries(_HAND).items():
+        pid, endpoints = entry.get("pid", 0), entry.get("endpoints", [])
+        if isinstance(pid, int) and isinstance(endpoints, list) and endpoints:
+            hands[name] = Running(name, pid, tuple(map(str, endpoints)))
+    return hands
 
 
 def starting() -> list[str]:
-    """Return the names of hands that a process has, but does not announce: they start or end.
+    """Return the names of hands that a process has or is about to have, but does not announce yet.
 
     Raises `ConfigError` if others can write to this user's folder.
     """
-    return [name for name, hand in _served().items() if not hand.endpoints]
+    names = [name for name, entry in _entries(_HAND).items() if not entry]
+    for entry in _entries(_STARTS).values():
+        hands = entry.get("hands")
+        names += map(str, hands) if isinstance(hands, list) else ()
+    return names
 
 
-def _served() -> dict[str, Running]:
-    hands: dict[str, Running] = {}
+def _entries(suffix: str) -> dict[str, dict[str, object]]:
+    """Return what living processes have written to files of a suffix, by name without suffix."""
+    entries: dict[str, dict[str, object]] = {}
     # A folder that is given explicitly, as in tests, is the only one.
     services = None if os.environ.get(VARIABLE) else _services()
     try:
@@ -362,13 +397,13 @@ def _served() -> dict[str, Running]:
                 if folder is None:
                     continue
                 for name in sorted(os.listdir(folder)):
-                    hand = _hand_in(folder, name) if name.endswith(".json") else None
-                    if hand is not None:
-                        hands[hand.hand] = hand
+                    entry = _entry(folder, name) if name.endswith(suffix) else None
+                    if entry is not None:
+                        entries[name.removesuffix(suffix)] = entry
         finally:
             if own is not None:
                 os.close(own)
     finally:
         if services is not None:
             os.close(services)
-    return hands
+    return entries

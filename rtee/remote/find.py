@@ -28,8 +28,8 @@ _POLL_PERIOD = 0.02
 """Time between two searches for a hand that is not running yet [s]: too short to be noticed."""
 
 _STARTING = 10.0
-"""Longest wait for a hand that is just starting [s]: before clients can reach it, its devices have
-3 s to connect."""
+"""Longest wait for a hand that is just starting [s]: before clients can reach it, Python needs a
+second or more to import it, and its devices have 3 s to connect."""
 
 _ANSWER_WITHIN = 3.0
 """Time for the hands at an endpoint to report that they are alive [s]: a round trip or two, but on

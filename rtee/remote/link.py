@@ -137,6 +137,8 @@ class Link:
                 await self._samples_wanted.wait()
         except TimeoutError:
             raise NoHand(f"the hand '{self.hand}' does not answer") from None
+        if self.gone:
+            raise self.lost()
 
     def on_gone(self, callback: Callable[[], object]) -> None:
         """Call a function when the hand goes."""
@@ -159,6 +161,7 @@ class Link:
 
     def _on_gone(self) -> None:
         self.gone = True
+        self._samples_wanted.set()  # a client that still waits for that is told
         for callback in self._gone_callbacks:
             callback()
 

@@ -23,6 +23,7 @@ from typing import Any, Final, TypeVar
 
 import zenoh
 
+from rtee import monotonic
 from rtee.errors import ConfigError, NoHand
 from rtee.messages.requests import HERE, PLAIN
 from rtee.remote.connections import disable_linger
@@ -117,6 +118,9 @@ _CONNECT_WITHIN = 10.0
 
 _PROBE_WITHIN = 3.0
 """Time until a connection must be accepted [s]: TCP repeats a lost first packet after 1 s."""
+
+_AGAIN = 0.2
+"""Time between two attempts to open a session [s]: the hand may have too many clients."""
 
 _KEPT: Final[set[int]] = set()
 """Zenoh's threads that keep their thread state of Python. Otherwise each message makes a new one
@@ -335,17 +339,27 @@ def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/exit_on_failure": True,
-        "connect/timeout_ms": round((within or _CONNECT_WITHIN) * 1000),
+        "connect/timeout_ms": 0,
     }
     if any(endpoint.startswith(TLS) for endpoint in endpoints):
         settings |= identity().settings()
+    until = monotonic.now() + (within or _CONNECT_WITHIN)
     try:
-        # Without a listener, Zenoh itself would retry for a long time.
-        for endpoint in endpoints:
-            _probe(endpoint)
-        session = open_session(_configured(settings))
-        disable_linger()
-        return session
+        while True:
+            # One attempt at a time, since Zenoh would retry although the hand has ended meanwhile.
+            for endpoint in endpoints:
+                _probe(endpoint)
+            left = max(until - monotonic.now(), _AGAIN)
+            settings["transport/unicast/open_timeout"] = round(left * 1000)
+            try:
+                session = open_session(_configured(settings))
+            except zenoh.ZError:
+                if monotonic.now() + _AGAIN > until:
+                    raise
+            else:
+                disable_linger()
+                return session
+            monotonic.sleep(_AGAIN)
     except (OSError, OverflowError, UnicodeError, zenoh.ZError) as error:
         raise NoHand(f"nothing answers at {', '.join(endpoints)}: {_words(error)}") from None
 
@@ -375,4 +389,4 @@ def _words(error: Exception) -> str:
     if isinstance(error, OSError):
         return error.strerror or str(error) or "no answer"
     text = str(error).partition(" at /")[0]
-    return "no answer" if "Timeout" in text else text
+    return "no answer" if "Timeout" in text or "Unable to connect" in text else text

@@ -10,6 +10,7 @@ import pytest
 from rtee_process import RTEE
 
 from rtee.cli.main import main
+from rtee.remote.directory import about_to_run, starting
 
 
 def test_the_gui_of_a_hand_that_does_not_run(
@@ -27,6 +28,37 @@ def test_the_gui_of_a_hand_that_does_not_run(
     assert output.err.count("\n") == 1
     assert "the hand 'schunk_svh' is not running on this computer" in output.err
     assert "'rtee run schunk_svh'" in output.err
+
+
+def test_clients_wait_for_a_hand_while_its_run_is_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[list[str]] = []
+
+    async def run_hands(*_: object, **__: object) -> int:
+        told.append(starting())
+        return 0
+
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.setattr("rtee.running.run.run_hands", run_hands)
+    monkeypatch.setattr(sys, "argv", ["rtee", "run", "config/schunk_svh/", "robotiq_2f_85"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
+    assert told == [["schunk_svh", "robotiq_2f_85"]]
+    assert starting() == []
+
+
+def test_the_first_word_may_be_a_hand_that_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    monkeypatch.setattr("rtee.remote.find._STARTING", 0.0)
+    monkeypatch.setattr(sys, "argv", ["rtee", "do", "schunk_svh", "fist"])
+    with about_to_run(["schunk_svh"]), pytest.raises(SystemExit):
+        main()
+    assert "the hand 'schunk_svh' is not running on this computer" in capsys.readouterr().err
 
 
 def test_the_gui_of_any_hand_says_that_it_waits(

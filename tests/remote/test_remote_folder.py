@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
 import socket
 import stat
 import threading
@@ -18,7 +19,7 @@ import pytest
 
 from rtee.errors import ConfigError, NoHand
 from rtee.remote import directory, find
-from rtee.remote.directory import claimed, running
+from rtee.remote.directory import about_to_run, claimed, running, starting
 
 from .serving import announced, until
 
@@ -206,6 +207,46 @@ async def test_a_client_waits_for_a_hand_that_starts(
         assert not opening.done()
     with pytest.raises(NoHand, match="running on this computer"):  # it has ended instead
         await opening
+
+
+@pytest.mark.anyio
+async def test_a_client_does_not_wait_for_a_hand_that_ends(runtime: Path) -> None:
+    with claimed("svh") as place:
+        place.write(["tcp/127.0.0.1:1"])
+        place.withdraw()
+        assert starting() == []
+        with pytest.raises(NoHand, match="'svh' is not running on this computer"):
+            await find.open_hand("svh", None, 0.0)
+
+
+def test_clients_know_what_is_about_to_run_until_it_does(runtime: Path) -> None:
+    with about_to_run(["svh", "jaw"]):
+        assert starting() == ["svh", "jaw"]
+        with claimed("svh") as svh, claimed("jaw"):
+            assert sorted(starting()) == ["jaw", "svh"]
+            svh.write(["tcp/127.0.0.1:1"])
+            assert starting() == ["jaw"]
+        assert starting() == []
+    with about_to_run(["svh"]):  # and is refused, for example because of a mistake in its files
+        assert starting() == ["svh"]
+    assert os.listdir(runtime) == []
+
+
+def test_nobody_waits_for_a_start_that_was_killed(runtime: Path) -> None:
+    def be_killed() -> None:
+        with about_to_run(["svh"]):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    process = multiprocessing.get_context("fork").Process(target=be_killed)
+    process.start()
+    process.join()
+    left = [f"{process.pid}.starts"]
+    assert os.listdir(runtime) == left
+    assert starting() == []
+    with about_to_run(["jaw"]):
+        assert os.listdir(runtime) != left
+        assert starting() == ["jaw"]
+    assert os.listdir(runtime) == []
 
 
 def test_who_is_asked_often_still_says_who_it_is(runtime: Path) -> None:

@@ -8,16 +8,19 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import anyio.to_thread
 import pytest
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, NoHand
 from rtee.hand.model import Hand
-from rtee.remote import session
+from rtee.remote import link, session
 from rtee.remote.directory import running
+from rtee.remote.link import Link
+from rtee.remote.server import Inboxes
 
 from .serving import Config, Remote, free_endpoint, serving
 
@@ -114,6 +117,48 @@ async def test_the_socket_of_a_killed_hand_is_replaced(
         left.bind(str(runtime / "small.sock"))
     async with serving(hand, library), rtee.connect("small") as remote:
         assert (await remote.status()).hand == "small"
+
+
+async def test_a_hand_that_ends_while_a_client_comes_is_noticed_at_once(runtime: Path) -> None:
+    os.mkdir(runtime, 0o700)
+    path = runtime / "small.sock"
+
+    def end(listener: socket.socket) -> None:
+        listener.accept()[0].close()  # the probe
+        with listener.accept()[0]:  # Zenoh
+            listener.close()
+
+    with socket.create_server(str(path), family=socket.AF_UNIX) as listener:
+        async with anyio.create_task_group() as group:
+            group.start_soon(anyio.to_thread.run_sync, end, listener)
+            with pytest.raises(NoHand, match="nothing answers at"):
+                await anyio.to_thread.run_sync(
+                    session.open_client, [f"unixsock-stream/{path}"], 1e4
+                )
+
+
+async def test_a_hand_that_ends_before_it_subscribes_is_noticed_at_once(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Inboxes, "_listen", lambda *_: None)
+    monkeypatch.setattr(link, "_CONNECT_WITHIN", 1e4)
+    answered, link_of = anyio.Event(), Link.request
+
+    async def request(self: Link, *arguments: Any, **options: Any) -> Any:
+        answer = await link_of(self, *arguments, **options)
+        answered.set()
+        return answer
+
+    monkeypatch.setattr(Link, "request", request)
+
+    async def come() -> None:
+        with pytest.raises(NoHand, match="'small' has ended or no longer answers"):
+            async with rtee.connect("small"):
+                pass
+
+    async with anyio.create_task_group() as group, serving(hand, library):
+        group.start_soon(come)
+        await answered.wait()
 
 
 def test_a_path_that_is_too_long_for_a_socket_is_a_mistake(tmp_path: Path) -> None:
