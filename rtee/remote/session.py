@@ -130,11 +130,14 @@ and removes it, which takes 40 to 50 µs of processor time, 10 to 25 µs of them
 _MOST_KEPT: Final = 16
 """Most such threads, each with some 20 KiB: a hand's process has three, a client's one."""
 
+_HOST = r"(\[[^][/?#\s]*:[^][/?#\s]*\]|[^][:/?#\s]+)"
+"""A host: a name or an IPv4 address, or an IPv6 address in brackets."""
+
 _ENDPOINT = re.compile(
-    r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
+    rf"((tcp|udp|tls|quic|ws)/{_HOST}:[0-9]{{1,5}}"
     r"|(serial|unixpipe|unixsock-stream|vsock)/[^?#]+)(\?[^#]*)?(#.*)?"
 )
-_TCP = re.compile(r"(?:tcp|tls)/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
+_TCP = re.compile(rf"(?:tcp|tls)/{_HOST}:([0-9]{{1,5}})")
 _SOCKET = re.compile(LOCAL + r"/([^?#]+)")
 
 _COMMON: dict[str, Any] = {
@@ -300,10 +303,10 @@ def host_of(endpoint: str) -> tuple[str, int]:
 
 def address_of(text: str, what: str) -> tuple[str, int]:
     """Return host and port of ``HOST:PORT``; raises `ConfigError`, which names its purpose."""
-    host, _, port = text.rpartition(":")
-    if not (host and port.isascii() and port.isdigit() and int(port) < 1 << 16):
+    match = re.fullmatch(rf"(?:{_HOST}|([0-9a-fA-F:.]+)):([0-9]{{1,5}})", text)
+    if match is None or int(match[3]) >= 1 << 16:
         raise ConfigError(f"{what}: '{text[:50]}' should be HOST:PORT, such as 127.0.0.1:9464")
-    return host.strip("[]"), int(port)
+    return (match[1] or match[2]).strip("[]"), int(match[3])
 
 
 def is_safe(endpoint: str) -> bool:
@@ -370,7 +373,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
         if _ENDPOINT.fullmatch(endpoint) is None:
             raise ConfigError(
                 f"'{endpoint}' is not an endpoint; it is written PROTOCOL/HOST:PORT, such as"
-                " tcp/robot:7447"
+                " tcp/robot:7447 or tcp/[::1]:7447"
             )
 
 

@@ -34,6 +34,11 @@ _ANSWER_WITHIN = 5.0
 """Longest time until a server accepts, refuses or cancels a goal [s]."""
 
 
+_GONE_WITHIN = 0.5
+"""Longest time from the end of a query until the graph shows that its server has gone [s]: both
+come with the same connection; a server that is still there then has dropped the query."""
+
+
 class ClientGoal:
     """A goal that a server has accepted; made by `ActionClient.send_goal`.
 
@@ -51,7 +56,7 @@ class ClientGoal:
         """Wait for the end of the goal and return its outcome.
 
         Raises `TimeoutError` if the goal has not ended within the timeout [s], and `NoHand` if the
-        server has gone, or no longer knows the goal.
+        server has gone, does not answer, or no longer knows the goal.
         """
         return await self._client.result(self, timeout)
 
@@ -144,7 +149,6 @@ class ActionClient:
 
     async def result(self, goal: ClientGoal, timeout: float) -> ActionOutcome:
         """Wait for the end of a goal; see `ClientGoal.result`."""
-        gone = NoHand(f"the server of {self.name} is gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
         # The query has no timeout and may outlive its server, hence the watch on the graph.
         call = asyncio.ensure_future(self._result.call(request, math.inf))
@@ -154,12 +158,17 @@ class ActionClient:
             await asyncio.wait((call, watch), timeout=limit, return_when="FIRST_COMPLETED")
             if not call.done() and not watch.done():
                 raise TimeoutError(f"the goal of {self.name} has not ended after {timeout:g} s")
-            if not call.done():
-                raise gone
             try:
-                answer = call.result()
-            except TimeoutError:  # Zenoh ended the query, since no server is left to answer it
-                raise gone from None
+                answer = call.result() if call.done() else None
+            except TimeoutError:  # Zenoh ended the query: no server is left, or it has dropped it
+                answer = None
+                await asyncio.wait((watch,), timeout=_GONE_WITHIN)
+            if answer is None:
+                raise NoHand(
+                    f"the server of {self.name} is gone"
+                    if watch.done()
+                    else f"the server of {self.name} gives no result; it may have too many clients"
+                )
         finally:
             for task in (call, watch):
                 task.cancel()

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import threading
 
 import anyio
@@ -567,7 +568,8 @@ async def test_an_endpoint_that_cannot_be_used_is_a_mistake(
     with pytest.raises(NoHand, match="nothing answers"):
         async with rtee.connect("small", endpoint="tcp/127.0.0.1:1"):
             pass
-    for wrong in ("robot", "tcp/robot", "robot:7447", "http/robot:7447"):
-        with pytest.raises(ConfigError, match=f"'{wrong}' is not an endpoint"):
+    brackets = ("tcp/[::1:7447", "tcp/127.0.0.1]:7447", "tcp/[robot:7447", "tcp/[robot]:7447")
+    for wrong in ("robot", "tcp/robot", "robot:7447", "http/robot:7447", *brackets):
+        with pytest.raises(ConfigError, match=re.escape(f"'{wrong}' is not an endpoint")):
             async with rtee.connect("small", endpoint=wrong):
                 pass

@@ -168,6 +168,14 @@ def test_a_path_that_is_too_long_for_a_socket_is_a_mistake(tmp_path: Path) -> No
         session.local_endpoint(tmp_path / "a#b.sock")
 
 
+def test_brackets_of_an_address_belong_together() -> None:
+    assert session.address_of("[::1]:9464", "metrics") == ("::1", 9464)
+    assert session.address_of("localhost:9464", "metrics") == ("localhost", 9464)
+    for wrong in ("[::1:9464", "::1]:9464", "127.0.0.1]:9464", "[robot]:9464", "robot:65536"):
+        with pytest.raises(ConfigError, match=r"metrics: .* should be HOST:PORT"):
+            session.address_of(wrong, "metrics")
+
+
 async def test_a_long_path_of_the_runtime_folder_is_no_obstacle(
     hand: Hand, library: ActionLibrary, runtime: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
