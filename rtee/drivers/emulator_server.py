@@ -18,7 +18,9 @@ from rtee.buses.simulated_can import SimulatedCan
 from rtee.buses.simulated_zmq import Serves, SimulatedZmq
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.objects import Grasps, ObjectInHand, grasping
+from rtee.drivers.options import CanRate, Rate
 from rtee.errors import ConfigError, RteeError, suggestion
+from rtee.hand.validation import Invalid, validated
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
 _ZMQ_PORT = 5556
@@ -83,7 +85,7 @@ class Player:
             options["baudrate"] = baudrate
         self.emulator: Emulator = make_emulator(name, options)
         _check_wire(name, self.emulator, can is not None, link is not None)
-        _check_rate(name, self.emulator, baudrate if can is None else None)
+        _check_rate(name, self.emulator, baudrate, can=can is not None)
         self.emulator.baudrate = rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if isinstance(self.emulator, Serves):
@@ -220,9 +222,15 @@ def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
         )
 
 
-def _check_rate(name: str, emulator: Emulator, baudrate: int | None) -> None:
-    """Refuse a baud rate that the device cannot be set to."""
+def _check_rate(name: str, emulator: Emulator, baudrate: int | None, *, can: bool) -> None:
+    """Refuse a rate that no bus has, or that the device cannot be set to."""
+    if baudrate is None:
+        return
+    try:
+        validated(CanRate if can else Rate, baudrate)
+    except Invalid as error:
+        raise ConfigError(f"'{name}' at {baudrate} baud: {error.sentence}") from None
     rates = emulator.BAUDRATES
-    if baudrate is not None and rates and baudrate not in rates:
+    if rates and not can and baudrate not in rates:
         known = ", ".join(str(rate) for rate in sorted(rates))
         raise ConfigError(f"'{name}' cannot be set to {baudrate} baud; possible: {known}")

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import DeviceOptions, NotNegative, Positive, Rate
 from rtee.drivers.packed import text
 from rtee.drivers.register_blocks import ExchangeKind
 
@@ -38,7 +38,7 @@ class OnRobotOptions(DeviceOptions, frozen=True):
     """Instead of ``host``: tty, socket://, rfc2217:// (RTU) or tcp://host:port."""
     unit: Annotated[int, Meta(ge=0, le=255)] = 65
     """Modbus number: 65; 66 and 67 on a dual quick changer."""
-    baudrate: Annotated[int, Meta(gt=0)] = 1_000_000
+    baudrate: Rate = 1_000_000
     """Rate of a direct line (8E1) [baud]."""
     exchange: ExchangeKind = "auto"
     """How registers are exchanged: function 23, or 16 and 3."""

@@ -23,8 +23,12 @@ NotNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
 Byte = Annotated[int, Meta(ge=0, le=255)]
 """A count or number that fits into a byte."""
 
-Rate = Annotated[int, Meta(gt=0, le=100_000_000)]
-"""Bits per second."""
+Rate = Annotated[int, Meta(ge=1200, le=12_000_000)]
+"""Bits per second of a serial line: from the slowest rate in use for Modbus to the highest of USB
+converters."""
+
+CanRate = Annotated[int, Meta(ge=10_000, le=1_000_000)]
+"""Bits per second of a CAN bus: the lowest and highest rate of CiA 301."""
 
 Duration = Annotated[float, Meta(ge=0.0, le=1e6)]
 """A time [s]."""

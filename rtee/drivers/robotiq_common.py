@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, Positive, Rate
 from rtee.drivers.register_blocks import ExchangeKind
 from rtee.drivers.registers import Registers, at, flag
 
@@ -67,7 +67,7 @@ class RobotiqOptions(DeviceOptions, frozen=True):
     """A tty, socket://, rfc2217:// (RTU) or tcp://."""
     unit: Annotated[int, Meta(ge=0, le=255)] = 9
     """Modbus number of the gripper."""
-    baudrate: Annotated[int, Meta(gt=0)] = 115200
+    baudrate: Rate = 115200
     home: Literal["on_demand", "on_connect"] = "on_demand"
     """When an inactive gripper is activated, which moves all fingers."""
     exchange: ExchangeKind = "auto"

@@ -285,7 +285,10 @@ def _words(kind: Any, value: Any, error: str) -> str:
     if isinstance(value, float) and not math.isfinite(value):
         return "should be a finite number"
     if bound := re.match(r"Expected `\w+` ([<>]=?) (\S+)", error):
-        return f"should be {_BOUNDS[bound[1]]} {float(bound[2]):g}"
+        limit = float(bound[2])
+        # A rate such as 12000000 as its user writes it, not 1.2e+07.
+        words = f"{limit:.0f}" if limit.is_integer() and abs(limit) < 1e9 else f"{limit:g}"
+        return f"should be {_BOUNDS[bound[1]]} {words}"
     if length := re.match(r"Expected `\w+` of length (?:([<>])= )?(\d+)", error):
         least = {"<": "at most ", ">": "at least "}.get(length[1], "")
         return f"should have {least}{length[2]} items"

@@ -151,6 +151,12 @@ def test_mistakes_are_named() -> None:
         Player("xbot2", link=Path("there"))
     with pytest.raises(ConfigError, match="cannot be set to 115200 baud; possible: 921600"):
         Player("schunk_svh", baudrate=115200)
+    with pytest.raises(ConfigError, match=r"'wsg50' at 1 baud: should be greater .* 1200"):
+        Player("wsg50", tcp=0, baudrate=1)
+    with pytest.raises(ConfigError, match=r"'allegro' at 9600 baud: should be greater .* 10000"):
+        Player("allegro", can="x", baudrate=9600)
+    with pytest.raises(ConfigError, match=r"'baudrate' of .*: input should be less .* 12000000"):
+        Player("robotiq_2f", baudrate=12_000_001)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import CanRate, DeviceOptions, Positive
 from rtee.hand.validation import Section
 
 
@@ -60,7 +60,7 @@ class Cia402Options(DeviceOptions, frozen=True, kw_only=True):
 
     channel: str = "can0"
     interface: str = "socketcan"
-    bitrate: Annotated[int, Meta(gt=0)] = 1_000_000
+    bitrate: CanRate = 1_000_000
     nodes: dict[str, NodeOptions]
     mode: Literal["profile_position", "cyclic_position"] = "profile_position"
     home: Literal["on_demand", "on_connect"] = "on_demand"

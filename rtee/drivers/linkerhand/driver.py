@@ -20,7 +20,7 @@ from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.codec import Table
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import CanRate, DeviceOptions, NotNegative, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.errors import CommandRejected, ConfigError
 from rtee.sample import ActuatorState, FloatArray
@@ -50,7 +50,7 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
     """CAN channel instead, for example can0."""
     interface: str = "socketcan"
     """Python-can interface of the channel."""
-    bitrate: Annotated[int, Meta(gt=0)] = codec.BITRATE
+    bitrate: CanRate = codec.BITRATE
     """Rate of CAN [bit/s]."""
     unit: Annotated[int, Meta(ge=1, le=247)] = codec.RIGHT
     """39 is a right, 40 a left hand; its identifier on CAN, too."""

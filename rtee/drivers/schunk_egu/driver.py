@@ -17,7 +17,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, Positive, Rate
 from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu import codec
@@ -188,7 +188,7 @@ class SchunkEguOptions(DeviceOptions, frozen=True):
     """A tty, socket:// or rfc2217://."""
     unit: Annotated[int, Meta(ge=1, le=247)] = 12
     """Modbus number of the gripper."""
-    baudrate: Annotated[int, Meta(gt=0)] = 115200
+    baudrate: Rate = 115200
     """Rate of the line (8E1) [baud]."""
     opens: Literal["up", "down"] = "up"
     """Whether its position grows or falls while the fingers open."""
