@@ -231,6 +231,29 @@ def test_an_episode_of_intensities_is_as_long_as_its_stream(claw: Hand, tmp_path
     assert (action[0], action[-1]) == pytest.approx((0.4, 0.6))
 
 
+def test_an_episode_with_a_short_gap_is_kept_and_the_reason_for_another_told(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path))
+    for first, last in ((0, 30), (37, 130), (143, 200)):  # 70 ms and 130 ms without states
+        for number in log.ticks(first, last):
+            if number in (10, 110):
+                log.writer.item(Event("mark", "user", "episode: close", log.time.now), log.time.now)
+    log.writer.close()
+    # A frame each 33 ms may repeat what one or two before it have, but not three.
+    made = write_dataset(recorded(tmp_path), tmp_path / "made", Choice(30))
+    frames = ticks_of(range(10, 110), 30)
+    assert (made.episodes, made.frames) == (1, len(frames))
+    assert [note for note in made.notes if "is left out" in note] == [
+        "episode 2, 'close', is left out: 0.30 s after its beginning, the position of the "
+        "actuators is not known (for longer than 100 ms)"
+    ]
+    known = [number if number < 30 or number >= 37 else 29 for number in frames]
+    assert 29 in known
+    state = frames_of(tmp_path / "made")["observation.state"]
+    assert state[:, :2] == pytest.approx(np.array([tick(number).position for number in known]))
+
+
 @pytest.mark.parametrize(
     ("choice", "why"),
     [

@@ -61,11 +61,11 @@ class CameraTopic:
     topic: str
     paths: tuple[Path, ...]
 
-    def availability(self) -> Signal:
-        """Return when there were images, without decoding any."""
+    def availability(self, fps: float) -> Signal:
+        """Return when there were images, without decoding any, for so many frames a second."""
         times = [time for time, _, _ in self._messages()]
         wall = np.array(times, dtype=np.int64)
-        return Signal((self.name,), wall, np.ones((len(wall), 1)), lasting(wall))
+        return Signal((self.name,), wall, np.ones((len(wall), 1)), lasting(wall, fps))
 
     def newest(self, when: Times) -> Iterator[Any]:
         """Yield the newest image at each of the given increasing times, as a frame of PyAV.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,7 +14,7 @@ import numpy as np
 from rtee.errors import LogError, needing_extra
 from rtee.log.brief import check_hands
 from rtee.log.dataset.cameras import CameraTopic, cameras_in
-from rtee.log.dataset.signals import Times, asked, intensities, observed, sent
+from rtee.log.dataset.signals import Signal, Times, asked, intensities, observed, sent
 from rtee.log.export import replacing
 from rtee.log.file_index import FileIndex, index_file
 from rtee.log.reader import read
@@ -126,13 +127,14 @@ class Made:
 
 @dataclass(frozen=True)
 class _Shot:
-    """An episode at the times of its frames."""
+    """An episode at the times of its frames, and how long its values count as current [s]."""
 
     episode: Episode
     when: Times
     state: Mapping[ObservedQuantity, Mapping[str, FloatArray]]
     action: FloatArray
     sent: FloatArray
+    longest: Mapping[str, float]
     path: Path
 
 
@@ -172,7 +174,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         key=lambda shot: shot.episode.start,
     )
     notes: list[str] = []
-    kept = list(_kept(shots, cameras, notes))
+    kept = list(_kept(shots, [(c, c.availability(choice.fps)) for c in cameras], notes))
     if not kept:
         raise LogError(f"no episode remains: {notes[0]}", path=hands[0][0])
     features = _features(kept, choice, notes)
@@ -198,7 +200,8 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
             f"a second, not {choice.fps}",
             path=path,
         )
-    signals, reference = list(observed(recording)), sent(recording)
+    signals, reference = list(observed(recording, choice.fps)), sent(recording, choice.fps)
+    longest = {SENT: reference.longest, STATE: signals[0][1].longest}
     wanted = intensities(recording, choice.actions) if choice.actions else asked(recording)
     if choice.actions and not np.isfinite(wanted.values).any():
         raise LogError(f"has no stream with targets for {' or '.join(choice.actions)}", path=path)
@@ -218,30 +221,29 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
         went = reference.at(when)
         if not choice.actions:
             action = np.where(np.isfinite(action), action, went)
-        yield _Shot(episode, when, state, action, went, path)
+        yield _Shot(episode, when, state, action, went, longest, path)
 
 
 def _kept(
-    shots: Iterable[_Shot], cameras: Sequence[CameraTopic], notes: list[str]
+    shots: Iterable[_Shot], images: Sequence[tuple[CameraTopic, Signal]], notes: list[str]
 ) -> Iterator[_Shot]:
     """Yield the episodes in which action, positions and images are known throughout."""
-    images = [(camera, camera.availability()) for camera in cameras]
     for number, shot in enumerate(shots, start=1):
-        needed = {
-            "the position of the actuators": np.array(
-                [*shot.state[ObservedQuantity.POSITION].values()]
-            ).T,
-            "what was sent": shot.sent,
-            "what was asked for": shot.action,
-            **{f"the image of '{c.topic}'": seen.at(shot.when) for c, seen in images},
-        }
-        for what, values in needed.items():
+        position = np.array([*shot.state[ObservedQuantity.POSITION].values()]).T
+        needed = [
+            ("the position of the actuators", position, shot.longest[STATE]),
+            ("what was sent", shot.sent, shot.longest[SENT]),
+            ("what was asked for", shot.action, math.inf),
+            *((f"the image of '{c.topic}'", s.at(shot.when), s.longest) for c, s in images),
+        ]
+        for what, values, longest in needed:
             unknown = ~np.isfinite(values).all(axis=1)
             if unknown.any():
                 after = (shot.when[unknown][0] - shot.when[0]) / SECOND
                 notes.append(
                     f"episode {number}, '{shot.episode.task}', is left out: {after:.2f} s after "
                     f"its beginning, {what} is not known"
+                    + (f" (for longer than {longest * 1000:.0f} ms)" if longest < math.inf else "")
                 )
                 break
         else:

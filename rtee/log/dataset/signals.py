@@ -27,10 +27,11 @@ from rtee.types import Goal, Intensity, Named
 Times = NDArray[np.int64]
 
 _PERIODS: Final = 3.0
-"""Typical periods for which a value counts as current: one or two may be lost."""
+"""Periods of the recording, or of the dataset if those are longer, for which a value counts as
+current: one or two values may be lost, and one or two frames may repeat what is known."""
 
 _AT_LEAST: Final = 0.03
-"""But at least this time [s]: a busy computer misses ticks, and a frame of 30 Hz takes longer."""
+"""But at least this time [s]: a busy computer misses ticks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,21 +69,27 @@ class Signal:
         return rows[np.searchsorted(self.wall, when, side="right")]
 
 
-def lasting(wall: Times) -> float:
-    """Return how long a value measured at the given times counts as current [s]."""
+def lasting(wall: Times, fps: float) -> float:
+    """Return how long a value measured at the given times counts as current [s].
+
+    The dataset has ``fps`` frames a second.
+    """
     typical = float(np.median(np.diff(wall))) / SECOND if len(wall) > 1 else 0.0
-    return max(_PERIODS * typical, _AT_LEAST)
+    return max(_PERIODS * max(typical, 1.0 / fps), _AT_LEAST)
 
 
-def observed(recording: Recording) -> Iterator[tuple[ObservedQuantity, Signal]]:
-    """Yield the measurements, in the order and by the names of `rtee.messages.features`."""
+def observed(recording: Recording, fps: float) -> Iterator[tuple[ObservedQuantity, Signal]]:
+    """Yield the measurements, in the order and by the names of `rtee.messages.features`.
+
+    The dataset has ``fps`` frames a second.
+    """
     states, joints = recording.actuator_states, recording.joint_states
 
     def of_series(quantity: ObservedQuantity, series: JointSeries, names: Sequence[str]) -> Signal:
         values = series.effort if quantity is ObservedQuantity.EFFORT else series.position
         columns = [series.index(name) for name in names]
         labels = tuple(feature(quantity, name) for name in names)
-        return Signal(labels, series.wall, values[:, columns], lasting(series.wall))
+        return Signal(labels, series.wall, values[:, columns], lasting(series.wall, fps))
 
     yield ObservedQuantity.POSITION, of_series(ObservedQuantity.POSITION, states, states.names)
     followers = [name for name in joints.names if name not in states.names]
@@ -92,7 +99,7 @@ def observed(recording: Recording) -> Iterator[tuple[ObservedQuantity, Signal]]:
     widths = np.array([[entry.value.opening] for entry in recording.grip]).reshape(-1, 1)
     yield (
         ObservedQuantity.OPENING,
-        Signal((feature(ObservedQuantity.OPENING),), wall, widths, lasting(wall)),
+        Signal((feature(ObservedQuantity.OPENING),), wall, widths, lasting(wall, fps)),
     )
     yield ObservedQuantity.FORCE, _forces(recording)
     for device in recording.touch.values():
@@ -140,11 +147,11 @@ def _fingers(recording: Recording, count: int) -> Sequence[str]:
         return ()
 
 
-def sent(recording: Recording) -> Signal:
-    """Return the references sent to the devices, by actuator [rad | m]."""
+def sent(recording: Recording, fps: float) -> Signal:
+    """Return the references sent to the devices, by actuator [rad | m]; see `observed`."""
     series = recording.reference
     names = tuple(feature(ObservedQuantity.POSITION, name) for name in series.names)
-    return Signal(names, series.wall, series.position, lasting(series.wall))
+    return Signal(names, series.wall, series.position, lasting(series.wall, fps))
 
 
 def asked(recording: Recording) -> Signal:
