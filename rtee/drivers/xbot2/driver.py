@@ -88,8 +88,8 @@ class XBot2Options(DeviceOptions, frozen=True):
             raise Misfit("an address is 'tcp://host'; ports are separate options", "address")
 
 
-_STALE = 0.3
-"""Age at which a state counts as lost [s]: thirty periods at the server's usual rate."""
+_LATE = 0.25
+"""Time by which a state may be late [s]: TCP repeats a lost packet after 0.2 s."""
 
 _BAND = 0.02
 """In effort control, the largest error that causes no motion [range]: a smaller one is within the
@@ -164,7 +164,7 @@ class XBot2Driver(Driver):
             self.buses.zmq,
             options.address,
             lambda bus: bus,
-            emulated={"joints": joints, "ends": (min(ends), max(ends))},
+            emulated={"joints": joints, "ends": (min(ends), max(ends)), "rate": options.rate},
             ports=(options.state_port, options.command_port, options.service_port),
         )
         # Before the request, since states arrive all the time and the wait below needs one.
@@ -241,10 +241,12 @@ class XBot2Driver(Driver):
                 async with asyncio.timeout(1.5 / self.options.rate):
                     await self._arrived.wait()
         state = self._state
-        if state is None or monotonic.now() - self._stamp > _STALE:
-            # States are not requested, so the bus cannot count a missing one.
+        # States are not requested: the next one is due after a period.
+        longest = 1.0 / self.options.rate + _LATE
+        if state is None or monotonic.now() - self._stamp > longest:
+            # Nor can the bus count a missing one.
             bus.counters.timeouts += 1
-            raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")
+            raise BusTimeout(bus.name, f"no state for more than {longest:.2g} s")
         fresh, self._seen = self._stamp != self._seen, self._stamp
         joints = list(zip(self._index, self._reported, self._signs, strict=True))
         return ActuatorState.measured(

@@ -258,6 +258,22 @@ async def test_silence_is_noticed_and_stop_holds() -> None:
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize(("rate", "late"), [(4.0, 0.49), (100.0, 0.25)])
+async def test_a_state_may_be_late_by_a_period_and_a_repeated_packet(
+    rate: float, late: float
+) -> None:
+    async with BusPool() as pool, connected(pool, device(rate=rate)) as made:
+        while not (await made.sense()).fresh:
+            pass
+        server(pool).inject("silent")
+        await anyio.sleep(late - 1.5 / rate)  # as long as `sense` waits for a new state
+        assert not (await made.sense()).fresh
+        await anyio.sleep(0.02)
+        with pytest.raises(BusTimeout, match=r"no state for more than 0\.(5|26) s"):
+            await made.sense()
+
+
+@pytest.mark.anyio
 async def test_the_server_may_go_and_come() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         wire = pool.simulation("dagana/robot")
