@@ -18,7 +18,7 @@ import numpy as np
 
 from rtee.errors import GoalRejected
 from rtee.sample import NOTHING, BoolArray, FloatArray
-from rtee.values import Value
+from rtee.values import Value, number
 
 
 # A function, since a dataclass refuses the mapping itself as a default: it has no hash.
@@ -321,14 +321,23 @@ def new_goal_id() -> str:
 _NEEDS_OPENING = "needs the opening, or the width of the object, in metres"
 
 
-def _above_zero(name: str, value: float, unit: str = "") -> None:
-    if not 0.0 < value < math.inf:
-        raise GoalRejected(f"the {name} must be above 0{unit}, not {value:g}")
+def _plain(name: str, value: object) -> float:
+    plain = number(value)
+    if plain is None:
+        raise GoalRejected(f"the {name} must be a number, not {value!r:.100}")
+    return plain
 
 
-def _length(name: str, value: float) -> None:
-    if not 0.0 <= value < math.inf:
-        raise GoalRejected(f"the {name} must be 0 m or more, not {value:g}")
+def _above_zero(name: str, value: object, unit: str = "") -> None:
+    plain = _plain(name, value)
+    if not 0.0 < plain < math.inf:
+        raise GoalRejected(f"the {name} must be above 0{unit}, not {plain:g}")
+
+
+def _length(name: str, value: object) -> None:
+    plain = _plain(name, value)
+    if not 0.0 <= plain < math.inf:
+        raise GoalRejected(f"the {name} must be 0 m or more, not {plain:g}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +384,7 @@ class Intensity(Value):
     tolerance: float = 0.01
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.share <= 1.0:
+        if not 0.0 <= _plain("intensity", self.share) <= 1.0:
             raise GoalRejected(f"the intensity must be 0 to 1, not {self.share:g}")
         _above_zero("tolerance", self.tolerance)
 
@@ -471,7 +480,9 @@ class Force(Value):
 
     def __post_init__(self) -> None:
         _above_zero("force", self.value, " N")
-        if self.most is not None and not self.value <= self.most < math.inf:
+        if self.most is None:
+            return
+        if not self.value <= _plain("largest force", self.most) < math.inf:
             raise GoalRejected(
                 f"the largest force must be at least the force, {self.value:g} N, not {self.most:g}"
             )
@@ -507,10 +518,13 @@ class Goal(Value):
     client: str = ""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.speed, TipSpeed) and not 0.0 < self.speed <= 1.0:
+        if not isinstance(self.speed, TipSpeed) and not 0.0 < _plain("speed", self.speed) <= 1.0:
             raise GoalRejected(f"the speed must be above 0 and at most 1, not {self.speed:g}")
         if self.timeout is not None:
             _above_zero("timeout", self.timeout, " s")
+        for name, by_name in (("effort", self.effort), ("on_contact", self.on_contact)):
+            if not isinstance(by_name, Mapping | Force):
+                raise GoalRejected(f"'{name}' must be a mapping by name, not {by_name!r:.100}")
         match self.to:
             case Intensity():
                 if isinstance(self.effort, Force):
@@ -521,6 +535,13 @@ class Goal(Value):
                     raise GoalRejected("an intensity needs the name of an action")
             case FirstContact() if isinstance(self.effort, Force) or self.on_contact:
                 raise GoalRejected("a touch takes no force or on_contact: it stops by itself")
+            case FirstContact() | Opening() | Around():
+                pass
+            case _:
+                raise GoalRejected(
+                    "a goal is to an Intensity(…), an Opening(…), a FirstContact() or closes "
+                    f"Around(…), not to {self.to!r:.100}"
+                )
 
     @property
     def force(self) -> Force | None:

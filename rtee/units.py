@@ -7,9 +7,10 @@ import re
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from rtee.errors import GoalRejected, suggestion
+from rtee.values import number
 
 if TYPE_CHECKING:
     from rtee.types import Result
@@ -46,15 +47,6 @@ _LONGEST: Final = 1.0
 """Longest plausible length without a unit [m]: a larger number is probably in millimetres."""
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
-
-
-def number(value: Any) -> float | None:
-    """Return a value as a number; ``None`` for text, and for values that no `float` can hold."""
-    try:
-        return float(value.__float__())
-    # Such as text, an array of several numbers, or an integer beyond the range.
-    except (AttributeError, TypeError, ValueError, OverflowError):
-        return None
 
 
 def quantity(value: str | float, units: Mapping[str, float], name: str) -> float:

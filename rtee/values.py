@@ -86,6 +86,15 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
+def number(value: Any) -> float | None:
+    """Return a value as a number; ``None`` for text, and for values that no `float` can hold."""
+    try:
+        return float(value.__float__())
+    # Such as text, an array of several numbers, or an integer beyond the range.
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        return None
+
+
 def plain(value: Any) -> Any:
     """Return a value as a JSON value; see `Value.to_dict`."""
     match value:

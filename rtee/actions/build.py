@@ -56,13 +56,23 @@ class StepPlan:
 
 def plans_of(steps: Iterable[StepPlan]) -> tuple[StepPlan, ...]:
     """Return inner actions as they were given; raises `ActionError` for anything else."""
-    plans = tuple(steps)
+    plans = tuple(steps) if isinstance(steps, Iterable) else (steps,)
     if wrong := [each for each in plans if not isinstance(each, StepPlan)]:
         raise ActionError(
             "an inner action of a timed action must be a StepPlan, such as "
             f"StepPlan('trig:ring', before=0.5), not {wrong[0]!r:.100}"
         )
     return plans
+
+
+def parts_of(parts: Iterable[ActionReference | str]) -> tuple[ActionReference, ...]:
+    """Return the parts of a composed action; raises `ActionError` for anything but a list."""
+    if isinstance(parts, str) or not isinstance(parts, Iterable):
+        raise ActionError(
+            "the parts of a composed action must be a list, such as ['trig:ring'], "
+            f"not {parts!r:.100}"
+        )
+    return tuple(map(ActionReference.of, parts))
 
 
 def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
@@ -140,12 +150,13 @@ def compose(
         ActionError: if a part cannot be used, or the name or a scale is invalid.
     """
     check_custom_name(name)
-    if not parts:
+    uses = parts_of(parts)
+    if not uses:
         raise ActionError(f"the composed action '{name}' has no parts")
     values: dict[str, list[float]] = {}
     setter: dict[str, str] = {}
     resolved: list[ActionReference] = []
-    for part in parts:
+    for part in uses:
         use, posture = _resolve(hand, find, part, f"the composed action '{name}'")
         resolved.append(use)
         for actuator in posture.involved:

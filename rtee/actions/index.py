@@ -27,8 +27,9 @@ Key = frozenset[str]
 def _as_kind(kind: ActionKind | str | None) -> ActionKind | None:
     if kind is None:
         return None
+    plain = normalise(kind)
     try:
-        return ActionKind(normalise(kind))
+        return ActionKind(plain)
     except ValueError:
         raise ActionError(
             f"unknown kind '{kind}'; {suggestion(kind, [str(k) for k in ActionKind])}"
@@ -98,10 +99,10 @@ class ActionIndex:
         known: Sequence[str] | None = None,
     ) -> Action:
         """Return one action; see `ActionLibrary.find`. ``known``: names for a suggestion."""
+        wanted, kind = normalise(name), _as_kind(kind)
         plain, _, which = name.partition("@")
         if which:
             return self._deepest(plain, which, elements, kind, name)
-        wanted, kind = normalise(name), _as_kind(kind)
         custom = self.custom.get(wanted)
         if custom is not None and kind in (None, kind_of(custom)):
             if elements:

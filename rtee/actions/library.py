@@ -21,9 +21,11 @@ from rtee.actions.types import (
     Primitive,
     PrimitiveGroup,
     Timed,
+    kind_of,
 )
 from rtee.errors import ActionError
 from rtee.hand.model import Hand
+from rtee.hand.names import listed
 
 if TYPE_CHECKING:
     from rtee.actions.action_files import ActionFiles
@@ -145,7 +147,7 @@ class ActionLibrary:
             UnknownAction: if there is no action of that name (and kind).
             ActionError: if it does not exist with these elements; names the possible ones.
         """
-        return self._index.find(name, listed(elements), kind)
+        return self._index.find(name, listed(elements, "elements", ActionError), kind)
 
     def all(
         self,
@@ -160,7 +162,7 @@ class ActionLibrary:
             name: Only actions of this name.
             elements: Only primitives with all of these elements.
         """
-        return self._index.select(kind, name, listed(elements))
+        return self._index.select(kind, name, listed(elements, "elements", ActionError))
 
     def primitives(self) -> list[PrimitiveGroup]:
         """Return the primitives in groups of the same name, for user interfaces."""
@@ -212,6 +214,7 @@ class ActionLibrary:
         Raises:
             ActionError: if the name is taken, or the action refers to a missing one or to itself.
         """
+        kind_of(action)
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
             # In its own spelling, which may differ from the new one's.
@@ -338,13 +341,6 @@ class ActionLibrary:
         ]
         self._read(volatile)
         return True
-
-
-def listed(elements: Sequence[str]) -> tuple[str, ...]:
-    """Return elements as a tuple; raise `ActionError` for a string, which is a list of letters."""
-    if isinstance(elements, str):
-        raise ActionError(f"elements must be a list of names, such as ['{elements:.100}']")
-    return tuple(elements)
 
 
 def load_actions(hand: Hand | str | Path) -> ActionLibrary:

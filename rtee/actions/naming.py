@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from rtee.errors import ActionError
+
 # Where a capital follows a small letter or a digit, a new word begins.
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 
@@ -12,7 +14,10 @@ def normalise(name: str) -> str:
     """Return the normal form of a name, by which names are compared.
 
     ``pinchTight``, ``PinchTight``, ``pinch_tight`` and ``pinch tight`` all become ``pinchtight``.
+    Raises `ActionError` for anything but a string.
     """
+    if not isinstance(name, str):
+        raise ActionError(f"an action and its elements must be names, not {name!r:.100}")
     return "".join(name.split()).replace("_", "").replace("-", "").lower()
 
 

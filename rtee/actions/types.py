@@ -412,7 +412,9 @@ Action = Primitive | CustomAction
 
 
 def kind_of(action: Action) -> ActionKind:
-    """Return the kind of an action."""
+    """Return the kind of an action; raises `ActionError` for anything else."""
+    if not isinstance(action, _Action):
+        raise ActionError(f"an action is what a library returns, not {action!r:.100}")
     return action.action_kind
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -19,8 +19,10 @@ def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """Return the folders that contain hands, in the order of precedence.
 
     They are ``extra``, the user's folders (see `own_dirs`), the hands that came with rtee, and
-    last the working directory.
+    last the working directory. Raises `ConfigError` if ``extra`` is not a list of paths.
     """
+    if isinstance(extra, str | Path) or not isinstance(extra, Iterable):
+        raise ConfigError(f"the folders of hands must be a list of paths, not {extra!r:.100}")
     package = Path(__file__).resolve().parents[1]
     candidates = [*(Path(folder) for folder in extra), *own_dirs(), package / "_config"]
     # Only in a checkout: beside an installed package, `config` would be that of another program.

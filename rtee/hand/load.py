@@ -182,9 +182,16 @@ def hand_folder(
 
 
 def is_path(name_or_path: str | Path) -> bool:
-    """Return whether the text in place of a hand is a path, not a name."""
+    """Return whether the text in place of a hand is a path, not a name.
+
+    Raises `ConfigError` for anything else.
+    """
     if isinstance(name_or_path, Path):
         return True
+    if not isinstance(name_or_path, str):
+        raise ConfigError(
+            f"a hand is given by its name or the path of its folder, not {name_or_path!r:.100}"
+        )
     return "/" in name_or_path or name_or_path.endswith((".", ".yaml", ".yml", *_MODELS))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 from unicodedata import combining, normalize
 
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, UserError
 
 MAX_LENGTH: Final = 100
 """Longest name [characters]: together with a suffix, it is a valid file name on any file system."""
@@ -36,6 +36,8 @@ def check_name(
         ConfigError: if the name is empty, longer than 100 characters, starts with a dot, contains
             ``..`` or characters other than letters, digits, ``_``, ``-`` and ``.``.
     """
+    if not isinstance(name, str):
+        raise ConfigError(f"{what} name {name!r:.100} is not a text", path=path, line=line)
     wrong = _why_not(name)
     if wrong:
         raise ConfigError(
@@ -44,6 +46,22 @@ def check_name(
             line=line,
         )
     return name
+
+
+def listed(names: object, what: str, raised: type[UserError]) -> tuple[str, ...]:
+    """Return names as a tuple; raise an error for anything but strings in a list.
+
+    Args:
+        names: The names; an iterator is read once.
+        what: Noun for the message, such as ``"elements"``.
+        raised: The error.
+    """
+    # A string is a list of letters.
+    given = names if isinstance(names, Iterable) and not isinstance(names, str) else (None,)
+    found = tuple(given)
+    if not all(isinstance(name, str) for name in found):
+        raise raised(f"the {what} must be a list of names, such as ['index'], not {names!r:.100}")
+    return found
 
 
 def safe_name(text: str, default: str = "hand") -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtee.errors import ConfigError
 from rtee.sample import FloatArray
+from rtee.values import number
 
 SHAPES: Final = (
     "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres) or drill"
@@ -127,6 +128,8 @@ def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
     Raises:
         ConfigError: if the text has none of the known forms, or the mesh does not exist.
     """
+    if not isinstance(text, str):
+        raise ConfigError(f"an object is a shape, such as sphere:0.03, not {text!r:.100}")
     if text == DRILL:
         return ObjectShape(DRILL)
     if is_shape(text):
@@ -318,9 +321,22 @@ class Table:
     height: float | None = None
 
     def __post_init__(self) -> None:
-        up, height = self.up or (0.0, 0.0, 1.0), self.height or 0.0
-        if len(up) != 3 or not all(map(math.isfinite, (*up, height))) or not any(up):
+        if self.up is not None and not any(vector(self.up, "a table's normal")):
             raise ConfigError("a table's normal must be three finite numbers, not all of them 0")
+        height = 0.0 if self.height is None else number(self.height)
+        if height is None or not math.isfinite(height):
+            raise ConfigError(f"a table's height must be a finite number, not {self.height!r:.100}")
+
+
+def vector(values: object, what: str) -> tuple[float, ...]:
+    """Return three finite numbers; raises `ConfigError` for anything else."""
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ConfigError(f"{what} must be three finite numbers, not {values!r:.100}")
+    return tuple(found.tolist())
 
 
 def parse_table(text: str) -> Table:

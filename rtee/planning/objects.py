@@ -33,6 +33,7 @@ from rtee.objects.shape import (
     signed_volume,
 )
 from rtee.sample import FloatArray
+from rtee.values import number
 
 _MOST_TRIANGLES: Final = 300_000
 """Most triangles of a mesh that is not a binary STL file; more take longer to read than to plan
@@ -179,10 +180,13 @@ def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject
         ConfigError: if it is none of these, or mass or scale is invalid.
         ModelError: if the mesh cannot be used.
     """
-    if not (math.isfinite(mass) and 0.0 < mass <= 100.0):
-        raise ConfigError(f"the mass of an object must be above 0 and at most 100 kg, not {mass:g}")
-    if not (math.isfinite(scale) and scale > 0.0):
-        raise ConfigError(f"the scale of a mesh must be above 0, not {scale:g}")
+    for what, value, most, limit in (
+        ("mass of an object", mass, 100.0, "above 0 and at most 100 kg"),
+        ("scale of a mesh", scale, math.inf, "above 0"),
+    ):
+        plain = number(value)
+        if plain is None or not (0.0 < plain <= most and plain < math.inf):
+            raise ConfigError(f"the {what} must be {limit}, not {value!r:.100}")
     shape = parse_object(text, FORMATS)
     if shape.path is not None:
         pieces, notes = _mesh(shape.path, scale)

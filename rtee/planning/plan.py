@@ -44,7 +44,7 @@ def grasp_plan(
         UserError: if the hand, its actions, the object or an argument can't be used.
     """
     library = load_actions(hand)
-    found = read_object(object, mass) if isinstance(object, str) else object
+    found = object if isinstance(object, GraspObject) else read_object(object, mass)
     return plan_grasps(
         library.hand, library, found, friction=friction, weight_axis=weight_axis, table=table
     )

@@ -10,12 +10,13 @@ from typing import Final
 
 import numpy as np
 
+from rtee import values
 from rtee.actions.naming import label
 from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.frames import base_in_flange, flange_with
 from rtee.hand.model import Hand
-from rtee.objects.shape import Table
+from rtee.objects.shape import Table, vector
 from rtee.planning.approaches import GAP, PoseCandidate
 from rtee.planning.closing import STEPS, ActionPath, Closure, HandClosing
 from rtee.planning.distance_bounds import DistanceBounds
@@ -143,13 +144,17 @@ class Planner:
         table: Table | None = None,
     ) -> None:
         """Read the geometry; see `plan_grasps`."""
-        if not (math.isfinite(friction) and 0.0 < friction <= 10.0):
-            raise ConfigError(f"a friction must be above 0 and at most 10, not {friction:g}")
+        if not 0.0 < (values.number(friction) or 0.0) <= 10.0:
+            raise ConfigError(f"a friction must be above 0 and at most 10, not {friction!r:.100}")
+        if not isinstance(table, Table | None):
+            raise ConfigError(f"a table is a Table(…), not {table!r:.100}")
         self.hand, self.obj = hand, obj
         self.scene = GraspScene(hand, obj)
         self.out = outward(self.scene)
-        axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
-        if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
+        axis = self.out
+        if weight_axis is not None:
+            axis = np.array(vector(weight_axis, "the weight axis"))
+        if not np.linalg.norm(axis) > 0.0:
             raise ConfigError("the weight axis must be three finite numbers, not all of them 0")
         self.task = GraspTask(friction, axis / np.linalg.norm(axis))
         self.ground: Ground | None = None

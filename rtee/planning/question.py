@@ -16,7 +16,8 @@ from typing import Any, Final
 from rtee import child
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.meshes import FORMATS
-from rtee.objects.shape import Table
+from rtee.objects.shape import Table, vector
+from rtee.values import number
 
 LONGEST: Final = 60_000
 """Longest mesh that is sent over the network [bytes]; a request has 64 KiB at most."""
@@ -62,11 +63,12 @@ class Question:
 
     def check(self) -> None:
         """Validate the question; raises `ConfigError`. Checks that need the object come later."""
-        numbers = (self.mass, self.friction, self.scale, *self.weight_axis)
-        if not all(map(math.isfinite, numbers)) or min(numbers[:3]) <= 0.0:
+        # NaN, which nothing is below, for what is no number.
+        sizes = [_or_nan(each) for each in (self.mass, self.friction, self.scale)]
+        if not all(0.0 < each < math.inf for each in sizes):
             raise ConfigError("mass, friction and scale of an object must be finite and above 0")
-        if len(self.weight_axis) not in (0, 3):
-            raise ConfigError("the weight axis must be three numbers")
+        if self.weight_axis:
+            vector(self.weight_axis, "the weight axis")
         if self.mesh and self.format not in FORMATS:
             raise ConfigError(
                 f"the mesh has the unknown format '{self.format[:20]}'; valid: {', '.join(FORMATS)}"
@@ -78,6 +80,8 @@ class Question:
             )
         if not 0 < len(self.object) <= _LONGEST_SHAPE:
             raise ConfigError("which object? give its shape, such as sphere:0.03")
+        if not isinstance(self.table, Table | None):
+            raise ConfigError(f"a table is a Table(…), not {self.table!r:.100}")
 
     def words(self) -> dict[str, Any]:
         """Return the question as plain data, ready for JSON."""
@@ -140,16 +144,23 @@ class ReachQuestion:
         return {"reach": asdict(self)}
 
 
+def _or_nan(value: object) -> float:
+    plain = number(value)
+    return math.nan if plain is None else plain
+
+
 def question_about(obj: str, **options: Any) -> Question:
     """Return the question about an object, with the content of a mesh.
 
     Args:
-        obj: A shape, or the path of a mesh.
+        obj: A shape, or the path of a mesh, as text or as a path.
         options: Other fields of `Question`.
 
     Raises:
         ConfigError: if the question is invalid.
     """
+    if not isinstance(obj, str | os.PathLike):
+        raise ConfigError(f"an object is a shape, such as sphere:0.03, not {obj!r:.100}")
     path = Path(obj)
     if path.suffix.lower() in FORMATS:
         try:
@@ -158,7 +169,7 @@ def question_about(obj: str, **options: Any) -> Question:
             raise ConfigError("no such mesh", path=path) from None
         question = Question(path.name, mesh, path.suffix.lower(), **options)
     else:
-        question = Question(obj, **options)
+        question = Question(str(obj), **options)
     question.check()
     return question
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import replace
 from typing import Final
 
@@ -12,8 +12,7 @@ import anyio
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtee.actions.build import StepPlan, plans_of
-from rtee.actions.library import listed
+from rtee.actions.build import StepPlan, parts_of, plans_of
 from rtee.actions.types import (
     Action,
     ActionReference,
@@ -25,16 +24,17 @@ from rtee.actions.types import (
     Step,
     Timed,
 )
-from rtee.errors import ConfigError, RequestRejected
+from rtee.errors import ActionError, ConfigError, RequestRejected
+from rtee.hand.names import listed
 from rtee.messages.convert import table_fields
-from rtee.objects.shape import Table
+from rtee.objects.shape import Table, vector
 from rtee.planning.grasp_solution import GraspSolution, WantedContact
 from rtee.planning.grasp_solution import from_document as solution_in
 from rtee.planning.question import Question, ReachQuestion, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
 from rtee.remote.goal import GoalClient
-from rtee.remote.goal_values import numbers
+from rtee.remote.goal_values import numbers, word_of
 from rtee.remote.hand_info import info_of
 from rtee.remote.link import Link
 from rtee.remote.openings import GripLimits, OpeningRange, limits_of, opening_of
@@ -64,7 +64,7 @@ class ActionClient:
         self, kind: str = "", name: str = "", elements: Sequence[str] = ()
     ) -> list[Action]:
         """Return the actions that match a filter; see `ActionLibrary.all`."""
-        fields = {"kind": kind, "name": name, "elements": listed(elements)}
+        fields = {"kind": kind, "name": name, "elements": listed(elements, "elements", ActionError)}
         reply = await self._link.ask("actions", fields)
         return [action_of(entry) for entry in reply["actions"]]
 
@@ -137,12 +137,13 @@ class ActionClient:
             ConfigError: if the object or an option is invalid.
             RequestRejected: if the hand refuses the request, with the reason.
         """
+        given_none = isinstance(weight_axis, Sized) and not len(weight_axis)
         question = question_about(
             object,
             mass=mass,
             friction=friction,
             scale=scale,
-            weight_axis=tuple(weight_axis),
+            weight_axis=() if given_none else vector(weight_axis, "the weight axis"),
             top=top,
             table=table,
         )
@@ -189,9 +190,7 @@ class ActionClient:
         replace: bool = False,
     ) -> None:
         """Add a composed action; see `ActionLibrary.compose`."""
-        action = Composed(
-            name, tuple(map(ActionReference.of, parts)), _NOWHERE, independent, description
-        )
+        action = Composed(name, parts_of(parts), _NOWHERE, independent, description)
         await self.add_action(action, store=store, replace=replace)
 
     async def add_timed(
@@ -333,7 +332,7 @@ class ReachClient:
             RequestRejected: if the grasp cannot be reached or executed, with the reason.
             LeaseHeld: if another client holds the lease.
         """
-        part = Stage(stage)
+        part = word_of(stage, Stage, "stage")
         if not isinstance(solution, GraspSolution):
             solution = await self.reach(
                 solution, width=width, pose=pose, fingers=fingers, approach=approach
@@ -399,14 +398,14 @@ def _question(
 ) -> ReachQuestion:
     """Return the question; raises `ConfigError` if a value is malformed."""
     flat = tuple(_numbers(pose, (4, 4), "a pose is 4 by 4 numbers")) if pose is not None else ()
-    direction = tuple(map(float, approach)) if approach is not None else ()
+    direction = () if approach is None else vector(approach, "an approach")
     if contacts is None:
         if width is None or pose is None:
             raise ConfigError("give contacts, or a gripper's pose and a width")
         return ReachQuestion(
             points=(),
             normals=(),
-            fingers=listed(fingers),
+            fingers=listed(fingers, "fingers", ConfigError),
             width=quantity(width, LENGTH, "width"),
             pose=flat,
             approach=direction,

@@ -29,10 +29,10 @@ Fields = Mapping[str, Any]
 
 
 def action_fields(action: Action, stored: bool = True) -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/Action``."""
+    """Return the fields of a ``rtee_msgs/Action``; raises `ActionError` for anything else."""
     fields: dict[str, Any] = {
-        "name": action.name,
         "kind": str(kind_of(action)),
+        "name": action.name,
         "elements": (),
         "fingers": (),
         "description": "",

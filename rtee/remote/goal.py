@@ -108,6 +108,8 @@ class RunningGoal:
             NoHand: if the hand has gone.
         """
         if on_feedback is not None:
+            if not callable(on_feedback):
+                raise GoalRejected(f"on_feedback must be a function, not {on_feedback!r:.100}")
             async for feedback in self:
                 on_feedback(feedback)
         # Cancelling one waiting task must not cancel the result for the others.

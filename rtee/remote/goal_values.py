@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Final, Literal, TypedDict, TypeVar, Unpack
 
 from rtee.actions.types import ActionKind, ActionReference
 from rtee.errors import ActionError, GoalRejected, suggestion
+from rtee.hand.names import listed
 from rtee.messages.goals import goal_of
 from rtee.types import Goal, OnContact, Stage
-from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, number, quantity
+from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, quantity
+from rtee.values import number
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -199,7 +201,9 @@ def shares(
             f"an effort for all actuators must be a share of their limits, above 0 and at most 1 "
             f"(100 %), not {share:g}"
         )
-    chosen = [name for name in (limits if only is None else only) if name not in besides]
+    besides = listed(besides, "actuators to leave out", GoalRejected)
+    given = limits if only is None else listed(only, "actuators", GoalRejected)
+    chosen = [name for name in given if name not in besides]
     for name in chosen:
         if name not in limits:
             raise GoalRejected(
@@ -346,14 +350,7 @@ def _closing(values: dict[str, Any]) -> ActionReference:
 
 def _names(fingers: Sequence[str] | None) -> tuple[str, ...]:
     """Return the names of fingers; raises `GoalRejected` unless they are strings in a list."""
-    given = () if fingers is None else fingers
-    # Read once: an iterator has no names left afterwards.
-    names = tuple(given) if isinstance(given, Iterable) else (given,)
-    if isinstance(fingers, str) or not all(isinstance(name, str) for name in names):
-        raise GoalRejected(
-            f"the fingers must be a list of names, such as ['index'], not {fingers!r:.100}"
-        )
-    return names
+    return listed(() if fingers is None else fingers, "fingers", GoalRejected)
 
 
 def _tolerances(pair: object) -> tuple[float, float]:
@@ -378,13 +375,13 @@ def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
             plain = None if how[0] is LENGTH else number(value)
             values[name] = quantity(value, *how) if plain is None else plain
     if "stage" in values:
-        values["stage"] = _word(values["stage"], Stage, "stage")
+        values["stage"] = word_of(values["stage"], Stage, "stage")
     if values.get("kind"):
-        values["kind"] = str(_word(values["kind"], ActionKind, "kind"))
+        values["kind"] = str(word_of(values["kind"], ActionKind, "kind"))
     if given := values.pop("on_contact", None):
         words = given if isinstance(given, Mapping) else {"": given}
         values["on_contact"] = {
-            f: _word(word, OnContact, "on_contact") for f, word in words.items()
+            f: word_of(word, OnContact, "on_contact") for f, word in words.items()
         }
     return values
 
@@ -392,7 +389,8 @@ def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
 W = TypeVar("W", Stage, OnContact, ActionKind)
 
 
-def _word(word: Any, kind: type[W], what: str) -> W:
+def word_of(word: Any, kind: type[W], what: str) -> W:
+    """Return the member of an enumeration that a word names; raises `GoalRejected`."""
     try:
         return kind(word)
     except ValueError:

@@ -44,6 +44,12 @@ def run_trials(
         WorkerLost: if something outside killed one of the processes.
     """
     folder = hand_folder(hand)[0]
+    if not isinstance(trials, Sequence) or not all(isinstance(each, Trial) for each in trials):
+        raise ConfigError(f"trials are a list of Trial(…), not {trials!r:.100}")
+    if on_result is not None and not callable(on_result):
+        raise ConfigError(f"on_result must be a function, not {on_result!r:.100}")
+    if not isinstance(jobs, int | None) or (jobs is not None and jobs < 1):
+        raise ConfigError(f"the number of processes must be 1 or more, not {jobs!r:.100}")
     library = bench(str(folder)).library
     for trial in trials:
         library.find(trial.action, trial.elements)

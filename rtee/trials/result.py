@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
+
+from rtee.errors import ConfigError
+from rtee.values import number
 
 OBJECTS: Final = (
     "sphere:0.01",
@@ -29,6 +33,19 @@ CHOOSING: Final = 10
 """Default number of tries to choose a place: their rate is accurate to about 10 %."""
 
 
+_RANGES: Final = (
+    ("intensity", 0.0, 1.0),
+    ("mass", 1e-6, 100.0),  # [kg]: a milligram
+    ("places", 1, math.inf),
+    ("friction", 0.0, math.inf),
+    ("variations", 0, math.inf),
+    ("seed", 0, math.inf),
+    ("choosing", 0, math.inf),
+    ("wanted", 0.0, 1.0),
+)
+"""The numbers of a trial, with their least and largest value."""
+
+
 def mass_of(shape: str) -> float:
     """Return the mass of a standard object [kg]."""
     return _DRILL_MASS if shape == "drill" else _MASS
@@ -51,6 +68,9 @@ class Trial:
         choosing: Number of tries with variation by which a place is chosen.
         wanted: The rate of success that is asked for: variations are left out once the interval of
             the rate lies to one side of it; ``None``: all are tried.
+
+    Raises:
+        ConfigError: if a number is out of its range.
     """
 
     action: str
@@ -64,6 +84,14 @@ class Trial:
     seed: int = 0
     choosing: int = CHOOSING
     wanted: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, least, most in _RANGES:
+            value = getattr(self, name)
+            plain = number(value)
+            if value is not None and (plain is None or not least <= plain <= most):
+                limits = f"from {least:g} to {most:g}" if most < math.inf else f"at least {least:g}"
+                raise ConfigError(f"the {name} of a trial must be {limits}, not {value!r:.100}")
 
     @property
     def what(self) -> str:

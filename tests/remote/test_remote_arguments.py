@@ -1,0 +1,53 @@
+"""Arguments of another type in the methods of a running hand: a sentence, and nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import UserError
+from rtee.hand.model import Hand
+
+from .serving import serving
+
+pytestmark = pytest.mark.anyio
+
+CALLS: list[tuple[Callable[[rtee.RemoteHand], Awaitable[Any]], str]] = [
+    (lambda hand: hand.actions(elements=3), "the elements must be a list of names, .*, not 3"),
+    (lambda hand: hand.effort_limits(0.5, 3), "the actuators must be a list of names, .*, not 3"),
+    (lambda hand: hand.effort_limits(0.5, "near"), "the actuators must be a list of names"),
+    (lambda hand: hand.effort_limits(0.5, besides=3), "the actuators to leave out must be a list"),
+    (lambda hand: hand.add_composed("x", 3), "the parts of a composed action must be a list"),
+    (lambda hand: hand.add_timed("x", 3), "must be a StepPlan, such as .*, not 3"),
+    (lambda hand: hand.add_action("fist"), "an action is what a library returns, not 'fist'"),
+    (lambda hand: hand.grasp_plan(3), "an object is a shape, such as sphere:0.03, not 3"),
+    (lambda hand: hand.grasp_plan("drill", weight_axis=3), "must be three finite numbers, not 3"),
+    (lambda hand: hand.grasp_plan("drill", mass="heavy"), "must be finite and above 0"),
+    (lambda hand: hand.grasp_plan("drill", table="yes"), r"a table is a Table\(…\), not 'yes'"),
+    (lambda hand: hand.reach(approach=3), "an approach must be three finite numbers, not 3"),
+    (lambda hand: hand.reach(fingers=3), "give contacts, or a gripper's pose and a width"),
+    (lambda hand: hand.grasp_at(stage="half"), "unknown stage 'half'"),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), CALLS)
+async def test_a_method_says_what_it_needs(
+    hand: Hand,
+    library: ActionLibrary,
+    call: Callable[[rtee.RemoteHand], Awaitable[Any]],
+    said: str,
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        with pytest.raises(UserError, match=said):
+            await call(remote)
+        assert served.watcher.goals == []
+
+
+async def test_feedback_needs_a_function(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        with pytest.raises(UserError, match="on_feedback must be a function, not 3"):
+            await remote.do("fist", on_feedback=3)
