@@ -32,27 +32,28 @@ _DIGITS: Final = 9
 """Decimals of the evidence: lengths to a nanometre, far below the accuracy of models."""
 
 
-def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
-    """Return the evidence about other links at a posture and on the straight path to it.
-
-    The second value is the share of their margins that these links keep on both: 1, a quarter or 0.
-    """
+def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> Candidate:
+    """Return a posture with the evidence about other links there and on the straight path to it."""
     pose = path = 0.0
     near: list[LinkPair] = []
     for share, applied in ((1.0, checker), (REDUCED, checker.reduced)):
         near = applied.at(u)
         # Try the full margin before the reduced one.
         pose = pose or (0.0 if near else share)
-        if not near and applied.blocked(u) is None:
+        blocked = None if near else applied.blocked(u)
+        if not near and blocked is None:
             path = share
             break
     scene.place(u)
     colliding = tuple(pair.links for pair in near if scene.touching(pair))
     clearance = _round(checker.clearance(u, path=path > 0.0)) if pose else None
     clear, path_clear = pose > 0.0, path > 0.0
-    return Evidence(
-        clear=clear, path_clear=path_clear, clearance=clearance, colliding=colliding
-    ), path
+    return Candidate(
+        u,
+        Evidence(clear=clear, path_clear=path_clear, clearance=clearance, colliding=colliding),
+        path,
+        None if blocked is None else blocked.pair.links,
+    )
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class Inspector:
         """
         scene = self.scene
         path = self.motion.path_to(u)
-        around, margin = _surroundings(scene, u, checker)
+        around = _surroundings(scene, u, checker)
         scene.place(u)
         touching = scene.touching(tips)
         # The depth of touching tips is defined only between their convex parts.
@@ -120,7 +121,7 @@ class Inspector:
             meeting = scene.witness(tips)
         opposed = opposition(scene, tips, meeting, u - scene.hand.rest)
         evidence = replace(
-            around,
+            around.evidence,
             depth=_round(max(0.0, -witness.distance)) if touching else 0.0,
             distance=0.0 if touching else _round(max(0.0, witness.distance)),
             frame_distance=_round(norm(points[1] - points[0])),
@@ -129,7 +130,7 @@ class Inspector:
             contact_at=None if contact_at is None else _round(contact_at),
             opposition=None if opposed is None else _as_stored(opposed),
         )
-        return Candidate(u, evidence, margin)
+        return replace(around, evidence=evidence)
 
     def multi_pinch(
         self,
@@ -141,7 +142,7 @@ class Inspector:
         """Return a pinch of several tips with its evidence, at a posture as stored ``(n,)``."""
         scene = self.scene
         path = self.motion.path_to(u)
-        around, margin = _surroundings(scene, u, checker)
+        around = _surroundings(scene, u, checker)
         scene.place(u)
         touching = [edge for edge in edges if scene.touching(edge.tips)]
         witnesses = [scene.witness(edge.tips) for edge in touching]
@@ -153,7 +154,7 @@ class Inspector:
         ]
         contact_at = linked_at(len(names), firsts)
         evidence = replace(
-            around,
+            around.evidence,
             depth=_round(sum(depths)),
             point=_triple(np.mean(middles, axis=0)) if middles else None,
             contact_at=None if contact_at is None else _round(contact_at),
@@ -162,7 +163,7 @@ class Inspector:
                 for edge, depth in zip(touching, depths, strict=True)
             ),
         )
-        return Candidate(u, evidence, margin)
+        return replace(around, evidence=evidence)
 
 
 def as_posture(hand: Hand, u: FloatArray, involved: Collection[str]) -> Posture:

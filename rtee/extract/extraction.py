@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from rtee.actions.naming import label
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.canonical import Canonical, canonical
 from rtee.extract.evidence import Inspector, as_posture
@@ -25,6 +26,10 @@ from rtee.hand.resting import NEAR, closed_rest
 
 _LARGE: Final = 5.0
 """Size above which a link's mesh must be in millimetres [m]: no link of a hand is so large."""
+
+
+_MOST_WAYS: Final = 3
+"""Most notes about ways that are not clear: each is a long sentence."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,9 @@ def extract(
     primitives.sort(
         key=lambda p: (order.index(p.kind), p.tips, [names.index(e) for e in p.elements])
     )
-    return Extraction(tuple(primitives), time.perf_counter() - begun, _notes(inspector, form))
+    return Extraction(
+        tuple(primitives), time.perf_counter() - begun, _notes(inspector, form, pinches)
+    )
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
@@ -135,7 +142,7 @@ def _primitive(form: Canonical, pinch: FoundPinch) -> Primitive:
     )
 
 
-def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
+def _notes(inspector: Inspector, form: Canonical, pinches: Sequence[FoundPinch]) -> tuple[str, ...]:
     notes = list(inspector.scene.geometry.notes)
     extents = {
         s.link: float(np.ptp(s.box, axis=0).max()) / form.unit for s in inspector.scene.shapes
@@ -150,6 +157,16 @@ def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
     if pairs:
         named = ", ".join(f"{a} and {b}" for a, b in sorted(map(sorted, pairs)))
         notes.append(f"these links touch at rest and are not checked against each other: {named}")
+    # Of the executed postures, and each pair of links once.
+    ways = {c.blocking: p for p in reversed(pinches) if (c := p.candidates[0]).blocking}
+    for blocking, pinch in list(ways.items())[:_MOST_WAYS]:
+        first, second = sorted(blocking)
+        what = label(pinch.kind, form.fingers(pinch.fingers))
+        notes.append(
+            f"the way to {what} is not clear: {first} and {second} come too near each other; if "
+            "they cannot do so on the real hand, write into its SRDF: "
+            f'<disable_collisions link1="{first}" link2="{second}" reason="Never"/>'
+        )
     # `closed_rest` reads the original meshes, so call it only if tips are near each other.
     closed = closed_rest(HandGeometry(form.source)) if _near_at_rest(inspector) else None
     if closed is not None:

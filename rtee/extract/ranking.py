@@ -35,11 +35,13 @@ class Candidate:
         evidence: The evidence.
         margin: Share of the margins that other links keep in the posture and on the path to it: 1,
             a quarter, or 0 if the posture or the path is not clear.
+        blocking: The links that collide first on a path that is not clear, to a posture that is.
     """
 
     u: FloatArray
     evidence: Evidence
     margin: float
+    blocking: tuple[str, str] | None = None
 
     @property
     def gap(self) -> float:

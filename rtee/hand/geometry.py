@@ -445,6 +445,7 @@ def _vector(points: FloatArray) -> coal.StdVec_Vec3s:
 
 
 ADJACENT: Final = "adjacent"
+LINKAGE: Final = "of one linkage"
 ALWAYS: Final = "touching at every configuration"
 AT_REST: Final = "touching at rest"
 
@@ -456,9 +457,11 @@ at all do so in a large part of their range."""
 def allowed_collisions(hand: Hand) -> tuple[DisabledPair, ...]:
     """Find the pairs of links that may touch without being in collision.
 
-    Adjacent links are connected by one moving joint. Other pairs are checked with the exact
-    geometry at rest and, if they touch there, at postures spread evenly over the actuators' limits.
-    Two fingertips are such a pair only if they are adjacent; otherwise their contact is a pinch.
+    Adjacent links are connected by one moving joint. The links of a finger's linkage are joined in
+    loops that the tree does not have, and made to move past each other. Other pairs are checked
+    with the exact geometry at rest and, if they touch there, at postures spread evenly over the
+    actuators' limits. Two fingertips are such a pair only if they are adjacent; otherwise their
+    contact is a pinch.
 
     Raises:
         ModelError: if a mesh cannot be read.
@@ -467,6 +470,13 @@ def allowed_collisions(hand: Hand) -> tuple[DisabledPair, ...]:
     kinematics = geometry.kinematics
     parents, tips = kinematics.model.parents, hand.tip_links
     at_rest, spread = kinematics.placements(hand.rest), _spread(hand)
+    # Without the links in front of all fingers, which are no part of a linkage.
+    bodies = [{*finger.body} - {finger.base} for finger in hand.fingers]
+    linkages = [
+        {link for link in body if sum(link in other for other in bodies) == 1}
+        for finger, body in zip(hand.fingers, bodies, strict=True)
+        if finger.bars
+    ]
     pairs = []
     for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
         first, second = (kinematics.body(link) for link in links)
@@ -477,6 +487,9 @@ def allowed_collisions(hand: Hand) -> tuple[DisabledPair, ...]:
             pairs.append(DisabledPair(*links, ADJACENT))
             continue
         if links[0] in tips and links[1] in tips:
+            continue
+        if any(linkage.issuperset(links) for linkage in linkages):
+            pairs.append(DisabledPair(*links, LINKAGE))
             continue
         sides = geometry.of_links(links[0]), geometry.of_links(links[1])
         if geometry.touching(sides, at_rest):

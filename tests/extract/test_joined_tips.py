@@ -87,3 +87,17 @@ def test_meshes_without_their_scale_are_noted_and_cost_no_more(
     found = extract(hand)
     assert 'is 105 m large; meshes drawn in millimetres need scale="0.001' in found.notes[0]
     assert {p.name for p in found.primitives} == {"Trig", "PinchTight"}
+
+
+def test_links_in_the_way_are_named_with_what_to_do() -> None:
+    hand = load_model("config/onrobot_rg2/onrobot_rg2.urdf", rest={"finger_joint": 1.2873})
+    found = extract(hand)
+    (pinch,) = (p for p in found.primitives if "Pinch" in p.name)
+    assert pinch.evidence[0].clear
+    assert not pinch.evidence[0].path_clear
+    (note,) = (note for note in found.notes if "is not clear" in note)
+    assert note.startswith("the way to PinchTight (right, left) is not clear: right_inner_knuckle")
+    assert note.endswith(
+        '<disable_collisions link1="right_inner_knuckle" link2="right_outer_knuckle" '
+        'reason="Never"/>'
+    )

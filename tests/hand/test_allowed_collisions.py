@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hand.models import GRIPPER, SRDF
-from rtee.hand.geometry import ADJACENT, ALWAYS, AT_REST, allowed_collisions
+from rtee.hand.geometry import ADJACENT, ALWAYS, AT_REST, LINKAGE, allowed_collisions
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 
@@ -46,6 +46,16 @@ def test_reasons(load: Callable[..., Hand]) -> None:
         found = pairs_of(load(text.format(radius=0.005), srdf))
         assert button not in found
         assert found[jaw] == reason
+
+
+def test_the_bars_of_a_linkage() -> None:
+    hand = load_model("config/onrobot_rg2/onrobot_rg2.urdf")
+    found = {pair for pair, why in pairs_of(hand).items() if why == LINKAGE}
+    assert found == {
+        frozenset((f"{side}_inner_knuckle", f"{side}_{bar}"))
+        for side in ("left", "right")
+        for bar in ("outer_knuckle", "finger")
+    }
 
 
 def test_known_contacts_at_rest(shared: Path) -> None:
