@@ -11,6 +11,7 @@ safety checks as on the real hand.
 
 from __future__ import annotations
 
+import logging
 import math
 from enum import StrEnum
 from pathlib import Path
@@ -29,6 +30,8 @@ from rtee.errors import ConfigError, SimulationUnstable
 from rtee.sample import FloatArray
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
+
+log = logging.getLogger(__name__)
 
 RATE: Final = 30.0
 """Steps per second [Hz]: usual for policies learnt from cameras."""
@@ -125,6 +128,8 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
         options = SimOptions(object=object, object_mass=mass, support="held", carrier="lift")
         period = self._bench.settings.period
         self._simulation = make_simulation(self._model, options, self._model.actuator_names, period)
+        for doubt in self._simulation.doubts:
+            log.warning("%s: %s", self._model.name, doubt)
         self._start = self._simulation.surroundings.object_frame
         self._lower, self._upper = self._model.lower, self._model.upper
         if not np.isfinite([self._lower, self._upper]).all():

@@ -53,6 +53,15 @@ def test_what_is_not_grasped_falls() -> None:
     assert not info["success"]
 
 
+def test_an_object_for_which_the_hand_has_no_room_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    HandEnv("wsg50", object="sphere:0.03")
+    assert "overlaps" not in caplog.text
+    HandEnv("wsg50", object="sphere:0.1")
+    assert "wsg50: 'sphere:0.1' overlaps the open hand wherever it is put" in caplog.text
+
+
 @pytest.mark.parametrize("action", [[0.0, 0.0], [np.nan], 0.0])
 def test_an_action_without_sense_is_refused(action: Any) -> None:
     env = HandEnv("wsg50")

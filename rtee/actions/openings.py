@@ -38,6 +38,10 @@ FORMAT: Final = 1
 _WORD: Final = 16
 """Characters of a fingerprint: 64 bits."""
 
+_MOST_KNOWN: Final = 512
+"""Most actions whose openings are kept: more than a hand has, but planners add actions for a
+moment, each under a new name."""
+
 _WHAT: Final = "the openings"
 
 MARGIN: Final = 0.01
@@ -442,6 +446,9 @@ class Openings:
         name = action.name, action.elements
         known = self._known.get(name)
         if known is None or known[2] is not action:
+            # All at once, which threads may do beside each other; the rest is soon known again.
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
             known = self._known[name] = self._find(action), self._meeting(action), action
         return known
 

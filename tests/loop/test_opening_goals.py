@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from rtee.actions.library import ActionLibrary
+from rtee.actions import openings
+from rtee.actions.library import ActionLibrary, load_actions
 from rtee.actions.openings import FILE_NAME
 from rtee.actions.types import Generic, Posture
 from rtee.buses.pool import BusPool
@@ -55,6 +56,17 @@ def plan(name: str, goal: Goal, devices: DeviceForces | None = None) -> Plan:
 
 def grasp(width: float, force: float | None = None, **more: Any) -> Goal:
     return goal_of(**{"action": "Grasp", "grasp": True, "opening": width, "force": force, **more})
+
+
+def test_actions_for_a_moment_leave_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(openings, "_MOST_KNOWN", 5)
+    library = load_actions(CONFIG / "robotiq_2f_85")
+    found = library.openings
+    posture = library.find("Grasp").waypoints[-1]
+    for number in range(20):
+        assert isinstance(found.find(Generic(f"grasp_at_{number}", posture)), str)
+        assert found.of(library.find("Grasp")).action == "Grasp"
+    assert len(found._known) <= 5
 
 
 def test_goals_leave_nothing_behind() -> None:
