@@ -93,11 +93,18 @@ def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
     Other files in it are named on stderr.
 
     Raises:
-        ConfigError: if a folder has none.
+        ConfigError: if a folder has none, or there is no such folder.
     """
+    from rtee.objects.shape import SHAPES, is_shape
+
     found: list[str] = []
     for text in objects:
         if not Path(text).is_dir():
+            if not (Path(text).suffix or is_shape(text)):
+                raise ConfigError(
+                    f"'{text}' is not an object, nor a folder of meshes; write {SHAPES}, or the "
+                    f"path of a mesh ({', '.join(formats)}) or of a folder"
+                )
             found.append(text)
             continue
         files = sorted(Path(text).iterdir())

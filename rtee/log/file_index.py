@@ -28,7 +28,7 @@ from rtee.log.record_scanner import (
     records_of,
     scan,
 )
-from rtee.log.rotation import METADATA
+from rtee.log.rotation import METADATA, being_written
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
@@ -234,7 +234,9 @@ class _Indexer:
             left = size - good if data else 0
             if not closed:
                 self._notes.append(
-                    "the file was not closed: it is being written, or its writer was killed"
+                    "the file is still being written"
+                    if being_written(self._path)
+                    else "the file was not closed: its writer was killed"
                 )
                 if left:
                     self._notes[-1] += f"; {left} bytes at its end are unusable"

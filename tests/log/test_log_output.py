@@ -577,6 +577,15 @@ def test_log_recover(story: Path, tmp_path: Path) -> None:
         run("recover", newest, "--in-place", "--out", tmp_path / "x")
 
 
+def test_a_recording_under_way_is_no_damaged_one(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 300)
+    (path,) = recorded(tmp_path)
+    assert info([path]).notes == (f"{path.name}: the file is still being written",)
+    log.writer.close()
+    assert info([path]).notes == ()
+
+
 def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> None:
     data = story.read_bytes()
     cut, damaged = tmp_path / "cut.mcap", tmp_path / "damaged.mcap"

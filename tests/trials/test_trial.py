@@ -304,6 +304,10 @@ def test_a_folder_means_the_meshes_in_it(tmp_path: Path) -> None:
     outcome = CliRunner().invoke(app_of(try_), command)
     assert outcome.exit_code == 1
     assert [Path(each["object"]).name for each in json.loads(outcome.stdout)] == ["a.stl", "b.obj"]
+    command = [GRIPPER, "Grasp", "--object", "parts"]
+    outcome = CliRunner().invoke(app_of(try_), command)
+    assert isinstance(outcome.exception, ConfigError)
+    assert "'parts' is not an object, nor a folder of meshes; write box:W" in str(outcome.exception)
     command = [GRIPPER, "--all", "--object", str(tmp_path / "a.stl"), "--out", str(tmp_path / "o")]
     outcome = CliRunner().invoke(app_of(try_), [*command, "--jobs", "1"])
     assert outcome.exit_code == 0, outcome.output
