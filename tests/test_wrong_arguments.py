@@ -29,6 +29,7 @@ def library() -> ActionLibrary:
         (lambda: rtee.Goal(DO, speed="fast"), "the speed must be a number, not 'fast'"),
         (lambda: rtee.Goal(DO, timeout=[3]), r"the timeout must be a number, not \[3\]"),
         (lambda: rtee.Goal(DO, effort=3), "'effort' must be a mapping by name, not 3"),
+        (lambda: rtee.Goal(DO, effort=None), "'effort' must be a mapping by name, not None"),
         (lambda: rtee.Goal(DO, on_contact="hold"), "'on_contact' must be a mapping by name"),
         (lambda: rtee.Goal(DO, "open"), r"a goal is to an Intensity\(…\), .*, not to 'open'"),
         (lambda: rtee.Intensity("60%"), "the intensity must be a number, not '60%'"),

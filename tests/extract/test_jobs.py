@@ -78,8 +78,9 @@ def test_processes_keep_what_they_know_for_further_tasks() -> None:
     known = dict(first)
     assert not seen
     for task, (process, found) in enumerate(second, 6):
-        assert process in known
-        assert found[: len(known[process])] == known[process]
+        # On a busy computer, one process may do all of the first tasks.
+        before = known.get(process, [])
+        assert found[: len(before)] == before
         assert found[-1] == task
 
 

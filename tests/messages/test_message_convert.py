@@ -172,7 +172,7 @@ def test_a_goal_is_written_and_read_as_its_definition_says(goal: Goal) -> None:
     assert messages.GOAL.of(fields) == messages.GOAL.decode(data) == goal
 
 
-@pytest.mark.parametrize("wrong", [{"goal_id": 1}, {"effort": None}, {"what": "fist"}])
+@pytest.mark.parametrize("wrong", [{"goal_id": 1}, {"effort": {"near": None}}, {"what": "fist"}])
 def test_a_goal_with_a_value_of_the_wrong_kind_is_no_message(wrong: dict[str, Any]) -> None:
     with pytest.raises(MessageError):
         messages.GOAL.encode(replace(GOAL, **wrong))
