@@ -174,7 +174,7 @@ def test_a_policy_is_trained_on_it(losses: list[float]) -> None:
 
 def test_the_policy_moves_the_hand_smoothly(losses: list[float]) -> None:
     page = blocks()
-    _, evaluate = page["5. Let it move the hand"]
+    _, evaluate = page["5. Run the policy"]
     evaluate = evaluate.strip().replace("type: opencv, index_or_path: 0", "type: drawn")
     for recording in Path("logs").glob("*.mcap"):
         recording.unlink()
