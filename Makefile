@@ -91,7 +91,8 @@ ros2-peers: .venv/.ready .ros2-peers/.ready
 
 # The wheel as a user gets it: in an empty environment of each Python there is, and on ARM.
 wheels: .venv/.ready
-	RTEE_WHEELS=1 $(BIN)/python -m pytest -v tests/install \
+	@# On a busy computer, installing everything takes longer than five minutes.
+	RTEE_WHEELS=1 $(BIN)/python -m pytest -v -o faulthandler_timeout=0 -o timeout=3600 tests/install \
 		tests/deploy/test_bundle.py tests/deploy/test_container.py
 
 # For a robot PC without a network: make bundle FOR="--python 3.12 --platform aarch64"
