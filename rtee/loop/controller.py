@@ -324,8 +324,10 @@ class Controller:
             plan = replace(plan, lag=self._contact.lag(plan.effort))
         # Before contacts are forgotten: the result says which fingers grasp.
         self._executor.end(stamp, self._measured, preempted=True)
-        self._let_go(plan.legs[0].targets, stamp)
-        self._leave_hold(plan.involved)
+        # Without a restart, the motion is planned only once, when the executor starts.
+        if restarts := self._restarts(plan.legs[0].targets, stamp):
+            self.starts.set(restarts)
+        self._forget_hold(plan.involved)
         kept = {i: e for i, e in self._goal_effort.items() if i not in plan.involved}
         self._goal_effort = kept | dict(plan.effort)
         # A requested force is kept; without one, the effort is lowered while an object is held.
@@ -353,11 +355,12 @@ class Controller:
         kept = {i: self.reference_effort[i] for i in plan.involved}
         return replace(plan, legs=plan.legs[-1:]), kept
 
-    def _let_go(self, targets: Mapping[int, float], stamp: float) -> None:
-        """Restart references that lead into an object from the actuators' measured positions.
+    def _restarts(self, targets: Mapping[int, float], stamp: float) -> dict[int, float]:
+        """Return from where to restart references that lead into an object, by index [rad | m].
 
-        While it moves back out of the object, such a reference would press with the full effort
-        limit. Where the target leads further into the object, the grip is kept.
+        They are the measured positions: while it moves back out of the object, such a reference
+        would press with the full effort limit. Where the target leads further into the object, the
+        grip is kept.
         """
         there: dict[int, float] = {}
         kept = self._kept.union(self._reflexes.held)
@@ -367,7 +370,7 @@ class Controller:
             here = self.starts.at(i, stamp, touching=i in kept)
             if here is not None and (self._limiter.position[i] - here) * (target - here) <= 0.0:
                 there[i] = here
-        self.starts.set(there)
+        return there
 
     def apply(self, command: Command, stamp: float) -> None:
         """Apply a command at a time [s]; one for an unknown goal or stream has no effect."""
@@ -430,13 +433,17 @@ class Controller:
         self._settling.update(dict.fromkeys(indices, stamp + _SETTLE))
 
     def _leave_hold(self, indices: Iterable[int]) -> None:
+        self._forget_hold(indices)
+        self._set_efforts()
+
+    def _forget_hold(self, indices: Iterable[int]) -> None:
+        """Forget what some actuators hold; the caller computes the effort limits."""
         for i in indices:
             self._settling.pop(i, None)
             self._jogged.pop(i, None)
             self._holding.discard(i)
         self._contact.forget(indices)
         self._reflexes.forget(indices)
-        self._set_efforts()
 
     def _jog(self, jog: Jog, stamp: float) -> None:
         wanted = {self.hand.actuator_index(name): v for name, v in jog.positions.items()}
@@ -494,7 +501,8 @@ class Controller:
         self, stream: StreamPlayer, targets: Mapping[int, float], stamp: float
     ) -> None:
         """Have actuators follow a stream, with its effort limits and with contact detection."""
-        self._let_go(targets, stamp)
+        # Even without a restart: a moving profile plans its motion anew, as in older recordings.
+        self.starts.set(self._restarts(targets, stamp))
         self._kept -= targets.keys()
         for i in targets:
             self.max_velocity[i] = self.hand.actuators[i].velocity

@@ -17,7 +17,7 @@ from rtee.loop.measured import Measured
 from rtee.loop.planning import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.snapshot import _MOVED, capture, restore, to_bytes
-from rtee.types import Goal, Named, Result
+from rtee.types import Goal, Intensity, Named, Result
 
 START = 0.1
 
@@ -70,6 +70,29 @@ def test_a_state_in_which_the_hand_brakes_goes_on_as_it_did(
         place = position
         position = step(controller, tick, place)
         assert step(again, tick, place) == position
+
+
+def test_a_goal_for_a_moving_hand_is_planned_once(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jerk_limited = pytest.importorskip("rtee.loop.profiles.jerk_limited", exc_type=ImportError)
+    settings = LoopSettings(rate=100.0, profile=ProfileSettings(ProfileKind.JERK_LIMITED))
+    controller = Controller(hand, settings)
+    controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
+    n, profile, planned = len(hand.actuators), jerk_limited.JerkLimited, list[object]()
+    plan, unmeasured = profile._plan, [math.nan] * n
+    monkeypatch.setattr(profile, "_plan", lambda each: (planned.append(each), plan(each)))
+    for tick in range(20):
+        if tick in (1, 10):
+            goal = Goal(Named("Trig", ("index",)), Intensity(1.0 if tick == 1 else 0.1))
+            plan_of = make_plan(goal, hand, library, settings)
+            assert controller.moving == (tick == 10)
+            planned.clear()
+            controller.accept(plan_of, tick * settings.period)
+            assert len(planned) == 1
+        position = list(controller.reference_position)
+        measured = Measured(position, unmeasured, unmeasured, [True] * n, [-1] * n)
+        controller.step(tick * settings.period, measured)
 
 
 def test_a_state_from_a_file_calls_back_nothing_but_what_a_controller_does(hand: Hand) -> None:
