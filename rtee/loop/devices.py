@@ -21,7 +21,7 @@ from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator, TouchGatherer
 from rtee.loop.supervisor import Supervisor
 from rtee.objects.description import ObjectDescription
-from rtee.sample import FloatArray, TickRecord
+from rtee.sample import FloatArray
 from rtee.types import Event, Lifecycle, Reference, readonly
 
 log = logging.getLogger(__name__)
@@ -210,14 +210,17 @@ class Devices:
 
     def move(
         self,
-        record: TickRecord,
+        tick: int,
+        sent: tuple[FloatArray, FloatArray, FloatArray],
         max_velocity: list[float],
         unplaced: AbstractSet[int] = frozenset(),
     ) -> None:
         """Send every device that is due its part of a tick's reference, and read its state.
 
         Args:
-            record: The record of the tick.
+            tick: Number of the tick.
+            sent: Position [rad | m], velocity [rad/s | m/s] and effort limit [N·m | N] of all
+                actuators ``(n,)``; never changed afterwards.
             max_velocity: Velocity limits of all actuators [rad/s | m/s].
             unplaced: Actuators without a reference, see `ReferenceStart`; their devices get none.
         """
@@ -226,16 +229,16 @@ class Devices:
             # Converted only when they change: with every goal, not with every tick.
             self._velocity_limits = readonly(max_velocity)
         for device in self._all:
-            if device.due(record.tick):
+            if device.due(tick):
                 moving = self._active[device.name] and not device.muted
                 if unplaced and not unplaced.isdisjoint(device.indices):
                     moving = False
-                device.exchange(self._reference(device, record) if moving else None)
+                device.exchange(self._reference(device, *sent) if moving else None)
 
-    def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
+    def _reference(
+        self, device: Supervisor, position: FloatArray, velocity: FloatArray, effort: FloatArray
+    ) -> Reference:
         where, mask, top = self.state.where(device), self._masks[device.name], self._velocity_limits
-        position, velocity = record.reference_position, record.reference_velocity
-        effort = record.reference_effort
         if where is None:
             return Reference(position, effort, top, mask, velocity)
         return Reference(position[where], effort[where], top[where], mask, velocity[where])

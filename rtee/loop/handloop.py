@@ -192,21 +192,27 @@ class HandLoop:
         controller.step(stamp, state.measured)
         if self.settings.safety.idle_disable is not None:
             self._disable_when_idle(stamp, self.settings.safety.idle_disable)
-        record = self._record = TickRecord(
+        # Copies, since the controller changes its lists at the next tick.
+        position = np.array(controller.reference_position)
+        velocity = np.array(controller.reference_velocity)
+        effort = np.array(controller.reference_effort)
+        # Move: send the reference. A device that answers at once is also read again here.
+        sent = position, velocity, effort
+        devices.move(tick.number, sent, controller.max_velocity, controller.starts.unplaced)
+        # The record comes last: nothing that the devices wait for depends on it.
+        self._record = TickRecord(
             *measured_arrays(state.sample),
             tick=tick.number,
             stamp=stamp,
             wall_ns=tick.wall_ns,
             grasped=state.grasped,
             fresh=state.fresh,
-            reference_position=np.array(controller.reference_position),
-            reference_velocity=np.array(controller.reference_velocity),
-            reference_effort=np.array(controller.reference_effort),
+            reference_position=position,
+            reference_velocity=velocity,
+            reference_effort=effort,
             channels=state.channels_with(controller.channels),
             touch=state.touch,
         )
-        # Move: send the reference. A device that answers at once is also read again here.
-        devices.move(record, controller.max_velocity, controller.starts.unplaced)
 
     def notify_observers(self) -> None:
         """Report the last `cycle` to the observers."""
