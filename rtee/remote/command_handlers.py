@@ -11,7 +11,7 @@ import math
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from rtee import monotonic
 from rtee.errors import GoalRejected, RequestRejected
@@ -36,6 +36,10 @@ _STOPPED_FOR = 0.1
 _WITHOUT_LEASE = ("release", "admit")
 """Requests that are accepted while another client holds the lease."""
 
+_ACCEPTED: Final = REPLY.encode(accepted())
+"""The answer to every accepted command, encoded once: a tick that is due waits for the thread that
+answers."""
+
 
 class CommandHandlers:
     """Handles the requests of the groups ``control`` and ``stop``."""
@@ -51,7 +55,7 @@ class CommandHandlers:
         # Counts requests that may move the hand, before and after each: a stop that overlaps with
         # one never seems to have come after it.
         self._moves = 0
-        self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
+        self._handlers: dict[str, Callable[[IncomingRequest], bytes | None]] = {
             "cancel": self._cancel,
             "hold": self._hold,
             "jog": self._jog,
@@ -84,9 +88,9 @@ class CommandHandlers:
                 self.agents.check(request.client)
                 self._lease.check(request.client)
             self._moves += 1
-            text = self._handlers[name](request) if goal is None else self._do(goal)
+            answer = self._handlers[name](request) if goal is None else self._do(goal)
             self._moves += 1
-        return None if text is None else REPLY.encode(accepted(text))
+        return answer
 
     def take_sample(self, request: IncomingRequest) -> None:
         """Pass a sample of a stream, which was published, to the loop; raises `RteeError`."""
@@ -168,7 +172,7 @@ class CommandHandlers:
         if held:
             self._thread.call_soon(self._loop.client_lost, client)
 
-    def _do(self, goal: Goal) -> str:
+    def _do(self, goal: Goal) -> bytes:
         check_name(goal.goal_id, "goal")
         if self._lease.runs(goal.goal_id):
             raise GoalRejected(f"the goal '{goal.goal_id}' is running already")
@@ -179,24 +183,24 @@ class CommandHandlers:
         except Exception:
             self._lease.ended(goal.goal_id)
             raise
-        return goal.goal_id
+        return _ACCEPTED
 
-    def _cancel(self, request: IncomingRequest) -> str:
+    def _cancel(self, request: IncomingRequest) -> bytes:
         self._loop.cancel(request.fields["goal_id"])
-        return ""
+        return _ACCEPTED
 
-    def _hold(self, request: IncomingRequest) -> str:
+    def _hold(self, request: IncomingRequest) -> bytes:
         self._loop.hold(f"{request.client} asked to hold")
-        return ""
+        return _ACCEPTED
 
-    def _jog(self, request: IncomingRequest) -> str:
+    def _jog(self, request: IncomingRequest) -> bytes:
         fields = request.fields
         limit = None if math.isnan(fields["limit"]) else fields["limit"]  # NaN: no limit given
         self._loop.jog(_values(fields), limit)
         self._lease.jogged(request.client)
-        return ""
+        return _ACCEPTED
 
-    def _begin_stream(self, request: IncomingRequest) -> str:
+    def _begin_stream(self, request: IncomingRequest) -> bytes:
         fields = request.fields
         stream, deadline = check_name(fields["stream"], "stream"), fields["deadline"]
         if self._lease.runs(stream):
@@ -211,14 +215,14 @@ class CommandHandlers:
         except Exception:
             self._lease.ended(stream)
             raise
-        return stream
+        return _ACCEPTED
 
-    def _end_stream(self, request: IncomingRequest) -> str:
+    def _end_stream(self, request: IncomingRequest) -> bytes:
         stream = request.fields["stream"]
         self._loop.streams.end(stream)
         # The answer says that the hand is free: the next command comes after the end in the loop.
         self._lease.stream_ended(stream)
-        return ""
+        return _ACCEPTED
 
     def _gains(self, request: IncomingRequest) -> None:
         fields = request.fields
@@ -229,20 +233,20 @@ class CommandHandlers:
         device = request.fields["what"] or None
         self._answer_after(request, lambda: self._loop.recover(device))
 
-    def _acquire(self, request: IncomingRequest) -> str:
+    def _acquire(self, request: IncomingRequest) -> bytes:
         self._lease.acquire(request.client)
-        return ""
+        return _ACCEPTED
 
-    def _release(self, request: IncomingRequest) -> str:
+    def _release(self, request: IncomingRequest) -> bytes:
         self._lease.release(request.client)
-        return ""
+        return _ACCEPTED
 
-    def _admit(self, request: IncomingRequest) -> str:
+    def _admit(self, request: IncomingRequest) -> bytes:
         self.agents.admit(request.client)
         text = f"{request.client} has let agents in"
         event = Event("agents_admitted", request.client, text, monotonic.now())
         self._thread.call_soon(self._loop.announce, event)
-        return ""
+        return _ACCEPTED
 
     def _answer_after(self, request: IncomingRequest, work: Callable[[], Awaitable[None]]) -> None:
         """Run ``work`` in the loop's thread, and answer the request when it is done."""
@@ -254,7 +258,7 @@ class CommandHandlers:
             except Exception as error:
                 request.refuse(error)
             else:
-                request.answer(accepted())
+                request.send(_ACCEPTED, True)
 
         self._thread.start(run)
 
