@@ -116,9 +116,10 @@ def squeezing_speed(plan: Plan, hand: Hand) -> float:
 
 def slowed(plan: Plan, hand: Hand) -> str:
     """Return a note that the fingers meet the object more slowly than requested, or empty."""
-    share, grip, force = leg_speed(plan, len(plan.legs) - 1, hand), plan.grip, plan.force
+    grip, force = plan.grip, plan.force
     if grip is None or plan.width is None or force is None:
         return ""
+    share = leg_speed(plan, len(plan.legs) - 1, hand)
     full = 1.0 / tip_speed_share(1.0, hand, grip, grip.intensity_at(plan.width))
     asked = full * plan.speed
     if plan.speed == 1.0:  # no speed was asked for, and such a force is met with this one

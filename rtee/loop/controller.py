@@ -349,8 +349,8 @@ class Controller:
         Opening first would drop the object. The new force is built up from the effort limits that
         hold it, by actuator [N·m | N].
         """
-        held = [i for i in plan.involved if self._contact.grasping(i)]
-        if not isinstance(plan.to, Around) or len(plan.legs) < 2 or not held:
+        around = isinstance(plan.to, Around) and len(plan.legs) > 1
+        if not (around and any(self._contact.grasping(i) for i in plan.involved)):
             return plan, {}
         kept = {i: self.reference_effort[i] for i in plan.involved}
         return replace(plan, legs=plan.legs[-1:]), kept

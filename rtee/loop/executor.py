@@ -553,7 +553,7 @@ class Executor:
         arrived = self._within(run, error) and self._settled(run)
         # An object held on the last millimetre counts as held, though the target is reached, too.
         held = any(self._contact.grasping(i) for i in targets)
-        if not held and self._settled(run) and self._bears(run, stamp, measured):
+        if not held and self._bears(run, stamp, measured):
             if stamp - run.bears < _STEADY:
                 return
             # The object is thinner than the tolerance of a stall: only the effort reveals it.
@@ -609,7 +609,8 @@ class Executor:
         if not (isinstance(run.plan.to, Around) and last and len(targets) == 1):
             return False
         (i,) = targets
-        if i in self._reflexes.busy:  # a reflex has stopped it, and decides what it does next
+        # A reflex that has stopped it decides what it does next.
+        if i in self._reflexes.busy or not self._settled(run):
             return False
         grip, contact, position = run.plan.grip, self._contact, measured.position
         word = measured.grasped[i] == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from collections.abc import Set as AbstractSet
 from itertools import compress
+from operator import attrgetter
 from typing import Any
 
 from ruckig import (
@@ -22,6 +23,7 @@ from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.stepwise import Step
 
 _STATE = ("position", "velocity", "_acceleration", "target", "_top", "_braking")
+_state = attrgetter(*_STATE)
 _SLACK = 1e-9  # how far beyond a limit rounding may move an extremum [rad | m]
 
 
@@ -73,7 +75,7 @@ class JerkLimited(Profile):
         self._synchronised = []  # of the controller that was captured, not of this input
         if not self.moving or self._plain is not None:
             return
-        present = [getattr(self, name) for name in _STATE], self._time
+        present = _state(self), self._time
         self._set(self._begun)
         self._plan()
         values, self._time = present
@@ -84,7 +86,7 @@ class JerkLimited(Profile):
             setattr(self, name, value)
 
     def _plan(self) -> None:
-        self._begun = [list(getattr(self, name)) for name in _STATE]
+        self._begun = list(map(list, _state(self)))
         given = self._input
         given.current_position = self.position
         given.current_velocity = self.velocity
