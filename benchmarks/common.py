@@ -19,6 +19,7 @@ HELP = {
     "generations": "most generations of an evolution",
     "flight": "length of the flight recorder's history [s]",
     "frames": "frames for each decoder",
+    "fresh": "send each goal only once",
     "goals": "number of goals to send",
     "hand": "name of the hand",
     "hands": "names of hands, or their URDFs",

@@ -1,12 +1,14 @@
 """Measure the time from a client's goal to the first changed reference, in another process.
 
     python benchmarks/latency.py [--hand schunk_svh] [--rate 1000] [--goals 300] [--realtime]
+                                 [--fresh]
 
 The hand runs in a process of its own with the kinematic driver and the network, as `rtee run`
 would run it. A client sends goals from standstill, at random moments of the loop's period. The time
 ends with the first reference that differs in any bit from the one before: at its stamp (the due
 time of its tick, as in recordings), and when the device's driver receives it, which is later by the
-tick's lateness and work. All clocks are CLOCK_MONOTONIC.
+tick's lateness and work. All clocks are CLOCK_MONOTONIC. Two goals are sent by turns, as programs
+repeat theirs; with ``--fresh``, each goal differs from all before.
 
 The stages of this time are printed, too, with the processor time of those that run in one thread,
 which other programs change less; and for comparison a bare Zenoh query of the same size to another
@@ -141,7 +143,7 @@ def serve(arguments: argparse.Namespace) -> None:
 
 
 async def send_goals(
-    hand: RemoteHand, action: tuple[str, ...], count: int
+    hand: RemoteHand, action: tuple[str, ...], count: int, fresh: bool
 ) -> list[tuple[str, Moment, Moment]]:
     """Send goals from standstill; return each name with the moments of call and sending."""
     source = random.Random(1)
@@ -164,9 +166,10 @@ async def send_goals(
         await anyio.sleep(0.1)
         # asyncio sleeps whole milliseconds: always to the same moment of the period.
         time.sleep(source.uniform(0.0, 1e-3))
-        begin = moment()
         # Two intensities by turns, so that every goal moves; both small, so that it ends soon.
-        running = await hand.start(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
+        intensity = (0.02 if i % 2 else 0.04) + fresh * i * 1e-6
+        begin = moment()
+        running = await hand.start(*action, intensity=intensity, tolerance=0.002)
         sent.append((running.goal.goal_id, begin, handed))
         # To the end: the next goal must find the hand at rest.
         result = await running.result()
@@ -207,7 +210,13 @@ def show(table: Table, what: str, times: Sequence[float]) -> None:
 def main() -> None:
     """Measure and print."""
     parser = command_line(
-        __doc__, hand="schunk_svh", rate=1000.0, goals=300, realtime=False, record=False
+        __doc__,
+        hand="schunk_svh",
+        rate=1000.0,
+        goals=300,
+        realtime=False,
+        record=False,
+        fresh=False,
     )
     parser.add_argument("--action", nargs="+", default=["Trig", "index"])
     parser.add_argument("--log", default="", help=argparse.SUPPRESS)
@@ -232,7 +241,9 @@ def measure(arguments: argparse.Namespace) -> None:
             async with rtee.connect(arguments.hand, wait=20.0) as remote:
                 # Connecting leaves work for a moment, which would count as latency.
                 await anyio.sleep(1.0)
-                sent = await send_goals(remote, tuple(arguments.action), arguments.goals)
+                sent = await send_goals(
+                    remote, tuple(arguments.action), arguments.goals, arguments.fresh
+                )
             return sent, await measure_network(endpoint, arguments.goals)
 
         sent, (there, back) = anyio.run(run)

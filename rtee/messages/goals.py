@@ -183,3 +183,12 @@ def _goal(options: dict[str, Any]) -> Goal:
 
 GOAL = Codec("rtee_msgs/msg/Goal", Goal, whole=(_fields, _goal))
 """Goals in CDR."""
+
+_ID = slice(32, 48)
+"""Place of the identifier in a goal's message, behind header and time, if it has the sixteen digits
+of `new_goal_id`."""
+
+
+def with_new_id(message: bytes, goal_id: str) -> bytes:
+    """Return a goal's message with another identifier; both are by `new_goal_id`."""
+    return b"".join((message[: _ID.start], goal_id.encode(), message[_ID.stop :]))

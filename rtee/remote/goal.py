@@ -7,8 +7,8 @@ import contextlib
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Literal, Unpack
+from functools import lru_cache, partial
+from typing import Final, Literal, Unpack
 
 import anyio
 
@@ -22,7 +22,7 @@ from rtee.errors import (
     TooManyRequests,
 )
 from rtee.messages import FEEDBACK, RESULT, topics
-from rtee.messages.goals import GOAL
+from rtee.messages.goals import GOAL, with_new_id
 from rtee.remote.goal_values import (
     GoalOptions,
     GraspOptions,
@@ -38,7 +38,7 @@ from rtee.remote.goal_values import (
 )
 from rtee.remote.hand_info import HandInfo
 from rtee.remote.link import ANSWER_WITHIN, Link
-from rtee.types import Feedback, Goal, Result
+from rtee.types import Feedback, Goal, Result, new_goal_id
 
 _SILENT = 0.5
 """Time without a message about an accepted goal after which the client asks for its result [s]:
@@ -282,6 +282,10 @@ _ACCEPTED_WITHIN = ANSWER_WITHIN - 1.0
 most a second longer than any other request."""
 
 
+_MOST_PREPARED: Final = 64
+"""Most goals that a client keeps ready to be sent again: a program repeats fewer."""
+
+
 class GoalClient:
     """Sends goals to the hand, and delivers feedback and results to the running ones.
 
@@ -294,6 +298,7 @@ class GoalClient:
         self._link, self._info = link, info
         self._running = RunningGoals(link)
         self._efforts: dict[str, float] | None = None
+        self._prepared = lru_cache(_MOST_PREPARED)(self._prepare)
 
     @spelled_out
     async def start(
@@ -316,7 +321,24 @@ class GoalClient:
         share = share_of(options.get("effort"))
         if share is not None:
             options["effort"] = await self.effort_limits(share)
-        return await self.start_goal(goal_by(action, elements, options, self._link.client))
+        # Most programs repeat goals, and code that has rested for a tenth of a second is slow.
+        try:
+            goal, question = self._prepared(action, elements, **options)
+        except TypeError:  # an option without a hash, such as efforts by actuator
+            goal, question = self._prepare(action, elements, **options)
+        goal_id = new_goal_id()
+        return await self._send(goal, with_new_id(question, goal_id), goal_id)
+
+    def _prepare(
+        self,
+        action: ActionReference | str,
+        elements: tuple[str, ...],
+        /,
+        **options: Unpack[GoalOptions],
+    ) -> tuple[Goal, bytes]:
+        """Return a goal of this client, and its message."""
+        goal = goal_by(action, elements, options, self._link.client)
+        return goal, GOAL.encode(goal)
 
     async def start_goal(self, goal: Goal) -> RunningGoal:
         """Begin a complete goal and return at once; raises the same errors as `start`.
@@ -326,11 +348,17 @@ class GoalClient:
         """
         if complete(goal).client != self._link.client:
             goal = replace(goal, client=self._link.client)
-        # Sent before anything else is prepared: the answer arrives through this event loop, and so
-        # not before the goal is registered.
         if goal.goal_id in self._running:
             raise GoalRejected(f"a goal '{goal.goal_id}' of this client is running already")
-        answer = self._link.send("do", GOAL.encode(goal), within=_ACCEPTED_WITHIN)
+        return await self._send(goal, GOAL.encode(goal), goal.goal_id)
+
+    async def _send(self, goal: Goal, question: bytes, goal_id: str) -> RunningGoal:
+        """Begin a goal by its message, in which it has this identifier."""
+        # Sent before anything else is prepared: the answer arrives through this event loop, and so
+        # not before the goal is registered.
+        answer = self._link.send("do", question, within=_ACCEPTED_WITHIN)
+        if goal_id != goal.goal_id:
+            goal = replace(goal, goal_id=goal_id)
         running = self._running.add(RunningGoal(goal, partial(self.cancel, goal.goal_id)))
         try:
             try:

@@ -23,6 +23,7 @@ from rtee.errors import MessageError
 from rtee.messages import convert, message_type
 from rtee.messages.codec import wall_ns
 from rtee.messages.convert import typed
+from rtee.messages.goals import with_new_id
 from rtee.messages.schema import recorded_type
 from rtee.types import (
     Around,
@@ -41,6 +42,7 @@ from rtee.types import (
     Result,
     Stage,
     TipSpeed,
+    new_goal_id,
 )
 
 GOAL = Goal(
@@ -170,6 +172,13 @@ def test_a_goal_is_written_and_read_as_its_definition_says(goal: Goal) -> None:
     fields = kind.decode(data)
     assert kind.encode(fields) == data
     assert messages.GOAL.of(fields) == messages.GOAL.decode(data) == goal
+
+
+@pytest.mark.parametrize("client", ["", "größer"])
+def test_a_goal_with_another_identifier_is_the_same_otherwise(client: str) -> None:
+    goal, other = replace(GOAL, goal_id=new_goal_id(), client=client), new_goal_id()
+    changed = with_new_id(messages.GOAL.encode(goal), other)
+    assert changed == messages.GOAL.encode(replace(goal, goal_id=other))
 
 
 @pytest.mark.parametrize("wrong", [{"goal_id": 1}, {"effort": {"near": None}}, {"what": "fist"}])

@@ -4,6 +4,8 @@ import itertools
 import math
 import re
 import threading
+from dataclasses import replace
+from typing import Any
 
 import anyio
 import numpy as np
@@ -23,6 +25,7 @@ from rtee.errors import (
 )
 from rtee.hand.model import Hand
 from rtee.messages import EVENT
+from rtee.remote import goal as remote_goal
 from rtee.remote.server import Server
 from rtee.remote.session import direct
 from rtee.sample import TickRecord
@@ -431,6 +434,36 @@ async def test_a_goal_that_runs_is_not_started_again(hand: Hand, library: Action
             await remote._goals.start_goal(running.goal)
         await running.cancel()
         assert (await running.result()).cancelled, "it is still followed"
+
+
+async def test_a_goal_that_is_asked_for_again_is_prepared_once(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[tuple[Any, ...]] = []
+    make = remote_goal.goal_by
+
+    def noted(*asked: Any) -> Goal:
+        made.append(asked)
+        return make(*asked)
+
+    monkeypatch.setattr(remote_goal, "goal_by", noted)
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        for intensity in (0.5, 0.5, "50%", "50%", 0.25):
+            assert (await remote.do("fist", intensity=intensity)).reached
+        assert [asked[2] for asked in made] == [{"intensity": i} for i in (0.5, "50%", 0.25)]
+        for _ in range(2):
+            with pytest.raises(GoalRejected, match="the intensity must be 0 to 1, not 2"):
+                await remote.do("fist", intensity=2.0)
+        for share in (0.5, 0.25):
+            effort = {"near": share}
+            for _ in range(2):  # a mapping may have changed since
+                await remote.do("fist", effort=effort)
+                effort["near"] /= 2.0
+        goals = served.watcher.goals
+        assert [each.to.share for each in goals[:5]] == [0.5, 0.5, 0.5, 0.5, 0.25]
+        assert goals[1] == replace(goals[0], goal_id=goals[1].goal_id)
+        assert [each.effort["near"] for each in goals[5:]] == [0.5, 0.25, 0.25, 0.125]
+        assert len({each.goal_id for each in goals}) == len(goals) == 9
 
 
 async def test_status(hand: Hand, library: ActionLibrary) -> None:
