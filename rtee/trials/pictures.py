@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import CONTAINER, TABLE
+from rtee.drivers.mujoco.taxels import geom_triangles
 from rtee.hand.frames import homogeneous
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
 from rtee.render.image import encode, linear_rgb
@@ -90,7 +89,7 @@ class SimulationRenderer:
             name = model.geom(geom).name
             if name == TABLE or name.startswith((OBJECT, CONTAINER)):
                 link = len(self._mesh.links) + len(found)
-                found.append((geom, Mesh.of(_triangles(model, geom), link)))
+                found.append((geom, Mesh.of(geom_triangles(model, geom), link)))
         return found
 
     def _posed(self, leave_out: Sequence[int] = ()) -> Mesh:
@@ -110,23 +109,6 @@ class SimulationRenderer:
             code = "#" + "".join(f"{round(255 * float(v)):02x}" for v in rgba)
             rows.append(linear_rgb(_TABLE_COLOUR if self._is_table(geom) else code))
         return np.array(rows)
-
-
-def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
-    """Return the triangles of a geom in its own frame."""
-    x, y, z = (float(half) for half in model.geom_size[geom])
-    match int(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return box((2.0 * x, 2.0 * y, 2.0 * z))
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return sphere(x)
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return cylinder(x, 2.0 * y)
-    mesh = int(model.geom_dataid[geom])
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
-    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    return vertices, np.asarray(model.mesh_face[first : first + count], dtype=np.int64)
 
 
 class Stills:

@@ -272,12 +272,13 @@ def _surface_of(model: mujoco.MjModel, body: str) -> FloatArray:
     for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-        points, faces = _triangles(model, geom)
+        points, faces = geom_triangles(model, geom)
         triangles.append((points @ turn.reshape(3, 3).T + model.geom_pos[geom])[faces])
     return np.concatenate(triangles)
 
 
-def _triangles(model: mujoco.MjModel, geom: int) -> tessellation.Triangles:
+def geom_triangles(model: mujoco.MjModel, geom: int) -> tessellation.Triangles:
+    """Return the triangles of a geom in its own frame [m]."""
     size = model.geom_size[geom].tolist()
     match int(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
