@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from rtee import monotonic
 from rtee.cli._common import FrictionOption, complete_hand, owned
 from rtee.cli._sweep import (
     ClusterOption,
@@ -30,16 +29,13 @@ from rtee.units import LENGTH, quantity
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rtee.actions.fingerprints import Fingerprints
+    from rtee.trials.answers import TrialFile
     from rtee.trials.tasks import TaskResult, TaskTrial
     from rtee.trials.trial import Trial, TrialResult
 
 
 _VARIATIONS = 20
 """Variations of each trial with --all: 18 held of 20 means at least 70 %, at 95 % confidence."""
-
-_WRITING = 0.1
-"""Largest share of the time spent on writing results, as each write rewrites the whole file."""
 
 
 def try_(
@@ -210,9 +206,15 @@ def _all(
     out: Path | None,
 ) -> list[TrialResult]:
     """Run the trials that have no stored result yet; store each result as it arrives."""
+    from rtee.cli._sweep import followed, workers_for
     from rtee.drivers.mujoco.objects import MESHES
     from rtee.objects.shape import parse_object
+    from rtee.trials.answers import Answers, TrialFile
     from rtee.trials.bench import bench
+    from rtee.trials.result import TrialResult
+    from rtee.trials.store import FILE_NAME
+    from rtee.trials.sweep import Sweep
+    from rtee.trials.work import MadeWith
 
     # Refuse a mistyped object once, before any process starts.
     for shape in {trial.object: None for trial in trials}:
@@ -222,126 +224,55 @@ def _all(
             f"hand '{bench(name).hand.name}' has no actions to try; find its primitives first: "
             f"rtee extract {name} --save"
         )
+    known: Answers | TrialFile
     if out is None or out.suffix in (".yaml", ".yml"):
-        return _all_in_file(name, trials, jobs, again, cluster, out)
-    return _all_in_folder(name, trials, jobs, again, cluster, out)
+        known = _results_in_file(name, trials, out)
+    else:
+        known = Answers(out)
+    found = [known.find(trial, MadeWith.of(name, trial)) for trial in trials]
+    todo = [trial for trial, result in zip(trials, found, strict=True) if again or not result]
+    if todo:
+        if isinstance(known, TrialFile):
+            if out is None:
+                # Copy a shipped hand only when there is something to write.
+                known.path = owned(bench(name).folder) / FILE_NAME
+            known.write()  # fails now rather than after the trials, if it cannot be written
+        shapes = [trial.object for trial in todo]
+        sweep = Sweep(workers_for([name], shapes, jobs, cluster, len(todo)), known, again=again)
+        for trial in todo:
+            sweep.add(name, trial)
+        words = _Words(len(todo), again, known.kept_in)
+        for _ in followed(sweep, known.write, lambda: words(known.added)):
+            pass
+    # Outdated results of other actions stay if all requested results were known.
+    if isinstance(known, TrialFile):
+        known.finish()
+    found = [known.find(trial, MadeWith.of(name, trial)) for trial in trials]
+    return [result for result in found if isinstance(result, TrialResult)]
 
 
-def _all_in_folder(
-    name: str, trials: Sequence[Trial], jobs: int, again: bool, cluster: str | None, out: Path
-) -> list[TrialResult]:
-    from rtee.cli._sweep import followed, workers_for
-    from rtee.trials.answers import Answers
-    from rtee.trials.result import TrialResult
-    from rtee.trials.sweep import Sweep
-
-    known = Answers(out)
-    workers = workers_for([name], [trial.object for trial in trials], jobs, cluster, len(trials))
-    sweep = Sweep(workers, known, again=again)
-    for trial in trials:
-        sweep.add(name, trial)
-    words = _Words(len(trials), again, out)
-    found = {
-        answer.trial.key: answer
-        for *_, answer in followed(sweep, known.write, lambda: words(known.added))
-        if isinstance(answer, TrialResult)
-    }
-    return [found[trial.key] for trial in trials]
-
-
-def _all_in_file(
-    name: str,
-    trials: Sequence[Trial],
-    jobs: int,
-    again: bool,
-    cluster: str | None,
-    out: Path | None,
-) -> list[TrialResult]:
+def _results_in_file(name: str, trials: Sequence[Trial], out: Path | None) -> TrialFile:
+    """Return the results in a file, by default that of the hand; print if some are outdated."""
     from rtee.actions.fingerprints import Fingerprints
-    from rtee.cli._sweep import followed, workers_for
+    from rtee.trials.answers import TrialFile
     from rtee.trials.bench import bench
-    from rtee.trials.result import TrialResult
-    from rtee.trials.store import FILE_NAME, MOST, read_results
-    from rtee.trials.sweep import Sweep
+    from rtee.trials.store import FILE_NAME, MOST
 
     ready = bench(name)
-    path, made_with = out or ready.folder / FILE_NAME, Fingerprints.of(ready.folder, ready.library)
-    known = read_results(path, made_with)
-    if len(known.keys() | {trial.key for trial in trials}) > MOST:
+    path = out or ready.folder / FILE_NAME
+    known = TrialFile(path, Fingerprints.of(ready.folder, ready.library))
+    if len(known.keys | {trial.key for trial in trials}) > MOST:
         raise ConfigError(
             f"{len(trials)} results are too many for {path}, which holds {MOST}; give --out a "
             "folder, for Parquet files"
         )
-    old = read_results(path).keys() - known.keys()
-    if old:
+    if known.outdated:
         print(
-            f"rtee: the {len(old)} results in {path} are outdated, made with other files of this "
-            "hand or by an earlier method; they are replaced once the new ones are ready",
+            f"rtee: the {known.outdated} results in {path} are outdated, made with other files of "
+            "this hand or by an earlier method; they are replaced once the new ones are ready",
             file=sys.stderr,
         )
-        # An earlier command may have been interrupted while it replaced them.
-        known |= read_results(_unfinished(path), made_with)
-    todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
-    if todo:
-        if out is None:
-            # Copy a shipped hand only when there is something to write.
-            path = owned(ready.folder) / FILE_NAME
-        keep = _SavedResults(_unfinished(path) if old else path, made_with, known)
-        keep.write()  # fails now rather than after the trials, if the file cannot be written
-        shapes = [trial.object for trial in todo]
-        sweep = Sweep(workers_for([name], shapes, jobs, cluster, len(todo)))
-        for trial in todo:
-            sweep.add(name, trial)
-        words = _Words(len(todo), again, keep.path)
-        for *_, result in followed(sweep, keep.write, lambda: words(keep.taken)):
-            if isinstance(result, TrialResult):
-                keep.add(result)
-    # Outdated results of other actions stay if all requested results were known.
-    if old and _unfinished(path).exists():
-        # All new results are there, so that the outdated ones can go.
-        _unfinished(path).replace(path)
-    return [known[trial.key] for trial in trials]
-
-
-def _done(trial: Trial, known: TrialResult | None) -> bool:
-    """Return whether the stored result of a trial was made with the same variations."""
-    if known is None:
-        return False
-    # The key of a trial has none of these, so that a result with others is replaced.
-    before, wanted = (
-        (each.variations, each.seed, each.choosing, each.wanted) for each in (known.trial, trial)
-    )
-    return before == wanted
-
-
-def _unfinished(path: Path) -> Path:
-    """Return the file of the new results until all are there to replace the outdated ones."""
-    return path.with_name(f"{path.stem}.new{path.suffix}")
-
-
-class _SavedResults:
-    """Results of a sweep, written to a file as they arrive."""
-
-    def __init__(self, path: Path, made_with: Fingerprints, known: dict[str, TrialResult]) -> None:
-        self.path, self.taken = path, 0
-        self._made_with, self._known = made_with, known
-        self._write_at = 0.0
-
-    def add(self, result: TrialResult) -> None:
-        """Add a result; write the file unless writing has taken too large a share of the time."""
-        self._known[result.trial.key] = result
-        self.taken += 1
-        if monotonic.now() >= self._write_at:
-            self.write()
-
-    def write(self) -> None:
-        """Write all results."""
-        from rtee.trials.store import write_results
-
-        begun = monotonic.now()
-        write_results(self.path, self._made_with, self._known.values())
-        ended = monotonic.now()
-        self._write_at = ended + (ended - begun) * (1.0 / _WRITING - 1.0)
+    return known
 
 
 @dataclass(frozen=True, slots=True)

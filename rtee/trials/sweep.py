@@ -20,7 +20,7 @@ from rtee import child
 from rtee.actions.library import ActionLibrary
 from rtee.errors import UserError, WorkerLost
 from rtee.hand.validation import validated
-from rtee.trials.answers import Answers
+from rtee.trials.answers import Answers, TrialFile
 from rtee.trials.result import CHOOSING, OBJECTS, mass_of
 from rtee.trials.trial import Trial
 from rtee.trials.work import Answer, MadeWith, Task, answer_of, perform, perform_apart, to_text
@@ -147,7 +147,7 @@ class Sweep:
     """
 
     def __init__(
-        self, workers: Workers, known: Answers | None = None, *, again: bool = False
+        self, workers: Workers, known: Answers | TrialFile | None = None, *, again: bool = False
     ) -> None:
         """Start without tasks.
 
