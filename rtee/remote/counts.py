@@ -47,19 +47,10 @@ class Counts:
 
 def counts_of(message: dict[str, Any]) -> Counts:
     """Return the counts of a decoded message."""
-    bound, lateness, busy = (tuple(message[n].tolist()) for n in ("bound", "lateness", "busy"))
-    return Counts(
-        version=message["version"],
-        clients=message["clients"],
-        stops=message["stops"],
-        result=message["result"],
-        goals=dict(zip(message["outcome"], message["goals"].tolist(), strict=True)),
-        bound=bound,
-        lateness=lateness,
-        busy=busy,
-        lateness_sum=message["lateness_sum"],
-        busy_sum=message["busy_sum"],
-    )
+    held: dict[str, Any] = {n: tuple(message[n].tolist()) for n in ("bound", "lateness", "busy")}
+    outcomes = message.pop("outcome")
+    held["goals"] = dict(zip(outcomes, message["goals"].tolist(), strict=True))
+    return Counts(**(message | held))
 
 
 class Counting:

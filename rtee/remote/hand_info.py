@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from rtee.errors import GoalRejected, MessageError
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 from rtee.values import Value
 
 
@@ -41,35 +42,15 @@ def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class ActuatorInfo(Value):
-    """An actuator; positions in rad or m.
+class ActuatorInfo(ActuatorSpec):
+    """An actuator, with what the hand's dynamics say of its servo.
 
     Attributes:
-        name: Its name.
-        kind: Revolute, continuous or prismatic.
-        lower: Lower limit.
-        upper: Upper limit.
-        velocity: Velocity limit [rad/s | m/s].
-        acceleration: Acceleration limit [rad/s² | m/s²].
-        jerk: Jerk limit [rad/s³ | m/s³].
-        effort: Effort limit [N·m | N].
-        rest: Position in the rest posture.
-        fingers: Fingers whose tips it moves.
         stiffness: Position gain of its servo [N·m/rad | N/m], as hand.yaml gives it under
             ``dynamics``; NaN: not known.
     """
 
-    name: str
-    kind: str
-    lower: float
-    upper: float
-    velocity: float
-    acceleration: float
-    jerk: float
-    effort: float
-    rest: float
-    fingers: tuple[str, ...]
-    stiffness: float
+    stiffness: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +114,6 @@ class HandInfo(Value):
         return tuple(actuator.name for actuator in self.actuators)
 
 
-# The stiffness is not part of an actuator's specification, but of the hand's dynamics.
-_ACTUATOR = tuple(name for name in ActuatorInfo.__slots__ if name != "stiffness")
-
-
 def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
     """Return the fields of a ``rtee_msgs/HandInfo``; `UserError` if the posture does not fit."""
     u = _full_posture(hand, positions)
@@ -144,10 +121,7 @@ def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
         "name": hand.name,
         "base": hand.base,
         "actuators": [
-            {
-                **{name: getattr(actuator, name) for name in _ACTUATOR},
-                "stiffness": _stiffness(hand, actuator.name),
-            }
+            asdict(actuator) | {"stiffness": _stiffness(hand, actuator.name)}
             for actuator in hand.actuators
         ],
         "joints": hand.joint_names,
@@ -213,8 +187,10 @@ def info_of(fields: Mapping[str, Any]) -> HandInfo:
             name=fields["name"],
             base=fields["base"],
             actuators=tuple(
-                ActuatorInfo(**(entry | {"fingers": tuple(entry["fingers"])}))
-                for entry in fields["actuators"]
+                ActuatorInfo(
+                    **(each | {"kind": JointKind(each["kind"]), "fingers": tuple(each["fingers"])})
+                )
+                for each in fields["actuators"]
             ),
             joints=tuple(fields["joints"]),
             fingers=tuple(_finger_of(entry, n) for entry in fields["fingers"]),
@@ -231,13 +207,10 @@ def info_of(fields: Mapping[str, Any]) -> HandInfo:
 
 def _finger_of(fields: Mapping[str, Any], n: int) -> FingerInfo:
     pose, jacobian = fields["tip_pose"], fields["jacobian"]
-    return FingerInfo(
-        name=fields["name"],
-        base=fields["base"],
-        tip=fields["tip"],
-        links=tuple(fields["links"]),
-        actuators=tuple(fields["actuators"]),
-        tip_pose=pose.reshape(4, 4) if pose.size else None,
-        jacobian=jacobian.reshape(6, n) if jacobian.size else None,
-        friction=fields["friction"],
-    )
+    held: dict[str, Any] = {
+        "links": tuple(fields["links"]),
+        "actuators": tuple(fields["actuators"]),
+        "tip_pose": pose.reshape(4, 4) if pose.size else None,
+        "jacobian": jacobian.reshape(6, n) if jacobian.size else None,
+    }
+    return FingerInfo(**{**fields, **held})

@@ -255,21 +255,14 @@ class Monitoring:
     async def status(self) -> HandStatus:
         """Return the status of the loop and the devices."""
         reply = await self._link.ask("status")
-        return HandStatus(
-            hand=reply["hand"],
-            holder=reply["holder"],
-            goal_id=reply["goal_id"],
-            action=reply["action"],
-            recording=reply["recording_path"],
-            recording_trouble=reply["recording_trouble"],
-            grip_effort=reply["grip_effort"],
-            statistics=LOOP_STATISTICS.of(reply["statistics"]),
-            devices=tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
-            profile=reply["profile"],
-            stream=StreamStatus(**reply["stream"]),
-            agents_out=reply["agents_out"],
-            counts=counts_of(reply["counts"]),
-        )
+        held = {
+            "recording": reply.pop("recording_path"),
+            "statistics": LOOP_STATISTICS.of(reply["statistics"]),
+            "devices": tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
+            "stream": StreamStatus(**reply["stream"]),
+            "counts": counts_of(reply["counts"]),
+        }
+        return HandStatus(**(reply | held))
 
     async def ready(
         self,

@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import numpy as np
+
 from rtee import monotonic
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.naming import normalise
@@ -63,8 +65,7 @@ class GraspPlanning:
         Raises:
             RteeError: if the request is refused.
         """
-        reach = request.request.name == "reach"
-        question = _reach_question(request.fields) if reach else _question(request.fields)
+        question = _question(request)
         question.check()
         if actions is None:
             raise RequestRejected(f"{self._hand} has no actions folder to plan with")
@@ -99,37 +100,14 @@ class GraspPlanning:
             self._queue.close()
 
 
-def _question(fields: Mapping[str, Any]) -> Question:
-    return Question(
-        object=fields["object"],
-        mesh=fields["mesh"],
-        format=fields["format"],
-        mass=float(fields["mass"]),
-        friction=float(fields["friction"]),
-        scale=float(fields["scale"]),
-        weight_axis=tuple(float(value) for value in fields["weight_axis"]),
-        top=int(fields["top"]),
-        table=table_of(fields["table"]),
-    )
-
-
-def _reach_question(fields: Mapping[str, Any]) -> ReachQuestion:
-    points, normals, pose, approach, object_pose = (
-        tuple(map(float, fields[name]))
-        for name in ("points", "normals", "pose", "approach", "object_pose")
-    )
-    return ReachQuestion(
-        points=points,
-        normals=normals,
-        fingers=tuple(map(str, fields["fingers"])),
-        width=float(fields["width"]),
-        pose=pose,
-        approach=approach,
-        retreat=float(fields["retreat"]),
-        tolerance=float(fields["tolerance"]),
-        object=str(fields["object"]),
-        object_pose=object_pose,
-    )
+def _question(request: IncomingRequest) -> Question | ReachQuestion:
+    fields: dict[str, Any] = {
+        name: tuple(value.tolist()) if isinstance(value, np.ndarray) else value
+        for name, value in request.fields.items()
+    }
+    if request.request.name == "reach":
+        return ReachQuestion(**fields | {"fingers": tuple(fields["fingers"])})
+    return Question(**fields | {"table": table_of(fields["table"])})
 
 
 Fields = Mapping[str, Any]
