@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -409,7 +410,7 @@ class Openings:
     outdated: bool = False
 
     @cached_property
-    def _known(self) -> dict[object, tuple[Opening | str, Mapping[str, float] | None, Action]]:
+    def _known(self) -> dict[object, tuple[Opening | None, Mapping[str, float] | None, Action]]:
         return {}
 
     @cached_property
@@ -422,13 +423,10 @@ class Openings:
         Raises:
             ActionError: if it has none that is up to date; the message says what to do.
         """
-        found = self.find(action)
-        if isinstance(found, str):
-            raise ActionError(found)
-        return found
+        return self.find(action) or self._find(action)
 
-    def find(self, action: Action) -> Opening | str:
-        """Return the opening of an action, or why it has none."""
+    def find(self, action: Action) -> Opening | None:
+        """Return the opening of an action; ``None``: it has none, and `of` says why."""
         return self._looked_up(action)[0]
 
     def meeting(self, action: Action) -> Mapping[str, float] | None:
@@ -440,7 +438,7 @@ class Openings:
 
     def _looked_up(
         self, action: Action
-    ) -> tuple[Opening | str, Mapping[str, float] | None, Action]:
+    ) -> tuple[Opening | None, Mapping[str, float] | None, Action]:
         """Return opening and meeting of an action, which are looked up once."""
         # By name: the action that opens the hand, for one, is a new object for every goal.
         name = action.name, action.elements
@@ -449,33 +447,33 @@ class Openings:
             # All at once, which threads may do beside each other; the rest is soon known again.
             if len(self._known) >= _MOST_KNOWN:
                 self._known.clear()
-            known = self._known[name] = self._find(action), self._meeting(action), action
+            opening = None
+            with suppress(ActionError):
+                opening = self._find(action)
+            known = self._known[name] = opening, self._meeting(action), action
         return known
 
-    def _find(self, action: Action) -> Opening | str:
+    def _find(self, action: Action) -> Opening:
         name = label(action.name, action.elements)
         if isinstance(action, Timed):
-            return f"{name} is a timed action, which has no opening"
+            raise ActionError(f"{name} is a timed action, which has no opening")
         remedy = f"`rtee openings {self.hand.name} --save` makes the tables"
         if not self.made:
-            return f"the openings of '{self.hand.name}' are not known; {remedy}"
+            raise ActionError(f"the openings of '{self.hand.name}' are not known; {remedy}")
         table = self._by_key.get(_key(action.name, action.elements))
         if self.outdated:
-            return (
+            raise ActionError(
                 f"the openings of '{self.hand.name}' were made for another version of its model; "
                 f"{remedy}"
             )
         if table is None:
-            return (
+            raise ActionError(
                 f"{name} has no opening: no two fingertips oppose each other on its way, or the "
                 f"action is newer than the tables; {remedy}"
             )
         if table.posture != fingerprint_of(self.hand, action):
-            return f"the opening of {name} was made for another posture; {remedy}"
-        try:
-            return table.corrected(self.measured(action))
-        except ActionError as error:
-            return error.message
+            raise ActionError(f"the opening of {name} was made for another posture; {remedy}")
+        return table.corrected(self.measured(action))
 
     def _meeting(self, action: Action) -> Mapping[str, float] | None:
         wanted = _key(action.name, action.elements)

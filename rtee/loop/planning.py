@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from rtee.actions.naming import label
 from rtee.actions.openings import MARGIN, Opening, Openings, best_for, doubtful, meeting
 from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
-from rtee.errors import ActionError, GoalRejected, UnknownAction, suggestion
+from rtee.errors import GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.closing import checked_share, closing_time
 from rtee.loop.forces import DeviceForces, effort_limits, force_efforts, unlimited
@@ -60,13 +60,11 @@ class FoundAction:
 
     Attributes:
         action: The action.
-        opening: The table of its opening, or why it has none.
-        tips: Its tips, if they oppose each other.
+        tips: Its tips, if they oppose each other and its opening is known.
         meets: Positions beyond which the empty hand may touch itself, by index [rad | m].
     """
 
     action: Action
-    opening: Opening | str
     tips: OpposingTips | None
     meets: Mapping[int, float]
 
@@ -133,11 +131,10 @@ def choose(
         else:
             action = _touching(what.elements, hand, library)
         found = _found(action, openings, hand, library, devices)
-    opening = found.opening
-    if isinstance(opening, str):
+    if found.tips is None:
         if not isinstance(to, Intensity | FirstContact):
-            raise ActionError(opening)
-    elif isinstance(to, ToOpening | Around) and not _spans(opening, to):
+            openings.of(found.action)  # raises the reason
+    elif isinstance(to, ToOpening | Around) and not _spans(opening := found.tips.opening, to):
         raise GoalRejected(
             f"{opening.label} opens {opening.narrowest * 1e3:.1f} to {opening.widest * 1e3:.1f} mm,"
             f" not {to.width * 1e3:.1f} mm; the nearest is {_nearest(opening, to):.1f} mm"
@@ -149,8 +146,8 @@ def _found(
     action: Action, openings: Openings, hand: Hand, library: ActionLibrary, devices: DeviceForces
 ) -> FoundAction:
     opening = openings.find(action)
-    tips = None if isinstance(opening, str) else _tips(action, opening, hand, library, devices)
-    return FoundAction(action, opening, tips, _meets(action, hand, openings))
+    tips = None if opening is None else _tips(action, opening, hand, library, devices)
+    return FoundAction(action, tips, _meets(action, hand, openings))
 
 
 def _named(what: Named, hand: Hand, library: ActionLibrary) -> Action:
@@ -219,17 +216,14 @@ def _exerts(
 
 def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Action, Opening]]:
     """Return the actions with an opening; with fingers given, only those of just these fingers."""
-    found, reason, openings = [], "", library.openings
-    for action in library:
-        opening = openings.find(action)
-        if isinstance(opening, str):
-            # All actions give the same reason, such as a missing file.
-            reason = reason or opening
-        elif not fingers or set(fingers) == set(opening.fingers):
-            found.append((action, opening))
-    if not found and not openings.tables:
-        raise GoalRejected(reason or "the hand has no actions")
-    return found
+    openings = library.openings
+    known = [(each, opening) for each in library if (opening := openings.find(each)) is not None]
+    if not openings.tables:
+        # All actions give the same reason, such as a missing file.
+        for action in library:
+            openings.of(action)
+        raise GoalRejected("the hand has no actions")
+    return [each for each in known if not fingers or set(fingers) == set(each[1].fingers)]
 
 
 def _no_action(
@@ -258,15 +252,14 @@ def _touching(fingers: Sequence[str], hand: Hand, library: ActionLibrary) -> Act
     openings = library.openings
     for order, action in enumerate(library):
         opening = openings.find(action)
-        unknown = isinstance(opening, str)
-        if not isinstance(opening, str):
+        if opening is not None:
             moved = set(opening.fingers)
         elif isinstance(action, Primitive) and wanted:
             moved = set(action.fingers)
         else:
             continue
         if not wanted or moved == wanted:
-            key = (unknown, doubtful(action), -len(moved), order)
+            key = (opening is None, doubtful(action), -len(moved), order)
             candidates.append((key, action))
     if not candidates:
         whose = ", ".join(fingers) or f"'{hand.name}'"
