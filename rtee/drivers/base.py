@@ -227,20 +227,15 @@ class Driver(ABC):
         """
 
     async def disable(self) -> None:
-        """Switch off the drive power, so that the actuators are limp; must not raise.
+        """Switch off the drive power, so that the actuators are limp; the opposite of `activate`.
 
-        A device whose power cannot be switched is stopped instead.
-        """
-        with contextlib.suppress(RteeError, OSError):
-            await self.power_off()
-
-    async def power_off(self) -> None:
-        """Switch off the drive power; by default, stop instead.
+        By default, for a device whose power cannot be switched, stop it instead.
 
         Raises:
-            BusError: if the bus fails; `disable` ignores it.
+            BusError: if the bus fails.
         """
         await self.stop()
+        self.active = False
 
     async def recover(self) -> None:
         """Clear a fault of the device, without moving it.
@@ -289,9 +284,6 @@ class Driver(ABC):
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change gains while running; their names must be in ``capabilities.gains``."""
-
-    async def deactivate(self) -> None:
-        """Disable the device; the opposite of `activate`."""
 
     async def close(self) -> None:
         """Detach from the bus; may be called any number of times, in any state."""

@@ -168,11 +168,6 @@ class OnRobotDriver(Driver, Generic[S]):
         if self.connected and await self.link.insist(self._stopping()):
             self._forget()
 
-    async def deactivate(self) -> None:
-        """Stop; a grip is kept."""
-        await self.stop()
-        self.active = False
-
     async def recover(self) -> None:
         """Check that the cause of the fault is gone, and stop."""
         with self.link.relaxed_deadline():

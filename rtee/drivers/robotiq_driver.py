@@ -244,11 +244,6 @@ class RobotiqDriver(Driver, Generic[S, C]):
         if self.connected and await self.link.insist(self._stopping()):
             self._sent = None
 
-    async def deactivate(self) -> None:
-        """Stop; a grip is kept."""
-        await self.stop()
-        self.active = False
-
     async def recover(self) -> None:
         """Clear a fault; if that ends the activation, the next `activate` may move the fingers."""
         with self.link.relaxed_deadline():

@@ -490,14 +490,6 @@ class ServoDriver(Driver, Generic[L]):
             self._check_places(readings)
         return ""
 
-    async def deactivate(self) -> None:
-        """Disable the torque."""
-        # From here on, missing torque is not a fault.
-        self.active = False
-        if self.connected:
-            with self.link.relaxed_deadline():
-                await self._release()
-
     async def _release(self) -> None:
         link = self.link
         for number in await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0)):
@@ -672,8 +664,9 @@ class ServoDriver(Driver, Generic[L]):
         # Within the cycle's deadline: a lost answer must not use up the time of a stop.
         await patiently(partial(self._hold, powered, self.standstill.instead))
 
-    async def power_off(self) -> None:
+    async def disable(self) -> None:
         """Disable the torque; the fingers go limp."""
+        # From here on, missing torque is not a fault.
         self.active = False
         # Within the cycle's deadline, as for a stop.
         await patiently(self._release)
@@ -696,7 +689,7 @@ class ServoDriver(Driver, Generic[L]):
         Arguments and errors as for `Calibrates.calibrate`.
         """
         # Servos with torque would resist the user, who bends the joints.
-        await self.deactivate()
+        await self.disable()
         await ready("Put every joint into the rest posture; the torque of the servos is off.")
         with self.link.relaxed_deadline():
             readings = await patiently(self._readings)

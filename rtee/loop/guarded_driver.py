@@ -132,10 +132,6 @@ class GuardedDriver:
         """See `Driver.disable`."""
         await self._call(self._driver.disable)
 
-    async def deactivate(self) -> None:
-        """See `Driver.deactivate`."""
-        await self._call(self._driver.deactivate)
-
     async def recover(self) -> None:
         """See `Driver.recover`."""
         self._moved()

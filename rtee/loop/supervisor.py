@@ -651,7 +651,6 @@ class Supervisor:
 
     async def _disable(self) -> None:
         await patiently(self.guarded.disable)
-        await patiently(self.guarded.deactivate)
         self.connection.deactivated("it was disabled")
         self.connection.accept(await patiently(self.guarded.sense))
 

@@ -44,10 +44,6 @@ class Listening(KinematicDriver):
         self.told.append("disable")
         await super().disable()
 
-    async def deactivate(self) -> None:
-        self.told.append("deactivate")
-        await super().deactivate()
-
 
 def listening(hand: Hand, **options: object) -> tuple[object, Listening]:
     settings = device(hand, **options)  # type: ignore[arg-type]
@@ -276,7 +272,7 @@ async def test_a_dead_client(hand: Hand, behaviour: Behaviour) -> None:
             case Behaviour.OPEN:
                 assert at == pytest.approx(hand.rest.tolist(), abs=0.01)
             case Behaviour.DISABLE:
-                assert driver.told[-2:] == ["disable", "deactivate"]
+                assert driver.told[-1] == "disable"
                 assert rig.loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
 
 
@@ -322,8 +318,7 @@ async def test_the_last_command_is_the_configured_one(hand: Hand, behaviour: Beh
             assert driver.told[-1] == "move"
             assert last == pytest.approx(hand.rest.tolist(), abs=0.01)
         case Behaviour.DISABLE:
-            assert "disable" in driver.told
-            assert driver.told[-1] == "deactivate"
+            assert driver.told[-1] == "disable"
     assert all(math.isfinite(x) for x in last)
 
 
@@ -339,7 +334,7 @@ async def test_without_ticks_the_end_comes_all_the_same(hand: Hand, behaviour: B
             Behaviour.HOLD: ["move"],
             Behaviour.STOP: ["stop"],
             Behaviour.OPEN: ["stop"],
-            Behaviour.DISABLE: ["disable", "deactivate"],
+            Behaviour.DISABLE: ["disable"],
         }[behaviour]
         assert driver.told == expected
 
@@ -406,7 +401,7 @@ async def test_an_idle_hand_goes_limp_and_wakes_where_it_is(hand: Hand) -> None:
         await rig.run(1.5)
         assert "disable" not in driver.told, "the time counts from the end of the motion"
         await rig.run(1.0)
-        assert driver.told[-2:] == ["disable", "deactivate"]
+        assert driver.told[-1] == "disable"
         assert rig.watcher.kinds().count("idle") == 1
         with pytest.raises(GoalRejected, match="recover"):
             rig.loop.submit(Goal(Named("open")))
@@ -429,7 +424,7 @@ async def test_a_hand_that_holds_something_is_not_idle(hand: Hand) -> None:
         assert "disable" not in driver.told
         driver.remove_object()
         await rig.run(2.0)
-        assert driver.told[-2:] == ["disable", "deactivate"]
+        assert driver.told[-1] == "disable"
 
 
 async def test_a_goal_that_runs_at_the_end_gets_its_result(hand: Hand) -> None:

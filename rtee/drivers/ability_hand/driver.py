@@ -352,12 +352,15 @@ class AbilityHandDriver(Driver):
         await self._exchange(codec.Header.POSITION, words)
         self._waiting = False
 
-    async def power_off(self) -> None:
-        """Set the voltage of all motors to 0."""
+    async def disable(self) -> None:
+        """Set the voltage of all motors to 0, and return the hand to its own control."""
         # The next command powers all motors again, so it waits for a reference with a motion.
         self.attached.begin(range(len(self._motors)))
         with self._pace.relaxed_deadline():
             await patiently(lambda: self._exchange(codec.Header.DUTY, (0,) * codec.COUNT))
+        command = codec.Command(self.options.address, codec.Header.LEAVE)
+        await self.link.send(command.to_bytes())
+        self._in_api = self._waiting = False
 
     async def recover(self) -> None:
         """Restart from the measured positions; send nothing until a reference asks for motion."""
@@ -365,12 +368,6 @@ class AbilityHandDriver(Driver):
             self._control.hold(await self._read())
         self._in_api = self._moved = self._waiting = False
         self.attached.begin(range(len(self._motors)))
-
-    async def deactivate(self) -> None:
-        """Return the hand to its own control."""
-        command = codec.Command(self.options.address, codec.Header.LEAVE)
-        await self.link.send(command.to_bytes())
-        self._in_api = self._waiting = False
 
     # --- gains -------------------------------------------------------------------------------
 

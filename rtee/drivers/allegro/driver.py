@@ -16,7 +16,6 @@ from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
-from rtee.buses.retry import patiently
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.base import Driver
@@ -301,11 +300,10 @@ class AllegroDriver(Driver):
         for joint in self._joints:
             self.control.refer(joint, self.control.position[joint])
 
-    async def deactivate(self) -> None:
+    async def disable(self) -> None:
         """Send no torque, then switch the motors off."""
         self._go_limp()
-        if self.connected:
-            await self.link.order(codec.Command.SYSTEM_OFF)
+        await self.link.order(codec.Command.SYSTEM_OFF)
 
     def _go_limp(self) -> None:
         """End the control and send zero torques; raises `BusError`."""
@@ -323,7 +321,7 @@ class AllegroDriver(Driver):
             link.deafen()
             with contextlib.suppress(BusError):
                 if self.active:
-                    await self.deactivate()
+                    await self.disable()
                 await link.set_periods(codec.Periods())
         await super().close()
 
@@ -416,14 +414,10 @@ class AllegroDriver(Driver):
         for i, position in self.standstill.instead(here).items():
             self.control.refer(self._joints[i], position)
 
-    async def power_off(self) -> None:
-        """Send zero torques and switch the motors off."""
-        await patiently(self.deactivate)
-
     async def recover(self) -> None:
         """Switch the hand off and on, which clears faults whose cause is gone; it stays limp."""
         link = self.link
-        await self.deactivate()
+        await self.disable()
         await asyncio.sleep(_PAUSE)
         # A hand after a power cycle has lost its periods and sends nothing.
         await link.set_periods(codec.Periods(self._period(self.control.scale.version)))

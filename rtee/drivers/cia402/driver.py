@@ -273,16 +273,6 @@ class Cia402Driver(Driver):
         unhomed = ", ".join(d.name for d in self._unhomed(cycle))
         return f"not homed: {unhomed}" if unhomed else ""
 
-    async def deactivate(self) -> None:
-        """Disable the motors."""
-        self.active = False
-        if self.connected and self.link.operational:
-            cycle = self.link
-            for drive in cycle.drives:
-                drive.controlword = Control.SHUTDOWN
-                drive.forget()
-            await cycle.exchange()
-
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
@@ -349,12 +339,13 @@ class Cia402Driver(Driver):
             if all(drive.acknowledged(cycle.mode) for drive in cycle.drives):
                 break
 
-    async def power_off(self) -> None:
+    async def disable(self) -> None:
         """Disable the motors' voltage; they go limp if their gears can be back-driven."""
         self.active = False
         cycle = self.link
         for drive in cycle.drives:
             drive.controlword = Control.DISABLE_VOLTAGE
+            drive.forget()
         await patiently(cycle.exchange)
 
     async def recover(self) -> None:

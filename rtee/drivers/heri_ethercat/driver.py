@@ -267,12 +267,11 @@ class HeriEthercatDriver(Driver):
         await self._exchange()
         self._refuse()
 
-    async def deactivate(self) -> None:
-        """Disable the motors."""
+    async def disable(self) -> None:
+        """Disable the motors; tendons without power go slack."""
         self.active = False
-        if self.connected:
-            for position in range(self._boards):
-                await self._order(position, codec.Order.POWER_OFF)
+        for position in range(self._boards):
+            await self._order(position, codec.Order.POWER_OFF)
 
     # --- every cycle -------------------------------------------------------------------------
 
@@ -344,10 +343,6 @@ class HeriEthercatDriver(Driver):
         for i, position in self.standstill.instead(here).items():
             self._references[self._motors[i]] = position
         await patiently(self._exchange)
-
-    async def power_off(self) -> None:
-        """Disable the motors; tendons without power go slack."""
-        await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Acknowledge faults; `activate` powers the motors again."""

@@ -305,8 +305,7 @@ class KinematicDriver(Driver):
 
     async def disable(self) -> None:
         """See `Driver.disable`."""
-        if self._plugged:
-            self.active = False
+        self.active = False
 
     async def recover(self) -> None:
         """See `Driver.recover`."""
@@ -323,10 +322,6 @@ class KinematicDriver(Driver):
         if not value > 0.0:
             raise CommandRejected(self.spec.name, f"time_constant must be above 0 s, not {value:g}")
         self._time_constant = value
-
-    async def deactivate(self) -> None:
-        """See `Driver.deactivate`."""
-        self.active = False
 
     async def close(self) -> None:
         """See `Driver.close`."""

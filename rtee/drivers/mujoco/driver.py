@@ -219,10 +219,6 @@ class MujocoDriver(Driver):
                     self.spec.name, f"cannot set gain '{name}' to {value:g}", hint=str(error)
                 ) from error
 
-    async def deactivate(self) -> None:
-        """Make the joints limp, as `disable` does."""
-        await self.disable()
-
     async def close(self) -> None:
         """Discard the simulation."""
         self._simulation = None

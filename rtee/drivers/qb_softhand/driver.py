@@ -344,10 +344,6 @@ class QbSoftHandDriver(Driver):
         self._closure = tuple(instead.get(i, q) for i, q in enumerate(here))
         await self._send(self._closure)
 
-    async def power_off(self) -> None:
-        """Deactivate the motors; the hand relaxes as far as friction allows."""
-        await patiently(self.deactivate)
-
     async def recover(self) -> None:
         """Activate the motors again at their positions."""
         with self.link.relaxed_deadline():
@@ -357,8 +353,7 @@ class QbSoftHandDriver(Driver):
         self.attached.begin(range(self.options.motors))
         self.active = True
 
-    async def deactivate(self) -> None:
-        """Deactivate the motors."""
+    async def disable(self) -> None:
+        """Deactivate the motors; the hand relaxes as far as friction allows."""
         self.active = False
-        if self.connected:
-            await self.link.send(Command.ACTIVATE, b"\x00")
+        await self.link.send(Command.ACTIVATE, b"\x00")

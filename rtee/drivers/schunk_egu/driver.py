@@ -558,11 +558,6 @@ class SchunkEguDriver(Driver):
         ):
             self._forget()
 
-    async def deactivate(self) -> None:
-        """Stop; a grip is kept."""
-        await self.stop()
-        self.active = False
-
     async def recover(self) -> None:
         """Acknowledge the error; the interrupted command is not continued."""
         with self.link.relaxed_deadline():

@@ -337,10 +337,6 @@ class SchunkSvhDriver(Driver):
                 self._targets[self._index[i]] = targets[i]
         await patiently(lambda: self.link.set_targets(self._targets))
 
-    async def power_off(self) -> None:
-        """Disable every channel; the fingers go limp."""
-        await patiently(self.deactivate)
-
     async def recover(self) -> None:
         """Clear latched faults; enable the channels at their positions, if these are known.
 
@@ -358,12 +354,11 @@ class SchunkSvhDriver(Driver):
         if not self._home_asked:
             await self._enable()
 
-    async def deactivate(self) -> None:
-        """Disable every channel."""
+    async def disable(self) -> None:
+        """Disable every channel; the fingers go limp."""
         self._answer = None
-        if self.connected:
-            self._health.off()
-            await homing.disable(self.link)
+        self._health.off()
+        await homing.disable(self.link)
 
     async def close(self) -> None:
         """Detach from the line; enabled channels stay enabled."""

@@ -303,11 +303,6 @@ class Wsg50Driver(Driver):
                 self._forget()
                 return
 
-    async def deactivate(self) -> None:
-        """Stop; a grip is kept."""
-        await self.stop()
-        self.active = False
-
     async def recover(self) -> None:
         """Clear a fast stop; a gripper that lost its reference may then home."""
         link = self.link

@@ -206,7 +206,7 @@ async def test_reading_does_not_enter_api_mode_and_leaving_it_is_told() -> None:
         assert not session.emulator.api
         await session.reach([0.5] * 6)
         assert session.emulator.api
-        await session.driver.deactivate()
+        await session.driver.disable()
         await session.driver.sense()
         assert not session.emulator.api
 

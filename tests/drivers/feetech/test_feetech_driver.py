@@ -712,7 +712,7 @@ async def test_servos_do_not_jump_to_a_goal_of_before_though_a_frame_is_lost() -
     async with Session(case(family="sts")) as session:
         await session.start()
         await session.reach([0.9] * 3)
-        await session.driver.deactivate()
+        await session.driver.disable()
         for servo in session.emulator.ordered:
             session.wire.call(
                 lambda axis=servo.axis: setattr(axis, "position", axis.position - 1000)

@@ -207,7 +207,7 @@ async def test_stop_and_release() -> None:
 async def test_activation_moves_nothing_whatever_was_commanded_before() -> None:
     driver, clock = await active()
     await driver.move(Reference.at([2.0, 0.0]))
-    await driver.deactivate()
+    await driver.disable()
     clock.seconds += 1.0
     await driver.activate()
     clock.seconds += 1.0

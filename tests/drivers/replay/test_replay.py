@@ -274,7 +274,6 @@ async def test_it_goes_on_when_it_is_activated_again(recording: Path) -> None:
         player.seconds += 1100 * PERIOD + 1e-9
         assert (await player.sense()).position[1] == 1100
         await player.driver.disable()
-        await player.driver.deactivate()
         await player.driver.activate()
         player.seconds += 7 * PERIOD
         assert (await player.sense()).position[1] == 1107

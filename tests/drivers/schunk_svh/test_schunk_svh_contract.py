@@ -46,7 +46,7 @@ class TestSvh(DriverContract):
         async with self.session() as session:
             await session.start()
             await session.reach(self.case.between()[0])
-            await session.driver.deactivate()
+            await session.driver.disable()
             await session.driver.close()
             again = await session.start()
             idle = [c.to_rad(c.idle(0), c.zero(0)) for c in USED]
