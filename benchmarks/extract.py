@@ -36,7 +36,7 @@ from common import HELP, Table, command_line
 import rtee
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import Goal, GoalFunction, MultiPinchGoal, PinchGoal, TipEdge
+from rtee.extract.goals import GoalFunction, MultiPinchGoal, PinchGoal, SearchGoal, TipEdge
 from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
 from rtee.extract.resolution import FINE
@@ -150,7 +150,7 @@ def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Fingers, float]]:
     return time.perf_counter() - start, depths
 
 
-def goals(scene: Scene, found: Iterable[Fingers]) -> Iterator[tuple[Fingers, Goal, Space]]:
+def goals(scene: Scene, found: Iterable[Fingers]) -> Iterator[tuple[Fingers, SearchGoal, Space]]:
     """Yield the tips to press together and the search's bounds: all pairs, and the groups found."""
     limits, pairs = real_limits(scene.hand), tip_pairs(scene)
     for names, tips in pairs.items():
@@ -184,7 +184,7 @@ def meets_bystanders(
     return met
 
 
-def deepest(scene: Scene, goal: Goal, space: Space, starts: int) -> float:
+def deepest(scene: Scene, goal: SearchGoal, space: Space, starts: int) -> float:
     """Return the depth [m] at which tips touch that descents from many starts find."""
     function = GoalFunction(scene, goal, space)
     while True:

@@ -25,7 +25,7 @@ from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.canonical import canonical
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
-from rtee.extract.goals import GapGoal, Goal, GoalFunction, MultiPinchGoal, TipEdge
+from rtee.extract.goals import GapGoal, GoalFunction, MultiPinchGoal, SearchGoal, TipEdge
 from rtee.extract.jobs import parallel_map, processors
 from rtee.extract.polish import polish
 from rtee.extract.space import Space
@@ -99,7 +99,7 @@ class Searches:
                 return self._closest(task, space)
             return (self._clear if task.clear else self._deepest)(task, goal, space)
 
-    def _deepest(self, task: Task, goal: Goal, space: Space) -> float:
+    def _deepest(self, task: Task, goal: SearchGoal, space: Space) -> float:
         function = GoalFunction(self._scene, goal, space)
         ends = evolved(function.value, space.size, self._generations)[:POLISHED]
         while self._meets(function, ends):
@@ -121,7 +121,7 @@ class Searches:
             met |= goal.learn_bystanders()
         return met
 
-    def _clear(self, task: Task, goal: Goal, space: Space) -> float:
+    def _clear(self, task: Task, goal: SearchGoal, space: Space) -> float:
         function = GoalFunction(self._scene, goal, space)
         hand = self._scene.hand
         fingers = [finger for finger in hand.fingers if finger.name in task.fingers]

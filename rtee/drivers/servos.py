@@ -131,7 +131,7 @@ class FoundServo:
     marked: bool = False
 
 
-class Coupling(Protocol):
+class ServoCoupling(Protocol):
     """Servos that drive several actuators together."""
 
     @property
@@ -249,7 +249,7 @@ class ServoDriver(Driver, Generic[L]):
     @abstractmethod
     def _wired(
         self,
-    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], Coupling | None]:
+    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], ServoCoupling | None]:
         """Return the servos by their names, in the order of the actuators, and their coupling.
 
         Between the two: the angle per count [rad] and the middle position [counts] of a servo.

@@ -82,7 +82,7 @@ class Blocked:
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
+class PinchClosing:
     """The fingers of a pinch, which close on each other until contacts link their tips.
 
     The fingers never reach set-points beyond the contact: from there on, they hold each other, or
@@ -186,7 +186,7 @@ class Collisions:
         self,
         actuators: Iterable[int],
         tips: Iterable[frozenset[str]],
-        closing: Closing | None = None,
+        closing: PinchClosing | None = None,
     ) -> CollisionChecker:
         """Return a checker of the links that the actuators move, except tips that should touch.
 
@@ -252,7 +252,7 @@ class Collisions:
                     found |= {i: min(at, found.get(i, at)) for i in concerned}
         return found
 
-    def _fingers(self, closing: Closing) -> list[frozenset[int]]:
+    def _fingers(self, closing: PinchClosing) -> list[frozenset[int]]:
         """Return the bodies that belong to one finger only: its bars, and the chain of its tip."""
         supports = [
             frozenset(self._scene.kinematics.model.supports[body]) | bars
@@ -263,7 +263,7 @@ class Collisions:
             for i, support in enumerate(supports)
         ]
 
-    def _stopped(self, closing: Closing) -> frozenset[int]:
+    def _stopped(self, closing: PinchClosing) -> frozenset[int]:
         """Return the actuators that the contact of a closed pinch stops.
 
         Each is the only actuator that moves its finger's tip relative to the others. A finger with
@@ -279,7 +279,7 @@ class Collisions:
                 stopped |= closes
         return frozenset(stopped)
 
-    def _near_tips(self, closing: Closing) -> set[int]:
+    def _near_tips(self, closing: PinchClosing) -> set[int]:
         """Return the bodies of the tips and of the links next to them."""
         parents = self._scene.kinematics.model.parents
         return {*closing.bodies, *(parents[body] for body in closing.bodies)}
@@ -321,7 +321,7 @@ class Carried:
         near: Distance at which tips count as touching [m].
     """
 
-    closing: Closing
+    closing: PinchClosing
     groups: Mapping[tuple[int, int] | None, Sequence[LinkPair]]
     near: float
 

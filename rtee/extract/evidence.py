@@ -12,9 +12,9 @@ import numpy as np
 from rtee.actions.types import Evidence, Opposition, Posture
 from rtee.extract.collisions import (
     REDUCED,
-    Closing,
     CollisionChecker,
     Collisions,
+    PinchClosing,
     first_contact,
     linked_at,
 )
@@ -89,7 +89,7 @@ class Inspector:
             [hand.finger(hand.tip_links[tip]).tip_links for tip in edge.tips.links]
             for edge in edges
         ]
-        closing = Closing(
+        closing = PinchClosing(
             tuple(kinematics.body(str(finger.tip)) for finger in fingers),
             tuple(edges),
             tuple(frozenset(map(kinematics.body, finger.bars)) for finger in fingers),

@@ -23,7 +23,7 @@ _PULL: Final = 5.0
 matters more than a deeper contact."""
 
 
-class Goal(Protocol):
+class SearchGoal(Protocol):
     """A quantity to minimise, at the current posture of the scene."""
 
     def value(self) -> float:
@@ -42,7 +42,7 @@ class Goal(Protocol):
 class GoalFunction:
     """A goal as a function of the coordinates of a space."""
 
-    def __init__(self, scene: Scene, goal: Goal, space: Space) -> None:
+    def __init__(self, scene: Scene, goal: SearchGoal, space: Space) -> None:
         self.scene = scene
         self.goal = goal
         self.space = space

@@ -15,7 +15,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import Closing, make_simulation
+from rtee.drivers.mujoco.scene import TipsClosing, make_simulation
 from rtee.errors import UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.hand.load import hand_folder, load_configured
@@ -210,7 +210,7 @@ def test_an_object_stands_where_the_gripper_closes_on_it(name: str, width: int) 
     library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
     settings = loop_settings(config, rate=500.0)
     options = SimOptions(object=f"box:{width}e-3x{width}e-3x0.05")
-    closing = Closing.of(hand, library)
+    closing = TipsClosing.of(hand, library)
     simulation = make_simulation(
         hand, options, hand.actuator_names, settings.period, closing=closing
     )

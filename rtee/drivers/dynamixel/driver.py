@@ -20,7 +20,7 @@ from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.options import Positive
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
-from rtee.drivers.servos import Coupling, FoundServo, Goals, Readings, ServoDriver
+from rtee.drivers.servos import FoundServo, Goals, Readings, ServoCoupling, ServoDriver
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, ConfigError
 from rtee.sample import FloatArray
@@ -133,7 +133,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     def _wired(
         self,
-    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], Coupling | None]:
+    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], ServoCoupling | None]:
         check_names(self.spec, "servos", self.options.servos)
         servos = {a.name: self.options.servos[a.name] for a in self.spec.actuators}
         return servos, (table.RAD_PER_PULSE, float(table.CENTER)), None

@@ -17,7 +17,7 @@ from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions, Joints
 from rtee.drivers.feetech.table import CURRENT_UNIT, FAMILIES, FULL, MODELS, model_name
 from rtee.drivers.servo_lines import DELAY_UNIT, ServoOptions, ServoScale
-from rtee.drivers.servos import POWERED, Coupling, FoundServo, Goals, Readings, ServoDriver
+from rtee.drivers.servos import POWERED, FoundServo, Goals, Readings, ServoCoupling, ServoDriver
 from rtee.errors import BusTimeout, ConfigError, FrameError
 from rtee.types import DeviceSpec
 
@@ -74,7 +74,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
 
     def _wired(
         self,
-    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], Coupling | None]:
+    ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], ServoCoupling | None]:
         family = self.family = FAMILIES[self.options.family]
         joints = self._joints = Joints(self.spec, self.options)
         servos = {name: self.options.servos[name] for name in joints.names}

@@ -111,11 +111,11 @@ class MujocoDriver(Driver):
             log.info("%s: %s", self.spec.name, note)
 
     def _made(self) -> Simulation:
-        from rtee.drivers.mujoco.scene import Closing, make_simulation
+        from rtee.drivers.mujoco.scene import TipsClosing, make_simulation
 
         folder, _ = hand_folder(self.spec.folder or self.spec.hand)
         hand = load_hand(folder)
-        closing = Closing.of(hand, ActionLibrary.load(hand, folder / "actions"))
+        closing = TipsClosing.of(hand, ActionLibrary.load(hand, folder / "actions"))
         period = (self.spec.every or 1) / self.spec.rate
         names = [actuator.name for actuator in self.spec.actuators]
         return make_simulation(hand, self.options, names, period, closing=closing)

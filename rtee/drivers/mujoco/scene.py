@@ -45,7 +45,7 @@ _CLOSURES = 26
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
+class TipsClosing:
     """Closing motion of a gripper on an object between its two tips.
 
     Attributes:
@@ -57,7 +57,7 @@ class Closing:
     point: FloatArray | None = None
 
     @classmethod
-    def of(cls, hand: Hand, actions: Iterable[Action]) -> Closing | None:
+    def of(cls, hand: Hand, actions: Iterable[Action]) -> TipsClosing | None:
         """Return the closing motion of a two-fingered hand's first pinch; ``None`` without one."""
         if len(hand.fingers) != 2:
             return None
@@ -231,7 +231,7 @@ def _place_in_hand(
     shape: ObjectShape,
     place: FloatArray,
     mount: FloatArray,
-    closing: Closing | None,
+    closing: TipsClosing | None,
 ) -> FloatArray | None:
     """Return the pose at which a hand closes on an object.
 
@@ -334,7 +334,7 @@ def make_simulation(
     mount: FloatArray | None = None,
     container: tuple[float, float] | None = None,
     built: Built | None = None,
-    closing: Closing | None = None,
+    closing: TipsClosing | None = None,
 ) -> Simulation:
     """Build, compile and start the simulation that the options describe.
 

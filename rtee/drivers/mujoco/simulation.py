@@ -17,7 +17,7 @@ from rtee.drivers.mujoco.scene_channels import SceneChannels, describe
 from rtee.drivers.mujoco.servos import Servo, effort_note
 from rtee.drivers.mujoco.sheet_forces import SheetForces
 from rtee.drivers.mujoco.surroundings import Surroundings
-from rtee.drivers.mujoco.tangents import Couplings
+from rtee.drivers.mujoco.tangents import JointCouplings
 from rtee.drivers.mujoco.taxels import Taxels
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
@@ -91,7 +91,7 @@ class Simulation:
         self._integrates = bool(self._integral.any())
         self._forces = FingerForces(model, hand)
         self.taxels = Taxels(model, hand, options)
-        self._couplings = Couplings(model, hand)
+        self._couplings = JointCouplings(model, hand)
         self._sheet = SheetForces(hand, model, list(actuators))
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)

@@ -102,7 +102,7 @@ class _Tangents:
         return np.array(offsets), np.array(slopes)
 
 
-class Couplings:
+class JointCouplings:
     """Keeps the couplings of a running model along the transmission's curves."""
 
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
