@@ -21,7 +21,6 @@ from rtee.planning.gripper_poses import (
     from_base_poses,
     from_graspnet,
     reach_gripper_pose,
-    with_openings,
 )
 from rtee.planning.joint_vectors import fit_joints
 from rtee.planning.objects import read_object
@@ -60,7 +59,7 @@ def main(name: str = "schunk_svh") -> None:
     folder = hand_folder(name)[0]
     hand = load_hand(folder)
     library, tips = ActionLibrary.load(hand, folder / "actions"), Fingertips(hand)
-    actions = with_openings(library, library.openings)
+    actions = library.openings.known(library)
 
     best = from_graspnet(np.load(PLANNERS / "graspnet.npy", allow_pickle=False))[0]
     show("GraspNet, AnyGrasp", reach_gripper_pose(hand, actions, best, tips=tips))

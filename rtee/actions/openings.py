@@ -429,6 +429,22 @@ class Openings:
         """Return the opening of an action; ``None``: it has none, and `of` says why."""
         return self._looked_up(action)[0]
 
+    def known(self, actions: Iterable[Action]) -> list[tuple[Action, Opening]]:
+        """Return those of some actions that have an opening, together with it.
+
+        Raises:
+            ActionError: if none has one; the message says why.
+        """
+        every = list(actions)
+        found = [(each, opening) for each in every if (opening := self.find(each)) is not None]
+        if not found:
+            # Tables that are missing or outdated give every action the same reason.
+            for action in every:
+                self.of(action)
+            name = self.hand.name
+            raise ActionError(f"'{name}' has no actions; 'rtee extract {name} --save' finds them")
+        return found
+
     def meeting(self, action: Action) -> Mapping[str, float] | None:
         """Return the contacts of the empty hand with itself on an action's path; see `Meeting.at`.
 

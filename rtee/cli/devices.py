@@ -27,7 +27,6 @@ from rtee.cli._common import (
 )
 from rtee.drivers.diagnosis.checks import Verdict, ok, wrong
 from rtee.errors import (
-    ActionError,
     ConfigError,
     DeviceFault,
     GoalRejected,
@@ -453,20 +452,12 @@ def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, 
     """Return the actions given on the command line, with their openings by the model."""
     from rtee.actions.types import ActionReference
 
-    openings, chosen = library.openings, []
-    reason = f"there are none; 'rtee extract {library.hand.name} --save' finds them"
+    openings = library.openings
     if words:
         uses = [ActionReference.of(word) for word in words]
         named = [library.find(use.action, use.elements) for use in uses]
         return [(action, openings.of(action)) for action in named]
-    for action in library:
-        try:
-            chosen.append((action, openings.of(action)))
-        except ActionError as error:
-            reason = str(error)
-    if not chosen:
-        raise ConfigError(f"no action of '{library.hand.name}' has an opening: {reason}")
-    return chosen
+    return openings.known(library)
 
 
 class _Blocks:

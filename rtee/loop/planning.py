@@ -192,7 +192,8 @@ def _best(
 
     Actions that can exert the force come first, then `best_for` decides.
     """
-    openings = _openings(library, fingers)
+    known = library.openings.known(library)
+    openings = [each for each in known if not fingers or set(fingers) == set(each[1].fingers)]
     narrower = to.narrower if isinstance(to, Around) else 0.0
     # At its widest opening, an action cannot get around the object.
     able = [each for each in openings if each[1].narrowest - narrower <= to.width < each[1].widest]
@@ -212,18 +213,6 @@ def _exerts(
     at = tips.opening.intensity_at(width)
     low, high = tips.grip.forces(hand, at)
     return low <= force <= high and not unlimited(hand, tips.opening, tips.grip, at, devices)
-
-
-def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Action, Opening]]:
-    """Return the actions with an opening; with fingers given, only those of just these fingers."""
-    openings = library.openings
-    known = [(each, opening) for each in library if (opening := openings.find(each)) is not None]
-    if not openings.tables:
-        # All actions give the same reason, such as a missing file.
-        for action in library:
-            openings.of(action)
-        raise GoalRejected("the hand has no actions")
-    return [each for each in known if not fingers or set(fingers) == set(each[1].fingers)]
 
 
 def _no_action(

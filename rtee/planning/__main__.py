@@ -57,7 +57,7 @@ def plan(library: ActionLibrary, question: Question) -> dict[str, Any]:
 def reach(library: ActionLibrary, question: ReachQuestion) -> dict[str, Any]:
     """Return how the hand reaches a planner's grasp, as plain data; see `plan`."""
     with needing_extra("reaching a grasp", "extract"):
-        from rtee.planning.gripper_poses import GripperPose, reach_gripper_pose, with_openings
+        from rtee.planning.gripper_poses import GripperPose, reach_gripper_pose
         from rtee.planning.objects import read_object
         from rtee.planning.reach import reach_contacts
     import numpy as np
@@ -80,7 +80,7 @@ def reach(library: ActionLibrary, question: ReachQuestion) -> dict[str, Any]:
     }
     if not question.points:
         assert pose is not None  # noqa: S101 - `ReachQuestion.check` has seen to that
-        actions = with_openings(library, library.openings)
+        actions = library.openings.known(library)
         grasp, fingers = GripperPose(pose, question.width), question.fingers
         return to_document(
             reach_gripper_pose(library.hand, actions, grasp, fingers=fingers, **given)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from rtee.actions.naming import label
 from rtee.actions.openings import MARGIN, Opening, best_for
 from rtee.actions.types import Action
-from rtee.errors import ActionError, ConfigError, suggestion
+from rtee.errors import ConfigError, suggestion
 from rtee.hand.frames import homogeneous
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionPath
@@ -243,26 +243,6 @@ def reach_gripper_pose(
         width=grasp.width,
         collisions=touching + early,
     )
-
-
-def with_openings(actions: Iterable[Action], openings: Any) -> list[tuple[Action, Opening]]:
-    """Return each action that has an opening, together with the opening.
-
-    ``openings`` are the hand's `rtee.actions.openings.Openings`.
-
-    Raises:
-        ConfigError: if none has one; with the reason.
-    """
-    found, reason = [], ""
-    for action in actions:
-        try:
-            found.append((action, openings.of(action)))
-        except ActionError as error:
-            # Tables that are missing or outdated give every action the same reason.
-            reason = reason or str(error)
-    if not found:
-        raise ConfigError(reason or "the hand has no actions")
-    return found
 
 
 def _best(

@@ -12,7 +12,6 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.actions.openings import Opening, meeting
 from rtee.actions.types import Action
-from rtee.errors import ActionError
 from rtee.loop.devices import device_forces
 from rtee.loop.forces import DeviceForces, unlimited
 from rtee.loop.grip import Grip
@@ -139,13 +138,12 @@ def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dic
 
     Raises `ConfigError` if the file of the openings is malformed.
     """
-    forces, entries = device_forces(library.hand, devices), []
-    openings = library.openings
-    for action in library:
-        try:
-            entries.append(_fields(library, action, openings.of(action), forces))
-        except ActionError:  # no opening, or an outdated one; a goal reports which
-            continue
+    forces = device_forces(library.hand, devices)
+    entries = [
+        _fields(library, action, opening, forces)
+        for action in library
+        if (opening := library.openings.find(action)) is not None
+    ]
     return {"openings": entries}
 
 

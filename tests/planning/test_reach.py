@@ -30,7 +30,6 @@ from rtee.planning.gripper_poses import (
     from_graspnet,
     grasp_frame,
     reach_gripper_pose,
-    with_openings,
 )
 from rtee.planning.joint_vectors import fit_joints
 from rtee.planning.objects import read_object
@@ -226,7 +225,7 @@ def test_contacts_that_make_no_sense_are_refused(
 @pytest.mark.parametrize("width", [0.03, 0.05])
 def test_the_hand_comes_to_where_the_gripper_is(name: str, width: float) -> None:
     made = Made(name)
-    actions = with_openings(made.library, made.library.openings)
+    actions = made.library.openings.known(made.library)
     grasp = GripperPose(POSE, width)
     found = reach_gripper_pose(made.hand, actions, grasp, tips=made.tips)
     chosen = made.library.find(found.action, found.elements)
@@ -248,7 +247,7 @@ def test_the_hand_comes_to_where_the_gripper_is(name: str, width: float) -> None
 
 
 def test_a_parallel_gripper_is_placed_to_a_tenth_of_a_millimetre(gripper: Made) -> None:
-    actions = with_openings(gripper.library, gripper.library.openings)
+    actions = gripper.library.openings.known(gripper.library)
     found = reach_gripper_pose(
         gripper.hand, actions, GripperPose(np.eye(4), 0.04), tips=gripper.tips
     )
@@ -264,7 +263,7 @@ def test_what_is_reached_is_given_for_the_flange(gripper: Made) -> None:
     flange = FlangeSection("tool0", (0.0, 0.0, 0.02))
     hand = replace(gripper.hand, flange=flange)
     library = ActionLibrary(hand, list(gripper.library), gripper.library.folder)
-    actions = with_openings(library, library.openings)
+    actions = library.openings.known(library)
     found = reach_gripper_pose(hand, actions, GripperPose(POSE, 0.04), tips=gripper.tips)
     for at, palm in (
         (found.flange_pose, found.palm_pose),
@@ -321,7 +320,7 @@ def test_arrays_of_another_shape_are_refused(make: object, words: str) -> None:
 
 
 def test_widths_beyond_the_hand_are_refused_with_the_nearest(gripper: Made) -> None:
-    actions = with_openings(gripper.library, gripper.library.openings)
+    actions = gripper.library.openings.known(gripper.library)
     with pytest.raises(ConfigError, match=r"grasps 200\.0 mm; the nearest, .* opens .* to 8\d\.\d"):
         reach_gripper_pose(gripper.hand, actions, GripperPose(POSE, 0.2), tips=gripper.tips)
     with pytest.raises(ConfigError, match="unknown finger 'nose'"):
@@ -375,7 +374,7 @@ def test_joint_vectors_that_make_no_sense_are_refused(joints: dict[str, float], 
 
 
 def test_links_that_meet_the_object_are_named(gripper: Made) -> None:
-    actions = with_openings(gripper.library, gripper.library.openings)
+    actions = gripper.library.openings.known(gripper.library)
     grasp = GripperPose(POSE, 0.04)
 
     def met(obj: str, pose: np.ndarray) -> list[tuple[str, str, str]]:
