@@ -462,7 +462,8 @@ def _make_dynamics(
                 for joint in follow
                 # An actuator's own joint without a shape below it is only a motor, without a
                 # spring.
-                if joint != name or _carries_shape(urdf, urdf.joints[joint].child)
+                if joint != name
+                or any(urdf.links[n].collisions for n in urdf.links_below(urdf.joints[joint].child))
             }
         for place, pattern in enumerate(patterns or ()):
             matching = [joint for joint in follow if fnmatchcase(joint, pattern)]
@@ -486,10 +487,3 @@ def _completed(own: ActuatorDynamics | None, defaults: ActuatorDynamics) -> Actu
         return defaults
     missing = [name for name, value in structs.asdict(own).items() if value is None]
     return structs.replace(own, **{name: getattr(defaults, name) for name in missing})
-
-
-def _carries_shape(urdf: Urdf, link: str) -> bool:
-    """Return whether a link, or one below it, has collision geometry."""
-    if urdf.links[link].collisions:
-        return True
-    return any(_carries_shape(urdf, joint.child) for joint in urdf.joints_below.get(link, ()))

@@ -219,6 +219,13 @@ class Urdf:
         links = self.links_to(tip)
         return links[links.index(base) :] if base in links else None
 
+    def links_below(self, link: str) -> list[str]:
+        """Return a link and all links below it, level by level."""
+        links = [link]
+        for name in links:
+            links += [joint.child for joint in self.joints_below[name]]
+        return links
+
     def master(self, joint: str) -> str:
         """Return the joint that a joint follows in the end; itself if it follows none."""
         seen = [joint]

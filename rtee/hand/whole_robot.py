@@ -83,7 +83,7 @@ def arm_joints(
     end = branches[0].links[-1]
     path = [joint for joint in urdf.path_to(end) if joint.name in movers]
     # A jaw without geometry is not a finger, but the links above it belong to the arm.
-    jaw = any(joint.name in movers for joint in _all_below(end, urdf))
+    jaw = any(urdf.joint_to[link].name in movers for link in urdf.links_below(end)[1:])
     fingers = (i for i, j in enumerate(path) if _FINGER.search(f"{j.name} {j.child}".lower()))
     above = path if jaw else path[: next(fingers, len(path) - 1)]
     arm = tuple(joint.name for joint in above)
@@ -98,8 +98,7 @@ def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
     """
 
     def moved(joint: UrdfJoint) -> list[UrdfLink]:
-        below = (joint.child, *(j.child for j in _all_below(joint.child, urdf)))
-        return [urdf.links[link] for link in below]
+        return [urdf.links[link] for link in urdf.links_below(joint.child)]
 
     touching = {j.name for j in urdf.joints.values() if any(link.collisions for link in moved(j))}
     drives = {urdf.master(name) for name in touching}
@@ -147,13 +146,6 @@ def _own(chain: Chain, urdf: Urdf) -> list[UrdfJoint]:
     return [urdf.joint_to[link] for link in chain.links[1:]]
 
 
-def _all_below(link: str, urdf: Urdf) -> list[UrdfJoint]:
-    found = list(urdf.joints_below[link])
-    for joint in found:
-        found += urdf.joints_below[joint.child]
-    return found
-
-
 def _below(
     link: str, ends: Sequence[str], urdf: Urdf, movers: Mapping[str, Mover]
 ) -> list[FoundHand]:
@@ -190,8 +182,7 @@ def _is_body(found: Mapping[str, Sequence[FoundHand]], urdf: Urdf) -> bool:
 
 def _plain(part: str, urdf: Urdf) -> list[str]:
     """Return the names of a part's links without words for sides and the prefix of the part."""
-    links = [part, *(joint.child for joint in _all_below(part, urdf))]
-    names = [link.lower() for link in links]
+    names = [link.lower() for link in urdf.links_below(part)]
     sides = sorted(_SIDE.sub("#", name) for name in names)
     if any("#" in name for name in sides):
         return sides

@@ -22,6 +22,7 @@ from rtee.drivers.mujoco.options import DENSITY, JOINT_DAMPING, PASSIVE_STIFFNES
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
 from rtee.drivers.mujoco.servos import Servo, add_motor, servo_of
 from rtee.errors import ConfigError, ModelError
+from rtee.hand.frames import quaternion
 from rtee.hand.inertia import PRISMATIC
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
@@ -75,13 +76,6 @@ class Built:
     following: tuple[str, ...]
 
 
-def quaternion(rpy: tuple[float, float, float]) -> FloatArray:
-    """Return the unit quaternion (w, x, y, z) of roll, pitch, yaw about fixed axes [rad]."""
-    result = np.zeros(4)
-    mujoco.mju_euler2Quat(result, np.array(rpy, dtype=np.float64), "XYZ")
-    return result
-
-
 def _check(hand: Hand) -> None:
     for actuator in hand.actuators:
         if actuator.kind is JointKind.CONTINUOUS:
@@ -94,7 +88,7 @@ def _check(hand: Hand) -> None:
             )
     for joint in hand.joints:
         if joint.role is JointRole.PASSIVE and not _has_substance(hand, joint.child):
-            links = ", ".join(f"'{link}'" for link in _below(hand, joint.child))
+            links = ", ".join(f"'{link}'" for link in hand.urdf.links_below(joint.child))
             raise ModelError(
                 f"passive joint '{joint.name}' carries neither mass nor collision geometry (links "
                 f"{links}), so its motion is undetermined; give a link mass, or fix the joint",
@@ -103,16 +97,8 @@ def _check(hand: Hand) -> None:
             )
 
 
-def _below(hand: Hand, link: str) -> list[str]:
-    """Return a link and all links below it."""
-    links = [link]
-    for name in links:
-        links += [j.child for j in hand.urdf.joints.values() if j.parent == name]
-    return links
-
-
 def _has_substance(hand: Hand, link: str) -> bool:
-    links = [hand.urdf.links[name] for name in _below(hand, link)]
+    links = [hand.urdf.links[name] for name in hand.urdf.links_below(link)]
     return any(body.collisions or body.mass > 0.0 for body in links)
 
 
