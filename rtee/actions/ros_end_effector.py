@@ -427,6 +427,7 @@ def find_parts(
     choices: Sequence[Sequence[Action]],
     set_points: Mapping[str, float],
     fingers: Collection[str] = (),
+    start: int = 0,
 ) -> list[ActionReference] | None:
     """Return actions without common actuators that have these set-points together, or ``None``.
 
@@ -435,30 +436,21 @@ def find_parts(
         choices: Candidates for each part; parts with the same candidates are adjacent.
         set_points: Positions by actuator [rad | m].
         fingers: Fingers allowed in primitives; any if empty.
+        start: First candidate for the first part.
     """
-    return _find(hand, choices, set_points, set(fingers), 0)
-
-
-def _find(
-    hand: Hand,
-    choices: Sequence[Sequence[Action]],
-    left: Mapping[str, float],
-    fingers: set[str],
-    start: int,
-) -> list[ActionReference] | None:
     if not choices:
-        return None if left else []
+        return None if set_points else []
     for i, action in enumerate(choices[0]):
         if i < start or isinstance(action, Timed):
             continue
-        own = {name: left[name] for name in action.posture.involved if name in left}
+        own = {n: set_points[n] for n in action.posture.involved if n in set_points}
         scale = scale_of(hand, action.posture, own)
-        if scale is None or (fingers and not fingers.issuperset(action.fingers)):
+        if scale is None or (fingers and not set(fingers).issuperset(action.fingers)):
             continue
-        others = {name: value for name, value in left.items() if name not in own}
+        others = {name: value for name, value in set_points.items() if name not in own}
         # Parts with the same candidates give combinations instead of permutations.
         again = i + 1 if list(choices[1:2]) == [choices[0]] else 0
-        more = _find(hand, choices[1:], others, fingers, again)
+        more = find_parts(hand, choices[1:], others, fingers, again)
         if more is not None:
             return [ActionReference(action.name, action.elements, scale), *more]
     return None

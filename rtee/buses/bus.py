@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
 from rtee.buses.parser import CodecError
@@ -45,10 +45,6 @@ class Counters:
     bytes_received: int = 0
     opened: int = 0
     broken: int = 0
-
-    def as_mapping(self) -> Mapping[str, int]:
-        """Return the counters by name, for the device's status."""
-        return asdict(self)
 
 
 class Bus(ABC):

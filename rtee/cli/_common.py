@@ -11,7 +11,6 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Coroutine, Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from rtee.actions.cli_syntax import Efforts
     from rtee.actions.library import ActionLibrary
     from rtee.remote.client import RemoteHand
-    from rtee.types import Result
 
 
 HAND_VARIABLE = "RTEE_HAND"
@@ -515,11 +513,6 @@ def to_json(values: Any, indent: int | None = None) -> str:
     from rtee.values import plain  # which needs numpy
 
     return json.dumps(plain(values), indent=indent)
-
-
-def result_json(result: Result) -> str:
-    """Return the result of a goal as a JSON object."""
-    return to_json(asdict(result) | {"outcome": result.outcome, "succeeded": result.succeeded})
 
 
 async def effort_limits(remote: RemoteHand, efforts: Efforts) -> dict[str, float]:

@@ -90,7 +90,7 @@ def new(
 
     words, folders = arguments or [], package_dir or []
     # Only xacro files have arguments; with any other model, those given are the SRDF's.
-    own = words if srdf is None or srdf.suffix != XACRO or _is_xacro(urdf) else []
+    own = words if srdf is None or srdf.suffix != XACRO or (urdf and urdf.suffix == XACRO) else []
     with (
         as_urdf(urdf, mjcf, own, folders, root, angle) as model,
         as_srdf(srdf, words, folders) as groups,
@@ -101,10 +101,6 @@ def new(
             subtree=subtree_of(root, outside),
         )  # fmt: skip
     _print(new_hand, model.notes)
-
-
-def _is_xacro(urdf: Path | None) -> bool:
-    return urdf is not None and urdf.suffix == ".xacro"
 
 
 def _copy(folder: Path, target: Path) -> None:

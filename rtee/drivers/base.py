@@ -6,7 +6,7 @@ import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rtee.buses.bus import Bus
@@ -273,7 +273,7 @@ class Driver(ABC):
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the device's bus, for its status; must return at once."""
-        return {} if self._owned_bus is None else self._owned_bus.counters.as_mapping()
+        return {} if self._owned_bus is None else asdict(self._owned_bus.counters)
 
     def gains(self) -> Mapping[str, float]:
         """Return the present values of those ``capabilities.gains`` that the driver knows.

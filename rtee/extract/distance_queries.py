@@ -75,6 +75,7 @@ class DistanceQueries:
     Attributes:
         couples: Indices of the couples' shapes in the scene.
         slack: Largest excess of the bodies' distance over that of the convex parts [m].
+        measures_meshes: Whether any of the shapes is an original mesh, which is slow.
         remembers: Whether Coal remembers where its last search on a hull ended, which changes the
             next distance from a cylinder by about 10 nm; only new queries have no memory.
         results: Coal's last distance result for each couple.
@@ -110,10 +111,10 @@ class DistanceQueries:
         self._robot, self._robot_data = robot
         self._model = pin.GeometryModel()
         number = {}
-        self._guided = False
+        self.measures_meshes = False
         for i in (*first, *second):
             shape, body = shapes[i], bodies[i]
-            self._guided |= isinstance(body, coal.BVHModelBase)
+            self.measures_meshes |= isinstance(body, coal.BVHModelBase)
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, body)
             number[i] = self._model.addGeometryObject(placed)
         self._precise, self.remembers, hulls = [], False, False
@@ -143,7 +144,7 @@ class DistanceQueries:
         distance = coal.DistanceRequest()
         # One contact suffices to know whether they touch.
         collision = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
-        if self._guided:
+        if self.measures_meshes:
             distance.gjk_initial_guess = collision.gjk_initial_guess = coal.CachedGuess
         for k in range(len(self.couples)):
             self._data.distanceRequests[k] = distance
@@ -164,11 +165,6 @@ class DistanceQueries:
     def used(self) -> bool:
         """Whether anything was measured since the last `forget`."""
         return self._placed is not None
-
-    @property
-    def measures_meshes(self) -> bool:
-        """Whether any of the shapes is an original mesh, which is slow."""
-        return self._guided
 
     def distance(self, joints: FloatArray) -> float:
         """Return the least distance [m], known if the links have been in the same place before.
@@ -201,7 +197,7 @@ class DistanceQueries:
         # Cached, since goal, constraints and checks request it at the same posture.
         if joints is not self._measured:
             _place(self._robot, self._robot_data, self._model, self._data)
-            if self._guided:
+            if self.measures_meshes:
                 for request in self._distances:
                     _forget(request)
             if convex is not None:
@@ -268,7 +264,7 @@ class DistanceQueries:
             self._placed = joints
         request = self._collisions[couple]
         request.security_margin = margin
-        if self._guided:
+        if self.measures_meshes:
             _forget(request)
         return bool(pin.computeCollision(self._model, self._data, couple))
 

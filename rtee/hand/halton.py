@@ -20,7 +20,8 @@ def halton(size: int, count: int) -> FloatArray:
     points = np.empty((count, size))
     numbers = np.arange(1, count + 1)
     for column, base in enumerate(_primes(size)):
-        multiplier = _multiplier(base)
+        # Near the golden section of the prime, which spreads the digits well.
+        multiplier = max(1, round(base * (math.sqrt(5.0) - 1.0) / 2.0)) if base > 3 else 1
         value, weight, rest = np.zeros(count), 1.0 / base, numbers.copy()
         while rest.any():
             value += weight * ((rest % base) * multiplier % base)
@@ -30,11 +31,6 @@ def halton(size: int, count: int) -> FloatArray:
     # The result is cached, so callers must not change it.
     points.flags.writeable = False
     return points
-
-
-def _multiplier(base: int) -> int:
-    """Return a multiplier near the golden section of a prime, which spreads the digits well."""
-    return max(1, round(base * (math.sqrt(5.0) - 1.0) / 2.0)) if base > 3 else 1
 
 
 def _primes(count: int) -> list[int]:

@@ -251,6 +251,9 @@ def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
     kind = _kind(element, name)
     lower, upper = _limits(element, name, kind)
     xyz, rpy = _origin(element)
+    # URDF 1.2 distinguishes deceleration from acceleration; the smaller limit holds for both, and 0
+    # means unlimited.
+    up, down = (_greatest(element, name, each) for each in ("acceleration", "deceleration"))
     return UrdfJoint(
         name=name,
         kind=kind,
@@ -263,10 +266,7 @@ def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
         upper=upper,
         soft=_soft_limits(element, lower, upper) if kind in _LIMITED else None,
         velocity=_greatest(element, name, "velocity"),
-        # URDF 1.2 distinguishes deceleration from acceleration; the smaller limit holds for both.
-        acceleration=_smaller(
-            _greatest(element, name, "acceleration"), _greatest(element, name, "deceleration")
-        ),
+        acceleration=min(up or down, down or up),
         jerk=_greatest(element, name, "jerk"),
         effort=_greatest(element, name, "effort"),
         mimic=_mimic(element) if kind != "fixed" else None,
@@ -332,11 +332,6 @@ def _greatest(element: Element, name: str, quantity: str) -> float:
     if limit is not None and value < 0.0:
         raise limit.error(f"joint '{name}' has a negative {quantity} limit")
     return value
-
-
-def _smaller(first: float, second: float) -> float:
-    """Return the smaller limit; 0 means unlimited."""
-    return min(first or second, second or first)
 
 
 def _soft_limits(element: Element, lower: float, upper: float) -> tuple[float, float] | None:

@@ -197,7 +197,7 @@ class _Fit:
         across = bases[0] - bases[-1]
         if len(names) < 2 or not np.linalg.norm(across) > 1e-3:
             across = np.cross(distal, palmar)
-        radial = _unit(_without(across, distal))
+        radial = _unit(across - (across @ distal) * distal)
         normal = np.cross(radial, distal)
         palmar = normal if normal @ palmar >= 0.0 else -normal
         return Palm(_vector(palmar), _vector(radial), _vector(distal))
@@ -259,10 +259,6 @@ class _Fit:
 def _unit(vector: FloatArray) -> FloatArray:
     found: FloatArray = vector / max(float(np.linalg.norm(vector)), 1e-12)
     return found
-
-
-def _without(vector: FloatArray, axis: FloatArray) -> FloatArray:
-    return vector - (vector @ axis) * axis
 
 
 def _vector(values: FloatArray) -> Vector:

@@ -89,7 +89,8 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
     # The driver may have opened its bus even if a check has failed.
     finally:
         await driver.close()
-    if address is not None and network and _unreached(found):
+    unreached = any(check.verdict is Verdict.WRONG and check.subject == "bus" for check in found)
+    if address is not None and network and unreached:
         reasons = await check_address(address)
         if any(check.verdict is Verdict.WRONG for check in reasons):
             return reasons
@@ -97,11 +98,6 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
         busy = "end the other program that is connected; many devices serve one connection"
         return [*reasons, *(replace(check, remedy=busy) for check in found)]
     return found
-
-
-def _unreached(found: list[Check]) -> bool:
-    """Return whether the driver could not open its bus."""
-    return any(check.verdict is Verdict.WRONG and check.subject == "bus" for check in found)
 
 
 async def _connected(driver: Driver, pool: BusPool, plan: ScanPlan | None) -> list[Check]:
