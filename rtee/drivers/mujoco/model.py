@@ -21,6 +21,7 @@ from rtee.drivers.mujoco.couplings import add_couplings, add_locks, motor_joint,
 from rtee.drivers.mujoco.options import DENSITY, JOINT_DAMPING, PASSIVE_STIFFNESS, SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
 from rtee.drivers.mujoco.servos import Servo, add_motor, servo_of
+from rtee.drivers.mujoco.solids import half_extents, set_solid
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.frames import quaternion
 from rtee.hand.inertia import PRISMATIC
@@ -114,24 +115,16 @@ def add_shape(
     ``triangles`` returns the vertices and faces of a mesh in the link's frame.
     """
     geom = body.add_geom(name=name, pos=shape.xyz, quat=quaternion(shape.rpy))
-    match shape.kind:
-        case "box":
-            geom.type = mujoco.mjtGeom.mjGEOM_BOX
-            geom.size = [0.5 * s for s in shape.size]
-        case "sphere":
-            geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
-            geom.size = [shape.radius, 0.0, 0.0]
-        case "cylinder":
-            geom.type = mujoco.mjtGeom.mjGEOM_CYLINDER
-            geom.size = [shape.radius, 0.5 * shape.length, 0.0]
-        case "mesh":
-            vertices, _ = triangles()
-            mesh = spec.add_mesh(name=name)
-            mesh.uservert = np.ascontiguousarray(vertices, dtype=np.float64).ravel()
-            geom.type = mujoco.mjtGeom.mjGEOM_MESH
-            geom.meshname = name
-            geom.pos = [0.0, 0.0, 0.0]  # the triangles are already in the link's frame
-            geom.quat = [1.0, 0.0, 0.0, 0.0]
+    if shape.kind != "mesh":
+        set_solid(geom, shape.kind, half_extents(shape.kind, shape.dimensions))
+        return geom
+    vertices, _ = triangles()
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert = np.ascontiguousarray(vertices, dtype=np.float64).ravel()
+    geom.type = mujoco.mjtGeom.mjGEOM_MESH
+    geom.meshname = name
+    geom.pos = [0.0, 0.0, 0.0]  # the triangles are already in the link's frame
+    geom.quat = [1.0, 0.0, 0.0, 0.0]
     return geom
 
 

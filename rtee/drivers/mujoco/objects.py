@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import make_object
+from rtee.drivers.mujoco.solids import half_extents, set_solid
 from rtee.hand.coarse import welded
 from rtee.hand.convex import Solid, convex_solids
 from rtee.hand.tessellation import stl_corners
@@ -66,23 +67,7 @@ def add_object(
     if shape.path is not None:
         _add_mesh(spec, body, shape, mass)
         return body
-    geom = _geom(body, OBJECT, mass)
-    match shape.kind:
-        case "box":
-            geom.type = mujoco.mjtGeom.mjGEOM_BOX
-            _set_size(geom, *(0.5 * value for value in shape.size))
-        case "cylinder":
-            geom.type = mujoco.mjtGeom.mjGEOM_CYLINDER
-            _set_size(geom, shape.size[0], 0.5 * shape.size[1])
-        case "sphere":
-            geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
-            _set_size(geom, shape.size[0])
-        case _:
-            radius, length = shape.size
-            geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
-            _set_size(geom, radius)
-            # MuJoCo's length excludes the caps, and the skin shrinks only the caps.
-            geom.size[1] = 0.5 * length - radius
+    _add_solid(body, OBJECT, mass, shape.kind, shape.size)
     return body
 
 
@@ -100,10 +85,14 @@ def _geom(body: mujoco.MjsBody, name: str, mass: float) -> mujoco.MjsGeom:
     return body.add_geom(name=name, mass=mass, rgba=[0.74, 0.60, 0.44, 1.0])
 
 
-def _set_size(geom: mujoco.MjsGeom, *half_extents: float) -> None:
-    """Set the size of a shape [m], reduced by its skin, and its contact parameters."""
-    skin = make_object(geom, half_extents)
-    geom.size = [half - skin for half in half_extents] + [0.0] * (3 - len(half_extents))
+def _add_solid(
+    body: mujoco.MjsBody, name: str, mass: float, kind: str, size: Sequence[float]
+) -> mujoco.MjsGeom:
+    """Add a solid of a size [m], reduced by its skin, with its contact parameters."""
+    geom, halves = _geom(body, name, mass), half_extents(kind, size)
+    skin = make_object(geom, halves[:1] if kind == "capsule" else halves)
+    set_solid(geom, kind, halves, skin)
+    return geom
 
 
 def _add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: ObjectShape, mass: float) -> None:
@@ -205,17 +194,12 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     flat = 0.5 * grip[1] - radius
     # The shares of the mass add up to 1 and put the centre near the top of the handle, below the
     # motor.
-    core = _geom(body, OBJECT, 0.2 * mass)
-    core.type = mujoco.mjtGeom.mjGEOM_BOX
-    _set_size(core, radius, flat, 0.5 * grip[2])
+    _add_solid(body, OBJECT, 0.2 * mass, "box", (grip[0], 2.0 * flat, grip[2]))
     for name, side in (("back", -1.0), ("front", 1.0)):
-        edge = _geom(body, f"{OBJECT}/{name}", 0.15 * mass)
-        edge.type = mujoco.mjtGeom.mjGEOM_CYLINDER
-        _set_size(edge, radius, 0.5 * grip[2])
+        size = radius, grip[2]
+        edge = _add_solid(body, f"{OBJECT}/{name}", 0.15 * mass, "cylinder", size)
         edge.pos = [0.0, side * flat, 0.0]
-    motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass)
-    motor.type = mujoco.mjtGeom.mjGEOM_BOX
-    _set_size(motor, *(0.5 * value for value in top))
+    motor = _add_solid(body, f"{OBJECT}/motor", 0.45 * mass, "box", top)
     motor.pos = motor_place(scale)
     trigger = body.add_body(name=TRIGGER, pos=trigger_place(scale))
     joint = trigger.add_joint(
@@ -231,7 +215,5 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     joint.springref = -_PRELOAD
     # In N·s/m: a released trigger returns without swinging.
     joint.damping = [2.0, 0.0, 0.0]
-    plate = _geom(trigger, TRIGGER, 0.05 * mass)
-    plate.type = mujoco.mjtGeom.mjGEOM_BOX
-    _set_size(plate, *(0.5 * value for value in button))
+    plate = _add_solid(trigger, TRIGGER, 0.05 * mass, "box", button)
     plate.rgba = [0.75, 0.15, 0.12, 1.0]

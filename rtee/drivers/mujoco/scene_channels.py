@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtee.drivers.mujoco.objects import MESHES, OBJECT
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
+from rtee.drivers.mujoco.solids import solid_of
 from rtee.drivers.mujoco.surroundings import Surroundings, pose_vector
 from rtee.hand.model import Hand
 from rtee.objects.description import (
@@ -137,20 +138,15 @@ def _parts(model: mujoco.MjModel, geom: int, pose: FloatArray) -> list[ObjectPar
     """Return the appearance of a geom at a pose ``(4, 4)`` in the object's frame."""
     # The shape is smaller than the object by its skin.
     at, skin = pose_vector(pose), float(model.geom_margin[geom])
-    size = [half + skin for half in model.geom_size[geom].tolist()]
-    match int(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return [ObjectPart("box", tuple(2.0 * half for half in size), at)]
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return [ObjectPart("sphere", (size[0],), at)]
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return [ObjectPart("cylinder", (size[0], 2.0 * size[1]), at)]
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            # Clients know no capsules: a cylinder and a sphere at each end.
-            radius, half = size[0], size[1] - skin
-            tube = [ObjectPart("cylinder", (radius, 2.0 * half), at)] if half > 0.0 else []
-            ends = (pose @ _raised(z) for z in (-half, half))
-            return tube + [ObjectPart("sphere", (radius,), pose_vector(end)) for end in ends]
+    kind, size = solid_of(model, geom, skin)
+    if kind == "capsule":
+        # Clients know no capsules: a cylinder and a sphere at each end.
+        radius, length = size
+        tube = [ObjectPart("cylinder", size, at)] if length > 0.0 else []
+        ends = (pose @ _raised(0.5 * z) for z in (-length, length))
+        return tube + [ObjectPart("sphere", (radius,), pose_vector(end)) for end in ends]
+    if kind:
+        return [ObjectPart(kind, size, at)]
     return [ObjectPart("mesh", (), at, *_mesh(model, int(model.geom_dataid[geom]), skin))]
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
-from rtee.hand import tessellation
+from rtee.drivers.mujoco.solids import solid_of
 from rtee.hand.abduction import abduction
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
+from rtee.hand.tessellation import Triangles, solid
 from rtee.hand.touch import grid_points, on_hand, taxel_count
 from rtee.sample import FloatArray
 from rtee.touch import TouchSensor
@@ -277,16 +278,11 @@ def _surface_of(model: mujoco.MjModel, body: str) -> FloatArray:
     return np.concatenate(triangles)
 
 
-def geom_triangles(model: mujoco.MjModel, geom: int) -> tessellation.Triangles:
+def geom_triangles(model: mujoco.MjModel, geom: int) -> Triangles:
     """Return the triangles of a geom in its own frame [m]."""
-    size = model.geom_size[geom].tolist()
-    match int(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            return tessellation.box((2.0 * size[0], 2.0 * size[1], 2.0 * size[2]))
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return tessellation.sphere(size[0])
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return tessellation.cylinder(size[0], 2.0 * size[1])
+    kind, size = solid_of(model, geom)
+    if kind:
+        return solid(kind, size)
     mesh = int(model.geom_dataid[geom])
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
