@@ -8,14 +8,17 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Literal
 
+import mujoco
 import numpy as np
 from msgspec import structs
 
 from experiments.stance import Stance, find_stances
 from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
 from rtee.drivers.mujoco.objects import MESHES
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.surroundings import TABLE
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer
@@ -34,6 +37,12 @@ from rtee.types import Goal, Named
 
 WAYS = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.14], [0.16, 0.1, 0.14], [0.24, 0.12, 0.0]])
 """The ways of the hand, which pictures of a transfer show ``(4, 3)`` [m]."""
+
+CONTAINER_SIZE = (0.34, 0.34, 0.04)
+"""Length, width and height of an open container [m]: an open hand fits between its walls."""
+
+_WALL = 0.004
+"""Thickness of its walls [m]: that of a plastic crate."""
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")
 """The moments of a transfer, in order."""
@@ -94,6 +103,31 @@ _DROP = 0.03
 
 _FARTHER = 0.06
 """How far the hand comes on until it touches the object [m]: two variations of height and size."""
+
+
+def add_container(spec: mujoco.MjSpec, height: float, middle: tuple[float, float]) -> None:
+    """Add a container, open at the top, on a table.
+
+    The table's top is at a height [m], the container's middle at x and y in the world [m].
+    """
+    half = 0.5 * np.array(CONTAINER_SIZE)
+    thin = 0.5 * _WALL
+    parts = [("floor", (half[0], half[1], thin), (0.0, 0.0, thin))]
+    for sign, side in ((-1.0, "one"), (1.0, "other")):
+        parts += [
+            (f"x/{side}", (thin, half[1], half[2]), (sign * (half[0] - thin), 0.0, half[2])),
+            (f"y/{side}", (half[0], thin, half[2]), (0.0, sign * (half[1] - thin), half[2])),
+        ]
+    origin = np.array([*middle, height])
+    for name, size, offset in parts:
+        geom = spec.worldbody.add_geom(
+            name=f"{TABLE}/{name}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=size,
+            pos=origin + offset,
+            rgba=[0.45, 0.55, 0.68, 1.0],
+        )
+        make_hard(geom, TABLE_FRICTION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,6 +350,11 @@ class _Bench:
         # The container is where the hand leaves the object, turned and carried as it will be.
         x, y, _ = _turned(transfer.turn) @ mount @ lands + np.array([*transfer.by, 0.0])
         raised = mount.T @ np.array([0.0, 0.0, _RAISE])
+
+        def furnish(spec: mujoco.MjSpec, height: float) -> None:
+            if transfer.container:
+                add_container(spec, height, (float(x), float(y)))
+
         while True:
             simulation = make_simulation(
                 hand,
@@ -324,7 +363,7 @@ class _Bench:
                 self._settings.period,
                 place=place,
                 mount=mount,
-                container=(float(x), float(y)) if transfer.container else None,
+                furnish=furnish,
             )
             # An arm that knows its hand and the table keeps it above, tilted or not.
             simulation.surroundings.jump(np.array([0.0, 0.0, -CLEAR, 0.0, 0.0, 0.0]))

@@ -8,7 +8,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.drivers.mujoco.surroundings import CONTAINER, TABLE
+from rtee.drivers.mujoco.surroundings import TABLE
 from rtee.drivers.mujoco.taxels import geom_triangles
 from rtee.hand.frames import homogeneous
 from rtee.hand.geometry import HandGeometry
@@ -87,7 +87,7 @@ class SimulationRenderer:
         found: list[tuple[int, Mesh]] = []
         for geom in range(model.ngeom):
             name = model.geom(geom).name
-            if name == TABLE or name.startswith((OBJECT, CONTAINER)):
+            if name.startswith((OBJECT, TABLE)):
                 link = len(self._mesh.links) + len(found)
                 found.append((geom, Mesh.of(geom_triangles(model, geom), link)))
         return found

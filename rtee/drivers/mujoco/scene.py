@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rtee.drivers.mujoco.objects import MESHES, OBJECT, add_object, solid_parts
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.drivers.mujoco.surroundings import AXES, CONTAINER, TABLE
+from rtee.drivers.mujoco.surroundings import AXES, TABLE
 from rtee.hand.geometry import HandGeometry, touch_at_rest
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
@@ -28,11 +28,6 @@ from rtee.types import from_rest
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # carrier's axes [kg, kg·m²]: a small arm's
 _STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # carrier's servos [N/m, N·m/rad]: 0.5 mm at 100 N
 _TABLE = (0.6, 0.6, 0.02)  # half sizes of the table's top [m]
-
-CONTAINER_SIZE = (0.34, 0.34, 0.04)
-"""Length, width and height of an open container [m]: an open hand fits between its walls."""
-
-_WALL = 0.004  # thickness of its walls [m]: that of a plastic crate
 
 _FARTHEST_OUT = 0.08
 """Farthest that an object is moved out of the hand [m]: fingertips reach no farther over it."""
@@ -182,31 +177,6 @@ def add_table(spec: mujoco.MjSpec, top: FloatArray, *, edge: bool = False) -> No
     make_hard(geom, TABLE_FRICTION)
 
 
-def add_container(spec: mujoco.MjSpec, height: float, middle: tuple[float, float]) -> None:
-    """Add a container, open at the top, on a table.
-
-    The table's top is at a height [m], the container's middle at x and y in the world [m].
-    """
-    half = 0.5 * np.array(CONTAINER_SIZE)
-    thin = 0.5 * _WALL
-    parts = [("floor", (half[0], half[1], thin), (0.0, 0.0, thin))]
-    for sign, side in ((-1.0, "one"), (1.0, "other")):
-        parts += [
-            (f"x/{side}", (thin, half[1], half[2]), (sign * (half[0] - thin), 0.0, half[2])),
-            (f"y/{side}", (half[0], thin, half[2]), (0.0, sign * (half[1] - thin), half[2])),
-        ]
-    origin = np.array([*middle, height])
-    for name, size, offset in parts:
-        geom = spec.worldbody.add_geom(
-            name=f"{CONTAINER}/{name}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=size,
-            pos=origin + offset,
-            rgba=[0.45, 0.55, 0.68, 1.0],
-        )
-        make_hard(geom, TABLE_FRICTION)
-
-
 def tip_geoms(model: mujoco.MjModel, hand: Hand, fingers: Iterable[str]) -> list[NDArray[np.intp]]:
     """Return the indices of the geoms of each of the fingertips that have a link."""
     links = [hand.finger(name).tip_links for name in fingers]
@@ -332,7 +302,7 @@ def make_simulation(
     *,
     place: FloatArray | None = None,
     mount: FloatArray | None = None,
-    container: tuple[float, float] | None = None,
+    furnish: Callable[[mujoco.MjSpec, float], object] = lambda spec, height: None,
     built: Built | None = None,
     closing: TipsClosing | None = None,
 ) -> Simulation:
@@ -346,8 +316,8 @@ def make_simulation(
         place: Pose ``(4, 4)`` of the object in the hand's base frame; by default its middle is
             where the fingertips meet.
         mount: Rotation ``(3, 3)`` of a carried hand in the world; by default it reaches down.
-        container: Middle of a container on the table, x and y in the world [m]; ``None``: there is
-            no container.
+        furnish: Adds to a model what else is on the table, whose top is at a height in the world
+            [m]; the names of its shapes begin with `TABLE`.
         built: The hand's model from `build_hand`, whose options may differ from these only in
             object and friction; by default it is built here.
         closing: The closing motion of a gripper; its object is put between the tips by default.
@@ -382,8 +352,7 @@ def make_simulation(
             top = np.eye(4)
             top[2, 3] = shape.lowest(pose)
             add_table(built.spec, top)
-            if container is not None:
-                add_container(built.spec, shape.lowest(pose), container)
+            furnish(built.spec, top[2, 3])
     model = compiled(built.spec, hand, _file_of(shape))
     notes = (*built.notes, *built.following, *_notes_on(shape))
     simulation = Simulation(model, hand, options, actuators, period, built.servos, notes)

@@ -18,10 +18,7 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 """The motions a carrier may have, in the order of its script's values."""
 
 TABLE = "table"
-"""Name of the table's geom."""
-
-CONTAINER = "container"
-"""Prefix of the names of a container's geoms."""
+"""Name of the table's geom, with which those of what stands on it begin."""
 
 _STANDS_FOR = [50.0] * 3 + [10.0] * 3
 """Force and torque at which an arm yields [N, N·m]: a cobot's collaborative limit, and the same at
@@ -62,11 +59,7 @@ class Surroundings:
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, OBJECT)
         self.has_object = joint >= 0
         self.unsupported = not self.has_object or options.support == "table"
-        self._ground = [
-            geom
-            for geom in range(model.ngeom)
-            if model.geom(geom).name == TABLE or model.geom(geom).name.startswith(CONTAINER)
-        ]
+        self._ground = [g for g in range(model.ngeom) if model.geom(g).name.startswith(TABLE)]
         self._motors = [
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
             for axis in AXES
