@@ -43,7 +43,6 @@ SetPoints = Annotated[dict[str, Finite], Meta(min_length=1)]
 
 
 E = TypeVar("E")
-T = TypeVar("T")
 Some = Annotated[tuple[E, ...], Meta(min_length=1)]
 
 

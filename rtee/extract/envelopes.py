@@ -37,8 +37,6 @@ _TINY: Final = 1e-30
 _SIDES: Final = 16
 """Number of points around an end of a cylinder; their hull, slightly widened, encloses the end."""
 
-_sum = np.add.reduce
-
 
 @dataclass(frozen=True, slots=True)
 class _Envelope:

@@ -29,7 +29,6 @@ OBJECT: Final[Colour] = (189, 153, 112)
 FORCE: Final = rgb("#a3195b")
 """Colour of contact forces: unlike any other colour of the scene."""
 
-STOP: Final[Colour] = (201, 42, 42)
 BAR: Final = rgb("#0072b2")
 APPROVE: Final = rgb("#00795c")
 

@@ -99,7 +99,6 @@ class Transmission:
 
     Attributes:
         couplings: The coupling of each joint.
-        n_actuators: Number of actuators n.
         n_joints: Number of joints m.
         matrix: Linear part ``(m, n)``; rows of non-linear joints are zero.
         offset: Constant part ``(m,)`` [rad | m]; entries of non-linear joints are zero.
@@ -108,7 +107,6 @@ class Transmission:
 
     def __init__(self, couplings: Sequence[Coupling], n_actuators: int) -> None:
         self.couplings = tuple(couplings)
-        self.n_actuators = n_actuators
         self.n_joints = len(self.couplings)
         matrix = np.zeros((self.n_joints, n_actuators))
         offset = np.zeros(self.n_joints)

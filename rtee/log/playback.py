@@ -1,11 +1,9 @@
-"""Playback of a recording: its states one after another, and its hand as a folder."""
+"""The hand of a recording for its playback: its fingers, and its folder."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-
-import numpy as np
 
 from rtee.errors import LogError
 from rtee.hand.embedded_meshes import FOLDER, with_mesh_addresses
@@ -14,31 +12,6 @@ from rtee.hand.names import check_name
 from rtee.log.dataclass_json import from_json
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.recording import Recording
-from rtee.messages.state import ACTUATOR_COLUMNS
-from rtee.sample import TickRecord
-
-
-def states(recording: Recording) -> Iterator[TickRecord]:
-    """Yield the record of every tick, as the loop published it.
-
-    References missing in the recording are ``NaN``.
-    """
-    measured, reference = recording.actuator_states, recording.reference
-    rows = dict(zip(reference.wall.tolist(), range(len(reference)), strict=True))
-    unknown = np.full(len(measured.names), np.nan)
-    for row in range(len(measured)):
-        # Matched by time, since a file may have lost rows of either.
-        sent = rows.get(int(measured.wall[row]))
-        yield TickRecord(
-            tick=int(measured.tick[row]),
-            stamp=float(measured.time[row]),
-            wall_ns=int(measured.wall[row]),
-            **{name: getattr(measured, name)[row] for name in ACTUATOR_COLUMNS},
-            reference_position=unknown if sent is None else reference.position[sent],
-            reference_velocity=unknown if sent is None else reference.velocity[sent],
-            reference_effort=unknown if sent is None else reference.effort[sent],
-            channels={},
-        )
 
 
 def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from rtee.messages.convert import FEEDBACK as FEEDBACK
     from rtee.messages.convert import LOOP_STATISTICS as LOOP_STATISTICS
     from rtee.messages.convert import RESULT as RESULT
-    from rtee.messages.convert import decode_string as decode_string
     from rtee.messages.convert import encode_string as encode_string
     from rtee.messages.goals import GOAL as GOAL
     from rtee.messages.layout import JointStateEncoder as JointStateEncoder
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 _CONVERTED = ("COMMAND", "DEVICE_STATUS", "EVENT", "FEEDBACK", "LOOP_STATISTICS", "RESULT")
 _HOME = {
-    **dict.fromkeys((*_CONVERTED, "decode_string", "encode_string"), "convert"),
+    **dict.fromkeys((*_CONVERTED, "encode_string"), "convert"),
     "GOAL": "goals",
     "JointStateEncoder": "layout",
     **dict.fromkeys(("MessageType", "message_type"), "schema"),

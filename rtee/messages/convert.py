@@ -25,7 +25,7 @@ from rtee.commands import (
     StreamTargets,
 )
 from rtee.errors import MessageError
-from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
+from rtee.messages.codec import As, Codec, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.objects.description import ObjectDescription, ObjectPart
 from rtee.objects.shape import Table
@@ -289,8 +289,3 @@ STREAM_TARGETS = Codec(
 def encode_string(text: str) -> bytes:
     """Return a ``std_msgs/String``."""
     return _STRING.encode({"data": text})
-
-
-def decode_string(data: Data) -> str:
-    """Return the text in a ``std_msgs/String``; raise `MessageError` if it is invalid."""
-    return str(_STRING.decode(data)["data"])

@@ -79,17 +79,11 @@ _HALVINGS: Final = 7
 """Halvings of the interval in which the load is sought, in logarithms: to 6 %."""
 
 
-def cone(normal: FloatArray, friction: float) -> FloatArray:
-    """Return the edges ``(EDGES, 3)`` of a cone of friction about a unit normal into the object.
+def cones(normals: FloatArray, friction: float) -> FloatArray:
+    """Return the edges ``(k, EDGES, 3)`` of cones of friction about unit normals into the object.
 
     Each is of unit normal force.
     """
-    edges: FloatArray = cones(normal[None], friction)[0]
-    return edges
-
-
-def cones(normals: FloatArray, friction: float) -> FloatArray:
-    """Return the edges of cones of friction ``(k, EDGES, 3)`` about normals; see `cone`."""
     # Crossed with the axis farthest from the normal, so that the product is never near zero. Of
     # equal ones x comes first, then y.
     size = np.abs(normals)

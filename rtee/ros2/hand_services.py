@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from functools import partial
@@ -23,8 +22,6 @@ from rtee.ros2.served_hand import Part, ServedHand
 from rtee.ros2.topics import ros_name
 from rtee.ros2.types import referred
 from rtee.types import Result
-
-log = logging.getLogger(__name__)
 
 TOLERANCE, SPEED, INTENSITY = "tolerance", "speed", "intensity"
 """Names of the parameters for the goals that services start."""

@@ -125,17 +125,6 @@ class Graph:
             if entity.kind is kind and name in (None, entity.topic) and type_ in (None, entity.type)
         ]
 
-    def strangers(self, name: str, type_: str, type_hash: str) -> list[Entity]:
-        """Return the entities of a topic or service with another type or hash.
-
-        They do not exchange messages with those of the given type.
-        """
-        return [
-            entity
-            for entity in self.entities()
-            if entity.topic == name and (entity.type, entity.type_hash) != (type_, type_hash)
-        ]
-
     async def ready(self) -> None:
         """Wait until all reachable sessions have announced their entities, about 6 s at most."""
         self._start()

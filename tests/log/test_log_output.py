@@ -45,7 +45,7 @@ from rtee.log.figure import read_for as plot_pieces
 from rtee.log.file_index import ChunkPlace, index_file
 from rtee.log.info import info
 from rtee.log.layout import REPLAY, Replayable
-from rtee.log.playback import fingers, states, write_hand
+from rtee.log.playback import fingers, write_hand
 from rtee.log.plots import write_html, write_png
 from rtee.log.recover import recover
 from rtee.loop.settings import LoopSettings
@@ -413,15 +413,6 @@ def test_pictures_and_pages_stand_alone(recording: Recording, tmp_path: Path) ->
 
 
 # --- playback ------------------------------------------------------------------------------------
-
-
-def test_states_come_out_as_the_loop_told_them(recording: Recording) -> None:
-    for number, record in enumerate(states(recording)):
-        told = tick(number)
-        assert record.tick == told.tick
-        assert record.stamp == told.stamp
-        for name in ("position", "effort", "reference_position", "reference_effort", "grasped"):
-            assert getattr(record, name).tobytes() == getattr(told, name).tobytes()
 
 
 def test_the_hand_of_a_recording_can_be_run(recording: Recording, tmp_path: Path) -> None:

@@ -122,7 +122,11 @@ PAIRS: list[tuple[Callable[..., bytes], Callable[[bytes], Any], Any]] = [
     (convert.DEVICE_STATUS.encode, convert.DEVICE_STATUS.decode, STATUS),
     (convert.DEVICE_STATUS.encode, convert.DEVICE_STATUS.decode, replace(STATUS, age=math.inf)),
     (convert.LOOP_STATISTICS.encode, convert.LOOP_STATISTICS.decode, STATISTICS),
-    (messages.encode_string, messages.decode_string, "<robot/>"),
+    (
+        messages.encode_string,
+        lambda data: message_type("std_msgs/String").decode(data)["data"],
+        "<robot/>",
+    ),
 ]
 
 

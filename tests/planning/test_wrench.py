@@ -15,7 +15,6 @@ from rtee.planning.wrench import (
     MOST_LOAD,
     PATCH,
     balanced,
-    cone,
     cones,
     least_squares,
     load,
@@ -48,7 +47,7 @@ def _around(number: int, count: int) -> FloatArray:
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, 1, 0), (0.6, 0.0, 0.8), (-1, 2, -3)])
 def test_edges_of_a_cone_have_its_slope(axis: tuple[float, float, float]) -> None:
     normal = np.array(axis) / np.linalg.norm(axis)
-    edges = cone(normal, 0.4)
+    edges = cones(normal[None], 0.4)[0]
     assert edges.shape == (EDGES, 3)
     assert edges @ normal == pytest.approx(np.ones(EDGES))
     assert np.linalg.norm(edges - normal, axis=1) == pytest.approx(np.full(EDGES, 0.4))

@@ -13,7 +13,7 @@ from rtee.errors import ConfigError, MessageError
 from rtee.ros2 import attachments
 from rtee.ros2.attachments import Attachment
 from rtee.ros2.keys import Entity, Kind, NodeName, key_expression, node_name, parse_token, ros_type
-from rtee.ros2.qos import DEFAULT, LATCHED, PARAMETERS, ROSOUT, SENSOR_DATA, Qos, parse_chunk
+from rtee.ros2.qos import DEFAULT, LATCHED, PARAMETERS, Qos, Reliability, parse_chunk
 
 TRIGGER = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 
@@ -52,9 +52,8 @@ def test_tokens_are_written_as_rmw_zenoh_does() -> None:
     ("qos", "chunk"),
     [
         (DEFAULT, "::,10:,:,:,,"),
-        (SENSOR_DATA, "2::,5:,:,:,,"),
+        (Qos(depth=5, reliability=Reliability.BEST_EFFORT), "2::,5:,:,:,,"),
         (LATCHED, ":1:,1:,:,:,,"),
-        (ROSOUT, ":1:,1000:,:,:,,"),
         (PARAMETERS, "::,1000:,:,:,,"),
         (Qos(depth=42), "::,:,:,:,,"),
     ],

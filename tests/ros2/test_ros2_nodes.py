@@ -167,10 +167,16 @@ async def test_the_graph_holds_what_there_is(settings: Ros2Settings, peer: Peer)
         _kept = [
             other.declare_token(f"{key}/sensor_msgs::msg::dds_::JointState_/RIHS01_x/::,:,:,:,,")
         ]
-        kind = user.interfaces.topic(JOINTS)
-        strangers = lambda: user.graph.strangers("/left/joint_states", kind.name, kind.hash)  # noqa: E731
-        await user.graph.wait_until(lambda: bool(strangers()))
-        assert [one.node.full for one in strangers()] == ["/old"]
+        await user.graph.wait_until(
+            lambda: (
+                sorted(
+                    (one.node.full, one.type_hash == user.interfaces.topic(JOINTS).hash)
+                    for one in user.graph.entities()
+                    if one.topic == "/left/joint_states"
+                )
+                == [("/left/hand", True), ("/old", False)]
+            )
+        )
         hand.discard(left)
         await user.graph.wait_until(
             lambda: "/left/hand" not in {one.node.full for one in user.graph.entities()}
@@ -181,7 +187,7 @@ async def test_a_killed_process_leaves_nothing(settings: Ros2Settings) -> None:
     text = (
         "import anyio, sys\n"
         "from rtee.hand.config_schema import Ros2Settings\n"
-        "from rtee.ros2 import Context\n"
+        "from rtee.ros2.node import Context\n"
         "async def main():\n"
         "    async with Context.open(Ros2Settings(router=sys.argv[1]), {}) as context:\n"
         "        context.node('doomed').publisher('a', 'std_msgs/msg/String')\n"

@@ -60,23 +60,6 @@ _LEAST_SLOPE = 1e-3
 it the joints hardly move with the actuator and would get immense torques."""
 
 
-@dataclass(frozen=True, slots=True)
-class Polynomial:
-    """Coupling of a joint to an actuator: ``q = Σ cᵢ uⁱ``.
-
-    Attributes:
-        joint: Name of the coupled joint.
-        actuator: Name of the actuator it follows.
-        coefficients: ``c₀ … c₄``.
-        error: Largest deviation from the transmission within the actuator's limits [rad | m].
-    """
-
-    joint: str
-    actuator: str
-    coefficients: tuple[float, float, float, float, float]
-    error: float
-
-
 def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ...], float]:
     """Fit a polynomial to a coupling over an actuator's range [rad | m].
 

@@ -23,9 +23,6 @@ GEOMETRY = 0x010E
 LIMITS = 0x0201
 """First of two registers: smallest and largest raw diameter."""
 
-SETTINGS = 0x0401
-"""First of four settable registers, with the same content as those at `GEOMETRY`."""
-
 _HUNDREDTH_MM = 1e-5  # unit of the registers of offsets [m]
 
 
