@@ -374,6 +374,24 @@ async def test_what_the_device_refuses_aborts_the_goal_and_nothing_else(hand: Ha
         assert (await rig.do("open")).reached
 
 
+async def test_a_device_gets_its_reference_before_the_tick_is_recorded(hand: Hand) -> None:
+    class Noting(Trouble):
+        async def move(self, reference: Reference) -> None:
+            for rig in rigs:
+                sent.append((rig.loop.snapshot().tick, reference.position.tolist()))
+            await super().move(reference)
+
+    rigs: list[Rig] = []
+    sent: list[tuple[int, list[float]]] = []
+    settings = device(hand)
+    async with running(hand, None, [(settings, Noting(settings.spec, BusPool()))]) as rig:
+        rigs.append(rig)
+        await rig.do("Trig", "index", intensity=0.2)
+        recorded = {each.tick: each.reference_position.tolist() for each in rig.watcher.records}
+        assert len(sent) > 100
+        assert [recorded[tick + 1] for tick, _ in sent] == [position for _, position in sent]
+
+
 async def test_a_bug_in_a_driver_does_not_end_the_loop(hand: Hand) -> None:
     settings, driver = trouble(hand, reconnect_active=True)
     async with running(hand, None, [(settings, driver)]) as rig:
