@@ -8,6 +8,7 @@ normal forces of MuJoCo's contacts, and where the object is two seconds later.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -133,7 +134,7 @@ class Truth:
         result: What the hand says.
         lost: Whether it has said afterwards that it lost the object.
         held: Whether the object is in the hand.
-        peak: The largest force between the tips until it is judged.
+        peak: The largest force of a side until it is judged, its normal component alone.
         low: The least force between the tips from then on.
         high: The largest one.
         own: The largest force of fingers on one another.
@@ -212,10 +213,43 @@ class NumbHand(HeadlessHand[Simulation]):
         return super()._measured(position, effort, np.full_like(forces, np.nan))
 
 
-class Contacts:
-    """The contacts of the fingers in a running simulation."""
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The forces in a grasp at one moment [N].
 
-    def __init__(self, simulation: Simulation, hand: Hand, plan: Plan) -> None:
+    Attributes:
+        sides: Sum of the fingers' normal forces on the object, by side.
+        between: The force between the tips: the normal force of a side along its closing direction,
+            which is the sum of the normal forces of its links as vectors, in the mean of both
+            sides, since one of them also bears what the object weighs along that direction. Of tips
+            from all around, the sum over the fingers.
+        blow: The largest of the sides' normal forces; of tips from all around, their sum.
+        own: The largest force of fingers on one another.
+    """
+
+    sides: tuple[float, float]
+    between: float
+    blow: float
+    own: float
+
+
+class Contacts:
+    """The contacts of the fingers in a running simulation.
+
+    Args:
+        simulation: The simulation.
+        hand: The hand.
+        sides: Indices of the fingers on either side.
+        around: Whether they close from all around.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        hand: Hand,
+        sides: tuple[Sequence[int], Sequence[int]],
+        around: bool = False,
+    ) -> None:
         model = simulation.model
         self._model, self._data = model, simulation.data
         thing = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, OBJECT)
@@ -228,10 +262,7 @@ class Contacts:
             if shared.count(link) == 1 or link == finger.tip
         }
         self._fingers = len(hand.fingers)
-        grip = plan.grip
-        sides = ((), ()) if grip is None else (grip.fingers, grip.others)
-        self._sides = [list(side) for side in sides]
-        self._around = grip is not None and grip.around
+        self._sides, self._around = [list(side) for side in sides], around
         tips = [[hand.fingers[f].tip for f in side] for side in self._sides]
         self._tips = [
             [g for g in range(model.ngeom) if model.geom_bodyid[g] in bodies]
@@ -240,25 +271,9 @@ class Contacts:
             )
         ]
 
-    def sides(self) -> tuple[float, float]:
-        """Return the normal force of each side on the object [N]."""
-        each, _ = self._normals()
-        one, other = (float(sum(np.linalg.norm(each[f]) for f in side)) for side in self._sides)
-        return one, other
-
-    def between(self) -> float:
-        """Return the force between the tips on the object [N]: its normal component alone."""
-        one, other = self.sides()
-        # An object at rest is pressed equally from both sides; while it moves, the larger counts.
-        return one + other if self._around else max(one, other)
-
-    def own(self) -> float:
-        """Return the largest force of fingers on one another [N]."""
-        return self._normals()[1]
-
-    def _normals(self) -> tuple[FloatArray, float]:
-        """Return the normal forces of the fingers on the object ``(n, 3)``, and on one another."""
-        found, own, force = np.zeros((self._fingers, 3)), 0.0, np.zeros(6)
+    def seen(self) -> Seen:
+        """Return the forces at this moment."""
+        normal, own, force = np.zeros((self._fingers, 3)), 0.0, np.zeros(6)
         data, model = self._data, self._model
         for number in range(data.ncon):
             contact = data.contact[number]
@@ -268,12 +283,18 @@ class Contacts:
             first, second = self._finger_of.get(one), self._finger_of.get(other)
             mujoco.mj_contactForce(model, data, number, force)
             if self._thing in (one, other):
-                finger = first if other == self._thing else second
+                finger, towards = (first, 1.0) if other == self._thing else (second, -1.0)
                 if finger is not None:
-                    found[finger] += force[0] * contact.frame[:3]
+                    normal[finger] += towards * force[0] * contact.frame[:3]
             elif first is not None and second is not None and first != second:
                 own = max(own, float(force[0]))
-        return found, own
+        each = np.linalg.norm(normal, axis=1)
+        one_side, other_side = (float(each[side].sum()) for side in self._sides)
+        if self._around:
+            return Seen((one_side, other_side), one_side + other_side, one_side + other_side, own)
+        along = [float(np.linalg.norm(normal[side].sum(axis=0))) for side in self._sides]
+        # While an object moves, one side may press more.
+        return Seen((one_side, other_side), 0.5 * sum(along), max(one_side, other_side), own)
 
     def gap(self) -> float:
         """Return the least distance of the tips of the two sides [m], by MuJoCo's own measure."""
@@ -340,19 +361,23 @@ class _Try:
         self, ready: TrialBench, case: Case, goal: Goal, plan: Plan, simulation: Simulation
     ) -> None:
         self._goal, self._simulation, self._shape = goal, simulation, _shape(case)
-        self._contacts = Contacts(simulation, ready.hand, plan)
+        grip = plan.grip
+        sides = ((), ()) if grip is None else (grip.fingers, grip.others)
+        around = grip is not None and grip.around
+        self._contacts = Contacts(simulation, ready.hand, sides, around)
         self._around = simulation.surroundings
         kind = NumbHand if case.numb else HeadlessHand[Simulation]
         self._headless = kind(ready.hand, ready.library, ready.settings, simulation)
         self._forces: list[float] = []
-        self._own = 0.0
+        self._blow = self._own = 0.0
         self._met, self._pressed = math.nan, -math.inf
         self._headless.before_tick(self._watch)
 
     def _watch(self, now: float) -> None:
-        self._forces.append(self._contacts.between())
-        self._own = max(self._own, self._contacts.own())
-        if min(self._contacts.sides()) > 0.0:
+        seen = self._contacts.seen()
+        self._forces.append(seen.between)
+        self._blow, self._own = max(self._blow, seen.blow), max(self._own, seen.own)
+        if min(seen.sides) > 0.0:
             if now - self._pressed > _APART:
                 self._met = self._contacts.gap()
             self._pressed = now
@@ -362,14 +387,14 @@ class _Try:
         headless, around = self._headless, self._around
         # What is presented may overlap a finger at first, and is pushed out: that is no blow.
         headless.wait(_PRESENTED)
-        self._forces.clear()
+        self._blow = 0.0
         result = headless.do(self._goal)
         met = self._met
         before = len(headless.events)  # what was lost on the way is not this grasp
         start = around.object_frame if around.has_object else np.eye(4)
         place = around.position_in_hand if around.has_object else np.zeros(3)
         headless.wait(SETTLED)
-        until = len(self._forces)
+        until, blow = len(self._forces), self._blow
         if around.has_object:
             around.remove_support()
         gap = self._contacts.gap()
@@ -384,7 +409,7 @@ class _Try:
             result,
             said_lost(result, headless.events[before:]),
             held,
-            max(self._forces[:until], default=0.0),
+            blow,
             min(after),
             max(after),
             self._own,

@@ -1,9 +1,9 @@
 """Measure the force with which hands hold, beside the requested one, in MuJoCo.
 
 Each hand grasps an object that floats between its fingertips, by width and force, as `rtee grasp`
-does. The measured force is that of the contacts half a second later; the peak is the strongest
-force at any tick before the result. With --vary, widths and shapes vary, and the result is the
-share of forces within 15 %. Run: python benchmarks/grasp_force.py
+does. The measured force is that between the tips (`grasp_cases.Seen`) half a second later; the peak
+is the strongest force at any tick before the result. With --vary, widths and shapes vary, and the
+result is the share of forces within 15 %. Run: python benchmarks/grasp_force.py
 """
 
 from __future__ import annotations
@@ -12,19 +12,17 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
+from grasp_cases import Contacts
 
 from rtee.actions.library import ActionLibrary
-from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import GoalRejected
 from rtee.hand.load import load_configured
-from rtee.hand.model import Hand
 from rtee.loop.measured import Measured
+from rtee.loop.planning import make_plan
 from rtee.loop.settings import loop_settings
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
@@ -62,31 +60,6 @@ CASES = (
         "heri_ii", "PinchTight", ("finger_2", "thumb"), "sphere:0.02", 0.04, (2.0, 5.0, 10.0, 20.0)
     ),
 )
-
-
-def squeeze(simulation: Simulation, hand: Hand) -> float:
-    """Return the force that each side exerts on the object [N].
-
-    That is half the sum over the fingers of the size of what each exerts on the object, all of its
-    links together: links of one finger that press against each other add nothing.
-    """
-    model, data = simulation.model, simulation.data
-    obj = model.body(OBJECT).id
-    finger_of = {
-        model.body(LINK + link).id: number
-        for number, finger in enumerate(hand.fingers)
-        for link in finger.links
-    }
-    force, found = np.zeros(6), np.zeros((len(hand.fingers), 3))
-    for number in range(data.ncon):
-        contact = data.contact[number]
-        first, second = (int(model.geom_bodyid[geom]) for geom in contact.geom)
-        finger = finger_of.get(first if second == obj else second)
-        if obj not in (first, second) or finger is None:
-            continue
-        mujoco.mj_contactForce(model, data, number, force)
-        found[finger] += contact.frame.reshape(3, 3).T @ force[:3]
-    return float(np.linalg.norm(found, axis=1).sum()) / 2.0
 
 
 class Numb(HeadlessHand[Simulation]):
@@ -136,12 +109,15 @@ def grasp(case: Case, force: float, numb: bool) -> Came:
         speed=TipSpeed(SPEED),
         effort=Force(force),
     )
+    grip = make_plan(goal, hand, library, settings).grip
+    assert grip is not None
+    contacts = Contacts(simulation, hand, (grip.fingers, grip.others), grip.around)
     forces: list[float] = []
-    headless.before_tick(lambda _: forces.append(squeeze(simulation, hand)))
+    headless.before_tick(lambda _: forces.append(contacts.seen().between))
     result = headless.do(goal)
     headless.wait(SETTLE)
     width = float("nan") if result.opening is None else result.opening
-    held = squeeze(simulation, hand)
+    held = contacts.seen().between
     return Came(held, max(forces), width, bool(result.within), result.grasped)
 
 

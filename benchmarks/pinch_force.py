@@ -25,7 +25,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from common import HELP, Table, command_line
-from grasp_force import CONFIG, RATE, squeeze
+from grasp_cases import Contacts
+from grasp_force import CONFIG, RATE
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Primitive
@@ -122,11 +123,13 @@ def force(
     headless.do(goal)
     headless.wait(SETTLE)
     found: list[float] = []
+    fingers = [[hand.finger_names.index(finger)] for finger in pinch.elements[:2]]
+    contacts = Contacts(simulation, hand, (fingers[0], fingers[1]))
     headless.before_tick(
         lambda _: found.append(
             on_each_other(simulation, hand, pinch.elements)
             if plate is None
-            else squeeze(simulation, hand)
+            else contacts.seen().between
         )
     )
     headless.wait(SETTLE)

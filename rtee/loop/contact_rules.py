@@ -12,7 +12,7 @@ from typing import Final
 
 from rtee.loop.free_motion import FREELY
 
-VERSION: Final = 14
+VERSION: Final = 15
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made with other rules."""
 

@@ -56,11 +56,16 @@ _LIMIT_SHARE: Final = 0.25
 """Error of an estimate from effort limits, likewise: motors do not keep them more exactly."""
 
 _TIP_SHARE: Final = 0.05
-"""Error of sensors at the fingertips, likewise: better than either estimate, though they drift."""
+"""Error of sensors at the fingertips of a pair of jaws, likewise: better than either estimate,
+though they drift."""
 
-_GIVING: Final = 0.1
-"""The same where one motor bends more than two fingers, which go on giving way to one another. In
-simulation, 47 of 48 grasps of 3-Finger and SoftHand stay within it, 44 within 5 %."""
+_ASKEW: Final = 0.1
+"""The same of other fingers, which meet objects at an angle: pads measure the normal force, to
+which friction adds, or from which it takes, along the closing direction."""
+
+_UNEVEN: Final = 0.15
+"""What an object weighs along the closing direction makes the sides differ by up to twice this
+share of the force. A larger difference comes from fingers that press on one another."""
 
 _SQUEEZES: Final = 0.1
 """An actuator takes part in squeezing if it closes the tips by at least this share of the most
@@ -410,14 +415,31 @@ class Grip:
     def tip_force(self, touch: Sequence[float]) -> float:
         """Return the force that sensors at the fingertips measure [N]; ``NaN``: not at all of them.
 
-        Two sides press equally on an object: an excess on one side comes from fingers, or links of
-        a finger, that press against one another.
+        Two sides press on an object equally, but for what it weighs along the closing direction,
+        which one of them bears: the force between them is their mean.
         """
-        if not touch or max(*self.fingers, *self.others) >= len(touch):
-            return math.nan
-        one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
+        one, other = self._sides_felt(touch)
+        if self.around:
+            return one + other
         # A side that is not measured is NaN, which `min` would lose as its second argument.
-        return one + other if self.around else min(one, other) if other == other else other
+        return min(0.5 * (one + other), (1.0 + _UNEVEN) * min(one, other))
+
+    def tip_error(self, touch: Sequence[float]) -> float:
+        """Return the error of `tip_force` [N]: that of the sensors, and how the sides differ."""
+        one, other = self._sides_felt(touch)
+        share = _TIP_SHARE if self._jaws else _ASKEW
+        return share * self.tip_force(touch) + (0.0 if self.around else 0.5 * abs(one - other))
+
+    def _sides_felt(self, touch: Sequence[float]) -> tuple[float, float]:
+        """Return the force on the fingers of either side, by sensors [N]; ``NaN``: not measured."""
+        if not touch or max(*self.fingers, *self.others) >= len(touch):
+            return math.nan, math.nan
+        return sum([touch[i] for i in self.fingers]), sum([touch[i] for i in self.others])
+
+    @property
+    def _jaws(self) -> bool:
+        """Whether one actuator moves two fingers against each other."""
+        return len(self.indices) == 1 and len(self.fingers) + len(self.others) == 2
 
     def force(
         self,
@@ -447,11 +469,7 @@ class Grip:
         """
         felt = self.tip_force(touch)
         if felt == felt:
-            one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
-            # The excess of one side may press on the object, too, if other links support it.
-            uneven = 0.0 if self.around else abs(one - other)
-            gives = self.bends and self._shared(self.squeezing(self.intensity_of(position)))
-            return felt, (_GIVING if gives else _TIP_SHARE) * felt + uneven, TIPS
+            return felt, self.tip_error(touch), TIPS
         share = self._nearest(position)
         if share != share:
             return math.nan, math.nan, ""

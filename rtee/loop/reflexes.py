@@ -414,7 +414,8 @@ class Reflexes:
                 self._resume(i, watched, stamp, measured)
             if watched.touched or not measured.fresh[i]:
                 continue
-            # An object pushed by one of several fingers is not held yet: all must touch.
+            # An object pushed by one of several fingers is not held yet: all must touch, unless one
+            # that touches stops the others short of it.
             every = watched.mode is OnContact.SQUEEZE
             velocity = self._profile.velocity[i]
             reference = self._limiter.position[i]
@@ -424,8 +425,9 @@ class Reflexes:
                 forces = self._contact.forces(i, measured)
                 touches = rules.any_touch(forces, self._grasp.touch) is True
             else:
+                every = every and not (forced or self._contact.blocked(i))
                 touches = self._contact.meets(
-                    i, stamp, measured, reference, velocity, every=every and not forced, sides=sides
+                    i, stamp, measured, reference, velocity, every=every, sides=sides
                 )
             if not (pressed or touches):
                 strengthened = watched.limit < math.inf

@@ -147,7 +147,8 @@ class Squeeze:
         self._factor, self._corrected = 1.0, math.nan
         self._correct_until, self._there = -math.inf, math.inf
         self._rising_until = -math.inf
-        self._correcting = False
+        self._strayed = math.inf
+        self._correcting = self._arrived = False
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._before = self._enough = self._settled = self._ease = math.inf
@@ -179,8 +180,7 @@ class Squeeze:
         if not self.built:
             self._build(stamp, measured)
             return True
-        until = self._correct_until if self._correct_until < math.inf else self._rising_until
-        self._correcting = self.grip is not None and stamp < until
+        self._correcting = self.grip is not None and self._corrects(stamp, measured)
         if self.grip is not None and self._correcting:
             corrected = self._correct(self.grip, stamp, measured)
             self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
@@ -211,16 +211,43 @@ class Squeeze:
         """Least factor by which a measured force changes the effort limits."""
         return _HEEL if self.grip is not None and self.grip.around else 1.0 / _BELIEVED
 
+    def _corrects(self, stamp: float, measured: Measured) -> bool:
+        """Return whether the force is being brought to the requested one, at first or again."""
+        until = self._correct_until if self._correct_until < math.inf else self._rising_until
+        if stamp < until:
+            self._strayed = stamp
+            return True
+        self._arrived = True
+        if not self._strays(measured):
+            self._strayed = stamp
+        if stamp - self._strayed < _SETTLE:
+            return False
+        self._correct_until, self._there, self._corrected = stamp + _CORRECTED, stamp, stamp
+        return True
+
+    def _strays(self, measured: Measured) -> bool:
+        """Return whether the force has left the requested one, since an object shifts or creeps.
+
+        A force that is raised by slips stays. Where slips are answered, a higher force may be one.
+        """
+        share = self._felt(measured) / self.force
+        if not share >= _FELT or self._level != 1.0:
+            return False
+        now = 0.0 if self.answers_slips else math.inf
+        return not rules.force_rests(share, now, 0.0)
+
     def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
         """Bring the force that sensors measure to the requested one; return whether it changed.
 
         Adaptive fingers bend, and touch elsewhere than the levers assume. Without sensors at the
-        fingertips of both sides, only the levers count. Once the force has arrived, it is no longer
-        corrected: sensors also measure external forces, which must not loosen the grasp.
+        fingertips of both sides, only the levers count. Once the force has arrived, it is lowered
+        no further than need be: sensors may also measure external forces.
         """
         felt = self._felt(measured)
         time, self._corrected = stamp - self._corrected, stamp
         wanted = self.force
+        if self._arrived:
+            wanted = max(wanted, min(felt, rules.STRONG * wanted))
         # Of several joints, the one that bears most shows what the limits give; others may be
         # held by their posture, and never come near theirs.
         most = max((self._exerted(i, measured) for i in self.pressing), default=math.inf)

@@ -178,6 +178,26 @@ def test_sensors_on_both_sides_correct_the_force(reads: float) -> None:
     assert reads * gripper.force == pytest.approx(40.0, rel=0.02)
 
 
+@pytest.mark.parametrize(("reads", "share"), [(0.8, 0.94), (1.25, 1.06)])
+def test_a_force_that_leaves_the_requested_one_is_brought_back(reads: float, share: float) -> None:
+    gripper = Gripper(0.04, reads=1.0)
+    gripper.do(grasp(0.04, 40.0))
+    gripper.reads = reads  # the object has shifted, so that the levers are others
+    for _ in range(1000):
+        gripper.tick()
+    felt = reads * gripper.force / 40.0
+    assert min(share, 1.0) - 0.01 <= felt <= max(share, 1.0) + 0.01
+
+
+def test_a_force_is_not_lowered_where_more_may_be_the_pull_of_a_slipping_object() -> None:
+    gripper = Gripper(0.04, reads=1.0)
+    gripper.do(Goal(Named("Grasp"), Around(0.04), effort=Force(40.0, 80.0)))
+    before, gripper.reads = gripper.force, 1.1
+    for _ in range(1000):
+        gripper.tick()
+    assert gripper.force == pytest.approx(before, rel=0.02)
+
+
 def test_the_impact_of_the_contact_does_not_pass_for_the_force() -> None:
     gripper = Gripper(0.04, reads=1.0, impact=60.0)
     result = gripper.do(grasp(0.04, 40.0))
@@ -337,7 +357,10 @@ def test_the_force_between_the_tips_needs_both_sides() -> None:
     grip = Grip(
         (0,), (0.0,), (1.0,), (0.0, 1.0), (0.1, 0.0), ((0.1,), (0.1,)), (0.0,), (1.0,), (0,), (1,)
     )
-    assert grip.tip_force([5.0, 4.0]) == 4.0
+    assert grip.tip_force([5.0, 4.0]) == 4.5, "one side also bears the object"
+    assert grip.tip_error([5.0, 4.0]) == pytest.approx(0.05 * 4.5 + 0.5)
+    assert grip.tip_force([5.0, 1.0]) == pytest.approx(1.15), "the rest is pressed by itself"
+    assert grip.tip_force([5.0, 0.0]) == 0.0
     for missing in ([math.nan, 5.0], [5.0, math.nan], [5.0]):
         assert math.isnan(grip.tip_force(missing))
 

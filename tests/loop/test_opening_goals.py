@@ -343,8 +343,8 @@ def test_the_force_is_estimated_from_the_best_that_is_measured() -> None:
     at = [found.position_at(found.intensity_at(0.03))[0]]
     effort = [found.efforts(50.0, found.intensity_at(0.03))[0]]
     force, error, source = found.force(at, [NAN], effort, [50.0, 52.0], True)
-    # Two sides press equally: what one measures more, it presses on itself.
-    assert (force, source) == (pytest.approx(50.0), TIPS)
+    # Two sides press equally, but for what the object weighs, which one of them bears.
+    assert (force, error, source) == (pytest.approx(51.0), pytest.approx(0.05 * 51.0 + 1.0), TIPS)
     force, error, source = found.force(at, effort, effort, [], True)
     assert (force, source) == (pytest.approx(50.0, rel=1e-6), EFFORT)
     assert error == pytest.approx(0.15 * 50.0)
