@@ -218,12 +218,12 @@ class Seen:
     """The forces in a grasp at one moment [N].
 
     Attributes:
-        sides: Sum of the fingers' normal forces on the object, by side.
-        between: The force between the tips: the normal force of a side along its closing direction,
-            which is the sum of the normal forces of its links as vectors, in the mean of both
-            sides, since one of them also bears what the object weighs along that direction. Of tips
-            from all around, the sum over the fingers.
-        blow: The largest of the sides' normal forces; of tips from all around, their sum.
+        sides: The normal force of each side on the object: the sum over its fingers. That of a
+            finger is the size of the sum of its links' normal forces as vectors: what counts is
+            their component along the direction in which the finger presses.
+        between: The force between the tips: the mean of both sides, since one of them also bears
+            what the object weighs along the closing direction. Of tips from all around, the sum.
+        blow: The larger of the sides; of tips from all around, their sum.
         own: The largest force of fingers on one another.
     """
 
@@ -290,11 +290,11 @@ class Contacts:
                 own = max(own, float(force[0]))
         each = np.linalg.norm(normal, axis=1)
         one_side, other_side = (float(each[side].sum()) for side in self._sides)
+        both = one_side + other_side
         if self._around:
-            return Seen((one_side, other_side), one_side + other_side, one_side + other_side, own)
-        along = [float(np.linalg.norm(normal[side].sum(axis=0))) for side in self._sides]
+            return Seen((one_side, other_side), both, both, own)
         # While an object moves, one side may press more.
-        return Seen((one_side, other_side), 0.5 * sum(along), max(one_side, other_side), own)
+        return Seen((one_side, other_side), 0.5 * both, max(one_side, other_side), own)
 
     def gap(self) -> float:
         """Return the least distance of the tips of the two sides [m], by MuJoCo's own measure."""
