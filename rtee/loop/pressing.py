@@ -30,7 +30,7 @@ _LOOKS_AHEAD = 0.1
 
 _INTEGRATES = 0.4
 """The same of servos with integral control, which go on building up effort for long after the
-reference has stopped: in simulation, an Allegro keeps within 9 % then, and within 14 % with 0.1 or
+reference has stopped: in simulation, an Allegro keeps within 9 % then, and within 13 % with 0.1 or
 0.2 s."""
 
 _SMOOTH = 0.03
