@@ -66,6 +66,10 @@ _SPARE = 2.0
 """Effort limits are this multiple of the efforts that the levers predict: sensors break, and
 keeping the posture takes effort, too."""
 
+_BELIEVED = 3.0
+"""Largest factor by which sensors correct those efforts, where the object is met elsewhere than the
+levers assume: in simulation, a finger takes 5 times as much, beyond `_SPARE`."""
+
 _POSTURE = 0.25
 """Share of the effort limit that carries a finger and overcomes its friction, besides the force."""
 
@@ -369,7 +373,7 @@ class Pressing:
             if not sensed:
                 self._rate = 0.0
             return changed
-        self._move(time, wanted, measured)
+        changed = self._move(time, wanted, measured) or changed
         if not self.built:
             if max(abs(share - 1.0), abs(soon - 1.0)) > _NEAR:
                 self._off = stamp
@@ -417,13 +421,14 @@ class Pressing:
         pressed = self.felt >= _TOUCHES * self._force
         return max(self._grip.intensity[-1] - start + (_BEYOND if pressed else 0.0), 0.0)
 
-    def _move(self, time: float, wanted: float, measured: Measured) -> None:
-        """Move the references by the error of the force."""
+    def _move(self, time: float, wanted: float, measured: Measured) -> bool:
+        """Move the references by the error of the force; return whether ``effort`` has changed."""
         self._learn_stiffness(wanted)
         speed = (wanted - self._foreseen) / (self._stiffness * _FOLLOW)
         speed = min(max(speed, -self._speed), self._speed)
+        stronger = False
         if speed > 0.0 and (self._exhausted(measured) or self._one_sided(wanted, measured)):
-            speed = 0.0
+            speed, stronger = 0.0, self._strengthen(measured)
         at = min(max(self._grip.intensity_of(measured.position), 0.0), self._grip.intensity[-1])
         slope = max(self._grip.slope_at(at), 1e-6)
         # By the actuator that can change its velocity least.
@@ -437,6 +442,7 @@ class Pressing:
         self._depth += (self._share - before) * slope
         there = {i: base + self._share * self._way[i] for i, base in self._base.items()}
         self._profile.seed({i: self._profile.limits.clamp(i, p) for i, p in there.items()})
+        return stronger
 
     def _foresee(self, time: float, sensed: bool) -> None:
         """Predict the force by its rate, a time after the last measurement [s]."""
@@ -460,12 +466,45 @@ class Pressing:
         return any(sum(touch[f] for f in side) > ONE_SIDE * wanted for side in sides)
 
     def _exhausted(self, measured: Measured) -> bool:
-        """Return whether all actuators that press are at their effort limits."""
-        return all(
-            abs(measured.effort[i]) >= _FULL * self.effort[i]
-            for i in self._predicted
-            if i in self.held
-        )
+        """Return whether all actuators of one side that press are at their effort limits.
+
+        Deeper references would not press harder, but push the object and that side back.
+        """
+        pressing = self._predicted.keys() & self.held
+        full = {i for i in pressing if abs(measured.effort[i]) >= _FULL * self.effort[i]}
+        return full == pressing or any(side and side <= full for side in self._sides(pressing))
+
+    def _sides(self, indices: Iterable[int]) -> list[set[int]]:
+        """Return those of some actuators that move the fingers of each side."""
+        grip, names = self._grip, self._hand.finger_names
+        if grip.around:  # each finger is a side of its own
+            return []
+        moved = [({names.index(f) for f in self._hand.actuators[i].fingers}, i) for i in indices]
+        sides = (grip.fingers, grip.others)
+        return [{i for own, i in moved if not own.isdisjoint(side)} for side in sides]
+
+    def _strengthen(self, measured: Measured) -> bool:
+        """Allow the efforts that the force takes at the present posture; return whether it is more.
+
+        On a wide object, levers change by a multiple between its width and where it is met. Sensors
+        show how much effort the present force takes.
+        """
+        grip, known = self._grip, self._predicted
+        now = grip.efforts(self._force, grip.intensity_of(measured.position))
+        if math.isnan(grip.tip_force(measured.touch)):
+            share = 0.0
+        else:
+            share = self._force / max(self.felt, _TOUCHES * self._force)
+        sensed = {i: share * abs(measured.effort[i]) for i in known}
+        more = {
+            i: max(effort, min(sensed[i], _BELIEVED * effort))
+            for i, effort in now.items()
+            if i in known
+        }
+        more = {i: effort for i, effort in more.items() if effort > known[i]}
+        self._predicted = known | more
+        self.effort |= self._ceilings(more.keys() & self.held)
+        return bool(more)
 
     def _arrive(self, stamp: float, share: float, measured: Measured) -> None:
         """Judge whether something is held, and record the result."""

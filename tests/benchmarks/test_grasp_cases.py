@@ -189,6 +189,16 @@ def test_fingers_that_met_one_another_are_not_said_to_hold_when_one_pushes_the_o
     assert (truth.said, truth.unknown, truth.held) == (False, True, False)
 
 
+@pytest.mark.parametrize(("numb", "seed"), [(False, 4242086425), (True, 3280275124)])
+def test_a_side_that_gives_way_is_not_pushed_back_with_the_object(numb: bool, seed: int) -> None:
+    # The middle finger needs five times the effort that its lever at 90 mm predicts.
+    case = Case(CaseObject.SPHERE, 0.09, 5.8, None, numb, seed)
+    truth = try_case(bench("inspire_rh56", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+    assert truth.low >= 0.8 * 5.8
+    assert truth.high <= 1.1 * 5.8
+
+
 @pytest.mark.parametrize("thing", [CaseObject.HEAVY, CaseObject.SLIPPERY])
 def test_what_falls_out_is_not_said_to_be_held(thing: CaseObject) -> None:
     truth = try_case(bench("wsg50", RATE), Case(thing, 0.03, 20.0, None, seed=6))
