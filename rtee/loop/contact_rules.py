@@ -27,13 +27,21 @@ STRONG: Final = 1.06
 """It is lowered again above this share if efforts have risen as much: sensors also measure the pull
 of the load, which must not loosen the grasp."""
 
-_OTHER_SIDE: Final = 0.1
+_OTHER_SIDE: Final = 0.04
 """Least share of one side's force that the other side must show: in simulation, efforts of sides
-that hold an object between them differ by a factor of 4 at most, those of other sides by 60."""
+that hold an object between them differ by a factor of 13 at most, those of other sides by 55."""
 
 _YIELDED: Final = 0.5
 """Share of the opening that is left when the fingers have closed past an object [1]: a soft one
 yields by less."""
+
+_BENT: Final = 0.2
+"""The same of fingers that bend: their actuators go on by some millimetres before the force shows.
+In simulation, 0.3 is left on a plate of 2 mm, more on all else, and 0.02 on nothing."""
+
+_STRAYS: Final = 6e-3
+"""A fingertip strays when one actuator moves it this far from where it grasped [m]: more than the
+5 mm by which what is held may move. In simulation, those that hold stray by 4.8 mm at most."""
 
 _CREEP: Final = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
@@ -207,7 +215,7 @@ def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
     return opening <= doubt and not word
 
 
-def closed_past(opening: float, doubt: float, held: float) -> bool:
+def closed_past(opening: float, doubt: float, held: float, *, bends: bool = False) -> bool:
     """Return whether fingertips have closed past what they held, and meet as in the empty hand.
 
     They press on one another then as they did on the object.
@@ -215,9 +223,15 @@ def closed_past(opening: float, doubt: float, held: float) -> bool:
     Args:
         opening: The opening by the actuators' positions [m].
         doubt: Largest opening that may be measured while the tips touch one another [m].
-        held: The opening when the object was grasped [m].
+        held: The opening when the object was met or grasped [m].
+        bends: Whether fingers bend on the object while their actuators go on.
     """
-    return held > doubt and opening <= min(doubt, _YIELDED * held)
+    return held > doubt and opening <= min(doubt, (_BENT if bends else _YIELDED) * held)
+
+
+def strays(moved: float) -> bool:
+    """Return whether a fingertip swings or rolls with what it grasped, by its travel since [m]."""
+    return moved > _STRAYS
 
 
 def came_as_far(came: float, meets: float, early: float) -> bool:

@@ -334,6 +334,24 @@ class ContactMonitor:
         watched = self._watched[i]
         return watched.grasping or abs(reference - position) > watched.tolerance
 
+    def strayed(self, i: int, stamp: float, position: Sequence[float]) -> float:
+        """Return how far an actuator has moved its fingertip since it was pinned [m].
+
+        Args:
+            i: The actuator.
+            stamp: Now [s].
+            position: Positions of all actuators [rad | m].
+        """
+        watched = self._watched.get(i)
+        if watched is None:
+            return 0.0
+        moved = abs(position[i] - watched.hold_position)
+        # Seldom, since a lever takes a good part of a tick. "not ... >": it may not be pinned.
+        if not moved > watched.tolerance:
+            return 0.0
+        lever = self._levers.of(i, stamp, position)
+        return moved * lever if lever == lever else 0.0
+
     def clasped(self, i: int, reference: float) -> bool:
         """Return whether an actuator holds an object that its reference still leads into."""
         grip = self._grips[i]

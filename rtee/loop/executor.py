@@ -393,11 +393,19 @@ class Executor:
             return not word and not (self._path[2] and self._stopped_early(run))
         if plan.grip is None or not (self._reflexes.touched or grasped or closes):
             return False
-        met, grip = self._met or measured.position, plan.grip
+        met, here, grip = self._met or measured.position, measured.position, plan.grip
+        bends = self._bends(run)
         # Fingers that met one another push each other off the path. Those that bend as they press
         # have an opening only where they met the object.
-        places = (met,) if self._bends(run) else (met, measured.position)
+        places = (met,) if bends else (met, here)
         if any(rules.may_be_nothing(grip.opening(p), grip.doubt(p), word=word) for p in places):
+            return True
+        # One motor that bends several fingers goes on with those that miss the object.
+        own = bends and len(grip.squeezing(grip.intensity_of(met))) > 1
+        past = own and rules.closed_past(
+            grip.opening(here), grip.doubt(here), grip.opening(met), bends=True
+        )
+        if past and not word:
             return True
         last = isinstance(plan.to, Around) and run.leg + 1 == len(plan.legs)
         if OnContact.STOP in (*plan.on_contact.values(), self._settings.grasp.on_contact):

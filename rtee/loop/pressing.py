@@ -365,7 +365,8 @@ class Pressing:
         self._foresee(time, sensed)
         # All fingers count: one that stopped elsewhere holds nothing by itself.
         changed = self.answers_slips and self.built and self._slips(stamp, measured)
-        self._contact.presses_now(self._way, share >= _TOUCHES and not self._past(measured))
+        gone = share < _TOUCHES or self._past(measured) or self._strays(stamp, measured)
+        self._contact.presses_now(self._way, not gone)
         # By efforts, which friction shifts, a force is not known well enough to be foreseen.
         soon = (self._foreseen if sensed else self.felt) / wanted
         if self.built and self._rests(soon, sensed, measured):
@@ -385,10 +386,18 @@ class Pressing:
 
     def _past(self, measured: Measured) -> bool:
         """Return whether the fingertips have closed past what they held."""
-        if not self.built or self._grip.bends:  # the actuators of bending fingers go on
+        if not self.built:
             return False
-        opening, doubt = self._grip.opening(measured.position), self._grip.doubt(measured.position)
-        return rules.closed_past(opening, doubt, self._width)
+        grip, here = self._grip, measured.position
+        opening, doubt = grip.opening(here), grip.doubt(here)
+        return rules.closed_past(opening, doubt, self._width, bends=grip.bends)
+
+    def _strays(self, stamp: float, measured: Measured) -> bool:
+        """Return whether a fingertip has left the place where it grasped."""
+        if not self.built:
+            return False
+        way = (self._contact.strayed(i, stamp, measured.position) for i in self.held)
+        return rules.strays(max(way, default=0.0))
 
     def _rests(self, share: float, sensed: bool, measured: Measured) -> bool:
         """Return whether a force that was reached stays unchanged."""

@@ -189,6 +189,27 @@ def test_fingers_that_met_one_another_are_not_said_to_hold_when_one_pushes_the_o
     assert (truth.said, truth.unknown, truth.held) == (False, True, False)
 
 
+@pytest.mark.parametrize(
+    ("thing", "width", "force", "seed"),
+    [
+        (CaseObject.HEAVY, 0.045, 15.0, 2685256138),
+        (CaseObject.SLIPPERY, 0.02, 3.9, 3437219017),
+    ],
+)
+def test_bending_fingers_that_come_as_far_as_in_the_empty_hand_are_not_said_to_hold(
+    thing: CaseObject, width: float, force: float, seed: int
+) -> None:
+    truth = try_case(bench("heri_ii", RATE), Case(thing, width, force, numb=True, seed=seed))
+    assert truth.own > 0.1 * force  # they press on one another
+    assert (truth.said, truth.unknown, truth.held) == (False, True, False)
+
+
+def test_bending_fingers_that_stop_on_a_thin_plate_hold_it() -> None:
+    case = Case(CaseObject.BOX, 0.002, 9.6, numb=True, seed=110250694)
+    truth = try_case(bench("heri_ii", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+
+
 @pytest.mark.parametrize(("numb", "seed"), [(False, 4242086425), (True, 3280275124)])
 def test_a_side_that_gives_way_is_not_pushed_back_with_the_object(numb: bool, seed: int) -> None:
     # The middle finger needs five times the effort that its lever at 90 mm predicts.
@@ -197,6 +218,18 @@ def test_a_side_that_gives_way_is_not_pushed_back_with_the_object(numb: bool, se
     assert (truth.said, truth.held) == (True, True)
     assert truth.low >= 0.8 * 5.8
     assert truth.high <= 1.1 * 5.8
+
+
+def test_what_swings_in_the_fingers_is_said_to_be_lost() -> None:
+    case = Case(CaseObject.SOFT, 0.045, 1.4, numb=True, seed=2486580856)
+    truth = try_case(bench("allegro", RATE), case)
+    assert (truth.result.grasped, truth.lost, truth.held) == (True, True, False)
+
+
+def test_a_side_whose_effort_shows_little_of_the_force_holds_as_well() -> None:
+    case = Case(CaseObject.BOX, 0.07, 5.1, numb=True, seed=472839231)
+    truth = try_case(bench("ability_hand", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
 
 
 @pytest.mark.parametrize("thing", [CaseObject.HEAVY, CaseObject.SLIPPERY])

@@ -136,10 +136,20 @@ def test_fingers_that_meet_as_in_the_empty_hand_have_closed_past_what_they_held(
     assert not rules.closed_past(0.004, 0.005, 0.007)  # a soft object yields as far
     assert not rules.closed_past(0.0001, 0.005, 0.004)  # it was never told from the empty hand
     assert not rules.closed_past(NAN, NAN, 0.007)
+    # The actuators of fingers that bend go on by millimetres, on a thin plate, too.
+    assert not rules.closed_past(0.0014, 0.003, 0.0045, bends=True)
+    assert rules.closed_past(0.0008, 0.003, 0.05, bends=True)
+
+
+def test_a_fingertip_that_moves_by_more_than_a_slip_has_strayed() -> None:
+    assert not rules.strays(0.0048)
+    assert rules.strays(0.0068)
+    assert not rules.strays(NAN)
 
 
 def test_fingers_of_one_side_press_on_one_another() -> None:
     assert rules.both_press([3.9, 6.7])
+    assert rules.both_press([0.7, 9.3])  # met elsewhere than its levers assume
     assert not rules.both_press([0.07, 4.0])
     assert rules.both_press([5.0])  # against what nothing moves
 
