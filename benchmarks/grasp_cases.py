@@ -49,8 +49,8 @@ _PRESENTED: Final = 0.1
 """For this long an object is there before the goal begins [s]."""
 
 _APART: Final = 0.1
-"""For this long both sides must have lost the object before they can meet it again [s]: contacts
-chatter."""
+"""For this long both sides must have lost the object before they no longer press on it [s]:
+contacts chatter."""
 
 _FRICTION: Final = (0.6, 1.0)
 """Range of the friction."""
@@ -134,6 +134,7 @@ class Truth:
         result: What the hand says.
         lost: Whether it has said afterwards that it lost the object.
         held: Whether the object is in the hand.
+        pinched: Whether it is held by both sides, and does not lie beside the fingertips.
         peak: The largest force of a side until it is judged, its normal component alone.
         low: The least force between the tips from then on.
         high: The largest one.
@@ -146,6 +147,7 @@ class Truth:
     result: Result
     lost: bool
     held: bool
+    pinched: bool
     peak: float
     low: float
     high: float
@@ -409,6 +411,7 @@ class _Try:
             result,
             said_lost(result, headless.events[before:]),
             held,
+            held and headless.time - self._pressed <= _APART,
             blow,
             min(after),
             max(after),

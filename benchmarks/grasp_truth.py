@@ -4,7 +4,7 @@ Every hand closes by width and force on objects that it has not been tuned to: b
 five sizes, three forces, at its own speed and at 20 mm/s, with the fingers' forces measured
 ("sensors") and by effort alone; and on nothing, on soft, slippery and heavy things. Tables: the
 blow, the force and the width; whether what is said to be held is; and for each hand what is said of
-what is held, and of what is not.
+what is held between the tips or beside them, and of what is not.
 Run: python benchmarks/grasp_truth.py
 """
 
@@ -111,6 +111,7 @@ class Row:
     said: bool = False
     unknown: bool = False
     held: bool = False
+    pinched: bool = False
     grasped: bool = False
     reached: bool = False
     peak: float = math.nan
@@ -150,6 +151,11 @@ class Row:
         return abs(self.opening - self.met) <= self.opening_error
 
     @property
+    def where(self) -> str:
+        """Where the object is: between the tips, beside them, or not in the hand."""
+        return "pinched" if self.pinched else "beside" if self.held else "not held"
+
+    @property
     def word(self) -> str:
         """What the hand says of the object."""
         return "grasped" if self.said else "unknown" if self.unknown else "not grasped"
@@ -186,6 +192,7 @@ def tried(ready: TrialBench, hand: str, part: str, case: Case) -> Row:
         said=truth.said,
         unknown=truth.unknown,
         held=truth.held,
+        pinched=truth.pinched,
         grasped=result.grasped,
         reached=result.reached,
         peak=truth.peak,
@@ -254,16 +261,15 @@ def tables(rows: Sequence[Row]) -> None:
             rate([not (r.said or r.unknown) for r in things if CaseObject(r.thing).holds]),
             rate([r.unknown for r in some]),
         )
-    print("\nWhat is said of what is held, and of what is not.\n")
+    print("\nWhat is said of what is held between the tips or beside them, and of what is not.\n")
     words = ("grasped", "unknown", "not grasped")
-    table = Table(
-        "hand", "sensors", *(f"{true}: {word}" for true in ("held", "not held") for word in words)
-    )
+    places = ("pinched", "beside", "not held")
+    table = Table("hand", "sensors", *(f"{true}: {word}" for true in places for word in words))
     for hand, numb in groups:
         some = [r for r in done if (r.hand, r.numb) == (hand, numb)]
         counts = [
-            str(sum(r.held is true and r.word == word for r in some))
-            for true in (True, False)
+            str(sum(r.where == true and r.word == word for r in some))
+            for true in places
             for word in words
         ]
         table.row(hand, "no" if numb else "yes", *counts)
