@@ -35,9 +35,9 @@ _YIELDED: Final = 0.5
 """Share of the opening that is left when the fingers have closed past an object [1]: a soft one
 yields by less."""
 
-_BENT: Final = 0.2
+_BENT: Final = 0.1
 """The same of fingers that bend: their actuators go on by some millimetres before the force shows.
-In simulation, 0.3 is left on a plate of 2 mm, more on all else, and 0.02 on nothing."""
+In simulation, 0.26 is left on a plate of 2 mm, more on all else, and 0.02 on nothing."""
 
 _STRAYS: Final = 6e-3
 """A fingertip strays when one actuator moves it this far from where it grasped [m]: more than the
