@@ -198,12 +198,15 @@ class ForceEstimate:
     def error(self, measured: Measured) -> float:
         """Return the error of the force [N].
 
-        ``NaN`` for efforts of servos with integral control, which hunt within dry friction.
+        By efforts, the force lies between those of the sides, at least. ``NaN`` for efforts of
+        servos with integral control, which hunt within dry friction.
         """
         felt = self._grip.tip_error(measured.touch)
         if felt == felt:
             return felt
-        return math.nan if self.hunts else ELSEWHERE * self.of(measured)
+        sides = [] if self._grip.around else self.sides(measured.effort, measured.position)
+        apart = 0.5 * (max(sides, default=0.0) - min(sides, default=0.0))
+        return math.nan if self.hunts else max(ELSEWHERE * self.of(measured), apart)
 
     def by_efforts(
         self,

@@ -230,6 +230,7 @@ def test_a_side_whose_effort_shows_little_of_the_force_holds_as_well() -> None:
     case = Case(CaseObject.BOX, 0.07, 5.1, numb=True, seed=472839231)
     truth = try_case(bench("ability_hand", RATE), case)
     assert (truth.said, truth.held) == (True, True)
+    assert truth.result.force == pytest.approx(truth.low, abs=truth.result.force_error)
 
 
 @pytest.mark.parametrize("thing", [CaseObject.HEAVY, CaseObject.SLIPPERY])
