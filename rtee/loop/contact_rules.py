@@ -56,6 +56,11 @@ _DROP: Final = 0.7
 some 10 %."""
 
 
+_GAINS: Final = 1.25
+"""An actuator catches up with its reference when it moves by this multiple of the reference's
+motion: more than the noise of its position, and more than follows while the reference brakes."""
+
+
 def any_touch(forces: Sequence[float], least: float, *, every: bool = False) -> bool | None:
     """Return whether fingers touch something, by the forces on them.
 
@@ -156,6 +161,18 @@ def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) ->
     if left <= tolerance:
         return False
     return moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
+
+
+def catches_up(moved: float, led: float) -> bool:
+    """Return whether an actuator makes up for a delay, which takes effort without any contact.
+
+    What touches something falls behind its reference instead.
+
+    Args:
+        moved: How far it has closed since its effort first showed a contact [rad | m].
+        led: How far its reference has moved since then [rad | m].
+    """
+    return moved > _GAINS * led
 
 
 def holds(

@@ -129,6 +129,7 @@ class _EffortApproach:
         steps: Number of measurements of that motion.
         was: Its last measured position [rad | m].
         led_from: Its reference when its effort first showed a contact [rad | m].
+        came_from: Its measured position then [rad | m].
         surge: Size of the largest recent acceleration of its reference [rad/s² | m/s²].
         surged: When that acceleration occurred [s].
     """
@@ -145,6 +146,7 @@ class _EffortApproach:
     steps: int = 0
     was: float = math.nan
     led_from: float = math.nan
+    came_from: float = math.nan
     surge: float = 0.0
     surged: float = -math.inf
 
@@ -438,11 +440,15 @@ class ContactMonitor:
                 watched.hung = min(lag, tolerance)
             behind = lag > tolerance + watched.hung
             watched.led = watched.led + 1 if behind else 0
+            # Its device may not have the reference yet, however late measurements are.
+            begun = (position - watched.start) * ahead > self._slow[i]
+            waits = watched.led < _DELIVERED and not begun
             # A device that reports grasps reports them once its target is at rest.
             arriving = report == 0 and abs(reference[i] - watched.target) > tolerance
             # "not ... <=", since the anchor is NaN at first. An actuator pushed backwards (a grip
             # that is being opened) is not behind: its motion has not begun.
-            if not abs(position - watched.anchor) <= self._slow[i] or not behind or arriving:
+            moves = not abs(position - watched.anchor) <= self._slow[i]
+            if moves or not behind or arriving or waits:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan
                 watched.grasping = False
@@ -850,11 +856,13 @@ class ContactMonitor:
         if excess <= 1.0:
             approach.over = 0
             return False
+        led = abs(reference - approach.led_from)
+        if approach.over and rules.catches_up((here - approach.came_from) * approach.ahead, led):
+            approach.over = 0
         if not approach.over:
-            approach.led_from = reference
+            approach.led_from, approach.came_from, led = reference, here, 0.0
         approach.over += 1
         # A servo that moves in single counts needs as much before each of them.
-        led = abs(reference - approach.led_from)
         return approach.over >= _CONFIRMED and led >= _STEP_WAYS * stretch.count
 
     def _surges(self, approach: _EffortApproach, current: float, *, moves: bool) -> bool:

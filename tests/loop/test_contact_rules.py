@@ -47,6 +47,13 @@ def test_a_finger_that_is_not_measured_may_be_the_one_that_touches() -> None:
     assert rules.one_touches([]) is None
 
 
+def test_what_gains_on_its_reference_touches_nothing() -> None:
+    assert rules.catches_up(moved=0.02, led=0.01)
+    assert not rules.catches_up(moved=0.01, led=0.01)
+    assert not rules.catches_up(moved=0.0, led=0.0), "an actuator at rest presses"
+    assert not rules.catches_up(moved=-0.001, led=0.01), "it was pushed back"
+
+
 def test_forces_come_before_efforts_and_stalls() -> None:
     assert not rules.touches(False, pushes=True, blocked=True)
     assert rules.touches(True, pushes=False, blocked=False)
