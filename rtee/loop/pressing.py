@@ -19,6 +19,7 @@ from rtee.loop.grip import ELSEWHERE, ONE_SIDE, Grip
 from rtee.loop.measured import Measured
 from rtee.loop.motion import Limiter
 from rtee.loop.profiles import Profile
+from rtee.loop.squeeze import SlipReport
 from rtee.types import Event
 
 _FOLLOW = 0.15
@@ -97,9 +98,6 @@ some tenths of a second before it shows."""
 _SLIP = 0.75
 """Increase of the force after a slip, as a share of the present one: it overtakes a growing
 load."""
-
-_REPORT_EVERY = 0.5
-"""Slips are reported at most this often [s]: one event for people, not one for each step."""
 
 _CONFIRMED = 2
 """Measurements in succession that must show a slip: a single one may be noise."""
@@ -308,7 +306,8 @@ class Pressing:
         speed: float,
     ) -> None:
         self._hand, self._grasp, self._profile, self._limiter = hand, grasp, profile, limiter
-        self._contact, self._report, self._grip = contact, report, grip
+        self._contact, self._grip = contact, grip
+        self._slip_report = SlipReport(hand, report)
         self._estimate, self._force, self._predicted = estimate, force, predicted
         self._most, self._speed = most, speed
         self._way = {
@@ -329,8 +328,6 @@ class Pressing:
         self._by_efforts = self._width = math.nan
         self._rested: dict[int, float] = {}
         self._slipping = 0
-        self._reported = -math.inf
-        self._reported_limit = False
 
     @property
     def building(self) -> bool:
@@ -556,12 +553,5 @@ class Pressing:
         self._level = min(before * (1.0 + _SLIP), max(self._most, 1.0))
         self.effort |= self._ceilings(self.held)
         self._rested, self._slipping = now, 0
-        limited = self._level <= before
-        if stamp - self._reported >= _REPORT_EVERY and not (limited and self._reported_limit):
-            self._reported, self._reported_limit = stamp, self._reported_limit or limited
-            actuator = self._hand.actuators[pulled[0]]
-            who = ", ".join(actuator.fingers) or actuator.name
-            does = "the force is at its limit" if limited else "the force is raised"
-            text = f"slip at {who} (actuator {actuator.name}): {does}"
-            self._report(Event("slip", who, text, stamp, "warning"))
+        self._slip_report.answered(pulled[0], stamp, limited=self._level <= before)
         return True

@@ -99,6 +99,25 @@ class Held:
     low: int = 0
 
 
+class SlipReport:
+    """Reports answers to slips, as seldom as people need; that the force is at its limit, once."""
+
+    def __init__(self, hand: Hand, report: Callable[[Event], None]) -> None:
+        self._hand, self._report = hand, report
+        self._last, self._told_limit = -math.inf, False
+
+    def answered(self, i: int, stamp: float, *, limited: bool) -> None:
+        """Report a slip at an actuator, and whether the force could be raised no further."""
+        if stamp - self._last < _REPORT_EVERY or (limited and self._told_limit):
+            return
+        self._last, self._told_limit = stamp, self._told_limit or limited
+        actuator = self._hand.actuators[i]
+        who = ", ".join(actuator.fingers) or actuator.name
+        does = "the force is at its limit" if limited else "the force is raised"
+        text = f"slip at {who} (actuator {actuator.name}): {does}"
+        self._report(Event("slip", who, text, stamp, "warning"))
+
+
 class Squeeze:
     """Builds up a force, eases it while it holds, and raises it when the object slips.
 
@@ -134,8 +153,8 @@ class Squeeze:
         floor: float,
         most: float,
     ) -> None:
-        self._hand, self._grasp = hand, grasp
-        self._profile, self._contact, self._report = profile, contact, report
+        self._grasp, self._profile, self._contact = grasp, profile, contact
+        self._slip_report = SlipReport(hand, report)
         self.held = held
         self.effort = {i: each.start for i, each in held.items()}
         self.built = False
@@ -152,7 +171,6 @@ class Squeeze:
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._before = self._enough = self._settled = self._ease = math.inf
-        self._reported_at, self._reported_limit = -math.inf, False
 
     def forget(self, i: int) -> None:
         """Forget an actuator."""
@@ -343,15 +361,7 @@ class Squeeze:
         # Never eased below this again: the object would slip again.
         self._floor = max(self._floor, level)
         self._set_level(level, stamp)
-        limited = level <= before
-        if stamp - self._reported_at < _REPORT_EVERY or (limited and self._reported_limit):
-            return
-        self._reported_at, self._reported_limit = stamp, self._reported_limit or limited
-        actuator = self._hand.actuators[i]
-        who = ", ".join(actuator.fingers) or actuator.name
-        does = "the force is at its limit" if limited else "the force is raised"
-        text = f"slip at {who} (actuator {actuator.name}): {does}"
-        self._report(Event("slip", who, text, stamp, "warning"))
+        self._slip_report.answered(i, stamp, limited=level <= before)
 
     def _set_level(self, level: float, stamp: float) -> None:
         self._level = level
