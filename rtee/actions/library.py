@@ -325,7 +325,7 @@ class ActionLibrary:
         """Return whether a file was changed, added or removed since it was read or written."""
         return self._stored is not None and self._stored.changed()
 
-    def reload(self, *, force: bool = False) -> bool:
+    def reload(self) -> bool:
         """Read the files again if they changed, and return whether they did.
 
         Actions that exist only in memory are kept.
@@ -333,7 +333,7 @@ class ActionLibrary:
         Raises:
             ActionError: for every mistake in the files; the library is then unchanged.
         """
-        if not (force or self.changed()):
+        if not self.changed():
             return False
         # Actions without a file would be lost with the old index.
         volatile = [

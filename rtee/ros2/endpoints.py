@@ -38,7 +38,7 @@ _MOST_KEPT = 1000
 
 
 LONGEST = 1 << 20
-"""Default length of the longest message, request or response accepted [bytes]: ten times the
+"""Length of the longest message, request or response accepted [bytes]: ten times the
 longest message for a hand, a trajectory of thousands of points."""
 
 Callback = Callable[[Any], Awaitable[None] | None]
@@ -151,11 +151,10 @@ class Subscription:
         key: str,
         kind: TopicType,
         callback: Callback,
-        longest: int,
     ) -> None:
         self.type, self.name = kind, entity.topic
         self.source = Attachment(0, 0, b"")
-        self._participant, self._callback, self._longest = participant, callback, longest
+        self._participant, self._callback = participant, callback
         depth = min(entity.qos.depth, _MOST_KEPT)
         if entity.qos.history == History.KEEP_ALL:
             depth = _MOST_KEPT
@@ -191,7 +190,7 @@ class Subscription:
         try:
             attachment = attachments.decode(sample.attachment)
             # Checked before `bytes` copies it, since anybody may send anything.
-            if len(sample.payload) > self._longest:
+            if len(sample.payload) > LONGEST:
                 raise MessageError(f"it has {len(sample.payload)} bytes")
         except MessageError as error:
             self._drop(error)

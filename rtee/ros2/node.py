@@ -19,7 +19,7 @@ from rtee.errors import NoRouter, needing_extra
 from rtee.hand.config_schema import Ros2Settings
 from rtee.remote.connections import disable_linger
 from rtee.remote.session import close_session
-from rtee.ros2.endpoints import LONGEST, Callback, Client, Handler, Publisher, Service, Subscription
+from rtee.ros2.endpoints import Callback, Client, Handler, Publisher, Service, Subscription
 from rtee.ros2.keys import Entity, Kind, NodeName, key_expression, node_name
 from rtee.ros2.participant import Participant
 from rtee.ros2.qos import DEFAULT, Qos
@@ -112,8 +112,6 @@ class Node:
         type_: str | TopicType,
         callback: Callback,
         qos: Qos = DEFAULT,
-        *,
-        longest: int = LONGEST,
     ) -> Subscription:
         """Return a new subscription.
 
@@ -123,14 +121,13 @@ class Node:
             callback: Called in the event loop with one message after another; may return an
                 awaitable. While it is slow, the oldest messages beyond the QoS's depth are dropped.
             qos: Quality of service.
-            longest: Length of the longest message accepted [bytes].
 
         Raises:
             ConfigError: if ROS 2 would refuse the name.
             MessageError: if there is no such type.
         """
         kind = self._topic(type_)
-        return self._add(Subscription, Kind.SUBSCRIPTION, topic, kind, qos, callback, longest)
+        return self._add(Subscription, Kind.SUBSCRIPTION, topic, kind, qos, callback)
 
     def service(
         self,
