@@ -221,8 +221,7 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
     def _object(self) -> FloatArray:
         """Return the object's pose in the hand's base frame ``(4, 4)``."""
         around = self._simulation.surroundings
-        found: FloatArray = np.linalg.inv(around.base_pose) @ around.object_frame
-        return found
+        return np.linalg.inv(around.base_pose) @ around.object_frame
 
     def _judged(self) -> tuple[float, bool, bool]:
         """Return the reward, whether the object is lost, and whether the task is done."""

@@ -146,5 +146,4 @@ def totals(sensors: tuple[TouchSensor, ...], values: FloatArray) -> FloatArray:
         return np.zeros((*values.shape[:-1], 0))
     # `reduceat` sums from each start to the next one, and the last one to the end.
     starts = np.cumsum([0, *(sensor.taxels for sensor in sensors[:-1])])
-    sums: FloatArray = np.add.reduceat(values, starts, axis=-1)
-    return sums
+    return np.add.reduceat(values, starts, axis=-1)

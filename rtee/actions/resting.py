@@ -109,5 +109,4 @@ def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:
         # Velocities at the point of contact instead of the frames' origins: v + ω x r.
         arm = point - pose[:3, 3]
         velocities.append(jacobian[:3] + np.cross(jacobian[3:], arm, axis=0))
-    past: FloatArray = velocities[1] - velocities[0]
-    return past
+    return velocities[1] - velocities[0]

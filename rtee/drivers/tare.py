@@ -55,5 +55,4 @@ class SensorTare:
         share = np.where(change < -self._threshold, -np.expm1(-dt / _RELEASE), slow)
         quiet = change <= self._threshold  # not where a reading is NaN
         self._rest = np.where(quiet, rest + share * change, rest)
-        above: FloatArray = np.where(quiet, 0.0, change)
-        return above
+        return np.where(quiet, 0.0, change)

@@ -136,5 +136,4 @@ def _finite(values: FloatArray) -> FloatArray:
         return values
     x = np.arange(len(values))
     # Expressions may have poles or roots outside the joint's real range.
-    result: FloatArray = np.interp(x, x[good], values[good])
-    return result
+    return np.interp(x, x[good], values[good])

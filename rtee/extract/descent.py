@@ -147,8 +147,7 @@ def _measured(
 
 def within(y: FloatArray, bounds: Bounds) -> FloatArray:
     """Return coordinates clamped to a box."""
-    clamped: FloatArray = np.minimum(np.maximum(y, bounds[0]), bounds[1])
-    return clamped
+    return np.minimum(np.maximum(y, bounds[0]), bounds[1])
 
 
 _Point = tuple[FloatArray, float, FloatArray]

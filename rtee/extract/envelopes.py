@@ -154,8 +154,7 @@ class Envelopes:
         if len(near) * len(postures) > _WORTH:
             closer = self._between_rods(rotations, positions, pairs[:, near])
             least[:, near] = np.maximum(least[:, near], closer)
-        result: FloatArray = least - _SLACK
-        return result
+        return least - _SLACK
 
     def _placed(self, postures: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return rotations ``(3, 3, t, l)`` and positions ``(3, t, l)`` of the links' bodies."""

@@ -69,8 +69,7 @@ class TipShape:
     def arms(self, points: FloatArray) -> FloatArray:
         """Return the distances from the axis [m] of points ``(..., 3)`` in the shape's frame."""
         there = rotated(points, self.pose.rotation) + self.pose.translation
-        distances: FloatArray = norms(np.cross(there - self.origin, self.axis))
-        return distances
+        return norms(np.cross(there - self.origin, self.axis))
 
     def reach(self) -> float:
         """Return the distance of the farthest point from the axis [m]."""

@@ -167,8 +167,7 @@ class Motion:
             moved = applied(turns, corners[..., ends]) + steps
             squares = inner(moved, moved).max(axis=0)
             most = np.maximum(most, np.where(near[:, ends], squares, 0.0).max(axis=0))
-        result: FloatArray = np.sqrt(most)
-        return result
+        return np.sqrt(most)
 
     @cached_property
     def _placed(self) -> _Placed:

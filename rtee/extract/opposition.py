@@ -130,8 +130,7 @@ def _meet(
             low = middle
         else:
             high = middle
-    contact: FloatArray = centre + radius * _gap(scene, shapes, ball, centre + high * line)[1]
-    return contact
+    return centre + radius * _gap(scene, shapes, ball, centre + high * line)[1]
 
 
 def _gap(

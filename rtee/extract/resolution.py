@@ -39,8 +39,7 @@ class Resolution:
         """Return the lattice point nearest to coordinates ``(k,)``."""
         # Scaling is exact, since all factors are powers of two.
         shift, unit = _shifts(len(y)), self.coordinate
-        point: FloatArray = (np.rint(y * (1.0 / unit) - shift) + shift) * unit
-        return point
+        return (np.rint(y * (1.0 / unit) - shift) + shift) * unit
 
     def snap_box(self, bounds: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return the outermost lattice points in a box, or its own corners where it has none.
@@ -61,8 +60,7 @@ class Resolution:
 
     def rounded_slope(self, slope: FloatArray) -> FloatArray:
         """Return a derivative ``(k,)`` [m], rounded."""
-        rounded: FloatArray = np.rint(slope * (1.0 / self.slope)) * self.slope
-        return rounded
+        return np.rint(slope * (1.0 / self.slope)) * self.slope
 
 
 @lru_cache(maxsize=64)

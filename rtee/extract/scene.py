@@ -230,8 +230,7 @@ class Scene:
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
         torques = matmul(np.array(rows), self._jacobian())
         torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
-        slope: FloatArray = vecmat(_sum(torques, axis=0), self._moved(space))
-        return slope
+        return vecmat(_sum(torques, axis=0), self._moved(space))
 
     def _moved_by(
         self, key: tuple[tuple[int, bool], ...], terms: Sequence[tuple[LinkPair, float]]
@@ -266,8 +265,7 @@ class Scene:
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
-        result: FloatArray = vecmat(vecmat(row, self._jacobian()), self._levers(pair, space))
-        return result
+        return vecmat(vecmat(row, self._jacobian()), self._levers(pair, space))
 
     def _jacobian(self) -> FloatArray:
         """Return the Jacobian of all joints in the base frame ``(6, m)``."""
@@ -392,8 +390,7 @@ class Scene:
         """
         jacobian = self._jacobian() * self.kinematics.support(self.kinematics.body(link))
         jacobian = jacobian[:3] - matmul(pin.skew(point), jacobian[3:])
-        result: FloatArray = matmul(jacobian, self._slope)
-        return result
+        return matmul(jacobian, self._slope)
 
     def bodies(self) -> tuple[FloatArray, FloatArray]:
         """Return the rotations ``(b, 3, 3)`` and positions ``(b, 3)`` [m] of all bodies."""

@@ -61,8 +61,7 @@ class Space:
     def coordinates(self, u: FloatArray) -> FloatArray:
         """Return the coordinates ``(k,)`` of a posture, clamped to the box."""
         scaled = (u[self.index] - self.lower) / self.extent
-        clamped: FloatArray = np.clip(scaled, 0.0, 1.0)
-        return clamped
+        return np.clip(scaled, 0.0, 1.0)
 
 
 def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:

@@ -450,8 +450,7 @@ class HandBody:
         """Return the indices of joints that would visibly move to positions ``(m,)`` [rad | m]."""
         # "Not less", so that NaN, the value before the first drawing, counts as a motion.
         seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
-        indices: list[int] = np.flatnonzero(seen).tolist()
-        return indices
+        return np.flatnonzero(seen).tolist()
 
     def set_joints(self, position: FloatArray) -> None:
         """Move to joint positions ``(m,)`` [rad | m]; send only joints that visibly move."""

@@ -58,8 +58,7 @@ def rotated(points: FloatArray, rotation: FloatArray) -> FloatArray:
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the cross products of vectors ``(..., 3)``."""
-    result: FloatArray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
-    return result
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def norm(vector: FloatArray) -> float:

@@ -48,8 +48,7 @@ def gather(data: Bytes, starts: Offsets, size: int) -> Bytes:
     windows = np.lib.stride_tricks.as_strided(
         data, shape=(max(0, data.size - size + 1), size), strides=(1, 1), writeable=False
     )
-    rows: Bytes = windows[starts]
-    return rows
+    return windows[starts]
 
 
 class Messages(NamedTuple):
@@ -67,8 +66,7 @@ class Messages(NamedTuple):
     @property
     def sizes(self) -> NDArray[np.int64]:
         """Lengths without the records' heads [bytes]."""
-        sizes: NDArray[np.int64] = self.heads["length"].astype(np.int64) - AFTER_LENGTH
-        return sizes
+        return self.heads["length"].astype(np.int64) - AFTER_LENGTH
 
     def where(self, chosen: NDArray[np.bool_]) -> Messages:
         """Return the selected messages."""

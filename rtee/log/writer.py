@@ -175,8 +175,7 @@ class LinkTransforms:
 
 
 def _stepped(values: FloatArray) -> FloatArray:
-    stepped: FloatArray = np.rint(values * _STEPS) / _STEPS
-    return stepped
+    return np.rint(values * _STEPS) / _STEPS
 
 
 Item = (

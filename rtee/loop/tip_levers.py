@@ -90,5 +90,4 @@ def _point(hand: Hand, finger: Finger) -> FloatArray:
         in_tip = tip @ tip_pose_and_jacobian(hand, link, hand.rest)[0]
         shapes = hand.urdf.links[link].collisions
         middles += [(in_tip @ [*shape.xyz, 1.0])[:3] for shape in shapes]
-    farthest: FloatArray = max(middles, key=lambda middle: float(np.linalg.norm(middle)))
-    return farthest
+    return max(middles, key=lambda middle: float(np.linalg.norm(middle)))

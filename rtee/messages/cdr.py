@@ -242,8 +242,7 @@ class Reader:
         if kind == "bool":
             return np.frombuffer(self._data, np.uint8, count, start).astype(bool)
         # A copy, since a view is read-only, often misaligned, and keeps the message in memory.
-        array: NDArray[Any] = np.frombuffer(self._data, dtype, count, start).copy()
-        return array
+        return np.frombuffer(self._data, dtype, count, start).copy()
 
     def numbers(self, kind: str) -> list[Any]:
         """Return a sequence of numbers or truth values as a list."""

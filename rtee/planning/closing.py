@@ -393,5 +393,4 @@ class _HandBatch:
 
 def _clear_of(touch: Touch) -> FloatArray:
     """Return the shift that moves an object out of a link until they just touch ``(3,)`` [m]."""
-    shift: FloatArray = (TOUCH / 2.0 - touch.distance) * touch.normal
-    return shift
+    return (TOUCH / 2.0 - touch.distance) * touch.normal

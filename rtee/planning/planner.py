@@ -12,6 +12,7 @@ import numpy as np
 
 from rtee import values
 from rtee.actions.naming import label
+from rtee.actions.openings import MARGIN
 from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.frames import base_in_flange, flange_with
@@ -77,9 +78,6 @@ _SHAKEN: Final = 2.4 * np.vstack([np.eye(3), -np.eye(3)])
 
 _HALF_PLACE: Final = 5.1e-5
 """Scores are rounded to four places: one lower by no more than this may count as equal."""
-
-_MARGIN: Final = 0.01
-"""Excess of the opening over the object's width before the hand closes [m]."""
 
 _SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
 """How far set-points of sliding actuators go beyond the contact [m], so that they press."""
@@ -319,8 +317,7 @@ class Planner:
         return 4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.obj.length))
 
     def _centre(self, closure: Closure) -> FloatArray:
-        centre: FloatArray = closure.pose[:3, :3] @ self.obj.centre + closure.pose[:3, 3]
-        return centre
+        return closure.pose[:3, :3] @ self.obj.centre + closure.pose[:3, 3]
 
     def _wrenches(self, closure: Closure, contacts: Sequence[Contact]) -> FloatArray:
         return wrenches(contacts, self.task.friction, self._centre(closure), self.obj.length)
@@ -449,7 +446,7 @@ class Planner:
         last = start if found else len(gaps) - 1
         steps = range(last, start - 1, -1)
         for step in steps:
-            wide = gaps[step] >= candidate.width + _MARGIN
+            wide = gaps[step] >= candidate.width + MARGIN
             if step > start and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
             at, least = closing.table[step], math.inf
@@ -547,8 +544,7 @@ def _firmness(grasp: FoundGrasp) -> float:
     push = float(np.linalg.norm(grasp.closure.pose[:3, 3] - grasp.candidate.pose[:3, 3]))
     near = closed_nearby(grasp.search.closing, grasp.candidate)
     held = sum(closure is not None for closure in near) / len(near)
-    firmness: float = held**_MISSED / (1.0 + (push / _PUSHED) ** 2)
-    return firmness
+    return held**_MISSED / (1.0 + (push / _PUSHED) ** 2)
 
 
 def _least_quality(score: float, off: float) -> float:

@@ -191,8 +191,7 @@ class Ground:
         """
         top = self.top(begin, direction)
         gaps = np.array([self.gap(at, top) for at in closing.table[: steps + 1]])
-        missing: FloatArray = CLEAR - np.minimum.accumulate(gaps[::-1])[::-1]
-        return missing
+        return CLEAR - np.minimum.accumulate(gaps[::-1])[::-1]
 
     def clears(self, closing: HandClosing, candidate: PoseCandidate, closure: Closure) -> bool:
         """Return whether a hand keeps clear of the table, from its approach until it has closed."""

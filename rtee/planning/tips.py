@@ -101,11 +101,9 @@ class Fingertips:
     def in_tip(self, finger: str, point: FloatArray) -> FloatArray:
         """Return a point ``(3,)`` [m] of the base frame in that of a tip's body."""
         body = self._shapes[finger][0].body
-        found: FloatArray = np.array(self.geometry.kinematics.data.oMi[body].actInv(point))
-        return found
+        return np.array(self.geometry.kinematics.data.oMi[body].actInv(point))
 
     def from_tip(self, finger: str, point: FloatArray) -> FloatArray:
         """Return a point ``(3,)`` [m] of a tip's body in the base frame."""
         body = self._shapes[finger][0].body
-        found: FloatArray = np.array(self.geometry.kinematics.data.oMi[body].act(point))
-        return found
+        return np.array(self.geometry.kinematics.data.oMi[body].act(point))

@@ -92,8 +92,7 @@ def cones(normals: FloatArray, friction: float) -> FloatArray:
     first = cross(np.eye(3)[axes], normals)
     first /= np.sqrt((first * first).sum(axis=1, keepdims=True))
     second = cross(normals, first)
-    edges: FloatArray = normals[:, None] + friction * (_CIRCLE @ np.stack([first, second], axis=1))
-    return edges
+    return normals[:, None] + friction * (_CIRCLE @ np.stack([first, second], axis=1))
 
 
 def wrenches(

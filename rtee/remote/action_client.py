@@ -442,5 +442,4 @@ def _numbers(values: object, shape: tuple[int, int], requirement: str) -> list[f
     fits = array.ndim == 2 and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
     if not fits or not np.isfinite(array).all():
         raise ConfigError(f"{requirement}; got {np.shape(array)}")
-    flat: list[float] = array.ravel().tolist()
-    return flat
+    return array.ravel().tolist()

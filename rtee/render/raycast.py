@@ -146,8 +146,7 @@ class RayCaster:
         """Return which rays hit something within a distance."""
         far = np.full(len(points), reach, dtype=np.float32)
         faces = self._scene.run(_f32(points), _f32(directions), far, query="OCCLUDED")
-        hit: Mask = np.asarray(faces) >= 0
-        return hit
+        return np.asarray(faces) >= 0
 
 
 def _f32(values: FloatArray) -> NDArray[np.float32]:

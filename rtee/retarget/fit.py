@@ -125,8 +125,7 @@ class _Fit:
         """Return the position of a tip ``(3,)`` [m] at actuator positions ``(n,)``."""
         link = str(self._hand.finger(name).tip)
         pose = self._tips.kinematics.link_pose(link, u)
-        found: FloatArray = pose[:3, :3] @ self._ends[name][1] + pose[:3, 3]
-        return found
+        return pose[:3, :3] @ self._ends[name][1] + pose[:3, 3]
 
     def _reach(self, name: str) -> float:
         hand = self._hand
@@ -257,8 +256,7 @@ class _Fit:
 
 
 def _unit(vector: FloatArray) -> FloatArray:
-    found: FloatArray = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    return found
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
 
 
 def _vector(values: FloatArray) -> Vector:

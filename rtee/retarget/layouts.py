@@ -75,8 +75,7 @@ class Layout:
         odd = np.flatnonzero(~np.isfinite(found).all(axis=1))
         if len(odd):
             raise ConfigError(f"point {odd[0]} must be three finite numbers")
-        points: FloatArray = self._mean @ found
-        return points
+        return self._mean @ found
 
 
 def _picked(name: str, order: Sequence[int], count: int, unit: float = 1.0) -> Layout:

@@ -307,8 +307,7 @@ class Solver:
                 break
             step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
             free &= ~beyond
-        found: FloatArray = np.clip(u + step * self.range, self._lower, self._upper)
-        return found
+        return np.clip(u + step * self.range, self._lower, self._upper)
 
 
 def _opened(distance: float) -> float:

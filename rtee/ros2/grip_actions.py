@@ -26,6 +26,7 @@ from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.served_hand import ServedHand
+from rtee.ros2.trajectory import BEYOND
 from rtee.types import ActuatorSpec, Feedback, Goal, Intensity, Named, Result
 
 GRIPPER = "~/gripper_cmd"
@@ -40,10 +41,6 @@ ros2_control's gripper controllers, where it is off by default."""
 
 GAP = "opening"
 """Name of the gap in ParallelGripperCommand, which gives each position a name."""
-
-_BEYOND = 0.01
-"""Share of a range by which a position may exceed its end, since planners round."""
-
 
 _STILL = 0.02
 """Share of its velocity limit below which an actuator counts as still: the hand's own default,
@@ -211,7 +208,7 @@ class Gripper(ActionPart):
         """Raise `GoalRejected` for a joint position in place of an opening."""
         widest = max((known.widest for known in self._served.openings), default=math.inf)
         for actuator in self._served.model.actuators:
-            if widest * (1.0 + _BEYOND) < gap <= actuator.upper:
+            if widest * (1.0 + BEYOND) < gap <= actuator.upper:
                 raise GoalRejected(
                     f"{gap:g} m is beyond the widest opening, {1e3 * widest:.0f} mm; if it is"
                     f" the value of '{actuator.name}', as MoveIt sends it, write"
@@ -226,7 +223,7 @@ class Gripper(ActionPart):
             # The hand's best action for a width opens wider than it, to get around an object. To
             # open as wide as possible, take the action that opens widest.
             widest = max(self._served.openings, key=lambda known: known.widest)
-            if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
+            if widest.widest <= gap <= widest.widest * (1.0 + BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
         # As the hand does: the spelling and the order of the elements do not matter.
         wanted = normalise(action), sorted(elements)
@@ -344,7 +341,7 @@ def joint_goal(command: GripCommand, actuator: ActuatorSpec, actions: Sequence[A
         reached.append(end)
         if end != actuator.rest:
             share = (command.position - actuator.rest) / (end - actuator.rest)
-            if -_BEYOND <= share <= 1.0 + _BEYOND:
+            if -BEYOND <= share <= 1.0 + BEYOND:
                 suitable.append((len(action.posture.involved), min(max(share, 0.0), 1.0), action))
     if not suitable:
         raise GoalRejected(

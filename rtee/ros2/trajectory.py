@@ -18,8 +18,8 @@ import numpy as np
 from rtee.errors import MessageError, suggestion
 from rtee.hand.model import Hand
 
-_BEYOND = 0.01
-"""Share of a joint's range by which a position may exceed its limits, since planners round."""
+BEYOND = 0.01
+"""Share of a range by which a position may exceed its ends, since planners round."""
 
 _LONGEST = 600.0
 """Longest trajectory or jog accepted [s]: no hand moves for ten minutes."""
@@ -101,7 +101,7 @@ def checked_position(name: str, value: float, limits: Range) -> float:
     """Return a position clamped to the limits; raise `MessageError` if it is NaN or far beyond."""
     slack = limits.upper - limits.lower
     # In a range with a single limit, an infinite slack would remove that limit, too.
-    slack = _BEYOND * slack if math.isfinite(slack) else 0.0
+    slack = BEYOND * slack if math.isfinite(slack) else 0.0
     if not limits.lower - slack <= value <= limits.upper + slack:  # NaN compares as false
         raise MessageError(
             f"position {value:g} of '{name}' is outside its limits, {limits.lower:g} to "

@@ -149,8 +149,7 @@ class Places:
         curl = curl - (curl @ outward) * outward
         length = float(np.linalg.norm(curl))
         # Without a direction, places to the side coincide and count as one.
-        unit: FloatArray = curl / length if length > 1e-3 else np.zeros(3)
-        return unit
+        return curl / length if length > 1e-3 else np.zeros(3)
 
     def _opposition(self, outward: FloatArray) -> tuple[FloatArray | None, FloatArray]:
         """Return the axis along which three or more fingertips close, and their weights.
@@ -194,8 +193,7 @@ class Places:
         points = tip_middles(self._model, self._data, self._geoms)
         if not len(points):
             points = np.zeros((1, 3))
-        found: FloatArray = points @ inverse[:3, :3].T + inverse[:3, 3]
-        return found
+        return points @ inverse[:3, :3].T + inverse[:3, 3]
 
     def _contact_point(self, action: Action) -> FloatArray:
         """Return the vector from the middle of the tips to the contact of a pinch ``(3,)`` [m]."""

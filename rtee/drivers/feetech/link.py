@@ -78,7 +78,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
             mine = reply.device == number and len(reply.params) == size
             return mine and reply.to_bytes() != request
 
-        found: codec.Frame = await self._bus.transact(
+        return await self._bus.transact(
             request,
             self._parser,
             self._longest(size),
@@ -86,7 +86,6 @@ class FeetechLink(RelaxedDeadline, ServoLink):
             accept=answers,
             whom=f"servo {number}",
         )
-        return found
 
     async def data(self, number: int, address: int, size: int) -> bytes:
         """Return ``size`` bytes of a servo's registers; raises `BusError`."""
@@ -103,14 +102,13 @@ class FeetechLink(RelaxedDeadline, ServoLink):
             return {number: await self.read(number, address, size) for number in ids}
         key = frozenset(ids), size
         parser = self._groups.setdefault(key, codec.GroupParser(ids, size))
-        found: dict[int, codec.Frame] = await self._bus.transact(
+        return await self._bus.transact(
             codec.sync_read(address, size, ids),
             parser,
             self._longest(size, len(ids)),
             self._retries,
             whom=f"{len(ids)} servos",
         )
-        return found
 
     async def values(self, register: Register, numbers: Collection[int]) -> dict[int, int]:
         """Return the value of a register of several servos, by id; raises `BusError`."""

@@ -221,8 +221,7 @@ class Differential:
         bent, lean = self._coordinates(first, second)
         (tilt, tilts), (share, shares) = self._tilt.at(lean), self._share_at(bent)
         joints = np.array([[self._flexion.at(bent)[1], 0.0], [tilt * shares, tilts * share]])
-        found: FloatArray = self._matrix @ np.linalg.inv(joints)
-        return found
+        return self._matrix @ np.linalg.inv(joints)
 
     def _coordinates(self, first: float, second: float) -> tuple[float, float]:
         (a, b), (c, d) = self._inverse.tolist()

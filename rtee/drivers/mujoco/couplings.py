@@ -248,8 +248,7 @@ def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | 
         total, size = float(weights @ slopes), math.sqrt(weights @ weights)
     if abs(total) < _LEAST_SLOPE * size:
         return None
-    shares: FloatArray = weights / total
-    return shares
+    return weights / total
 
 
 def tendons_of(

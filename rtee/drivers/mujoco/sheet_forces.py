@@ -85,5 +85,4 @@ def _point(model: mujoco.MjModel, finger: Finger) -> FloatArray:
     middles = model.geom_pos[model.geom_bodyid == body]
     if not len(middles):
         return np.zeros(3)
-    farthest: FloatArray = max(middles, key=lambda middle: float(np.linalg.norm(middle)))
-    return farthest
+    return max(middles, key=lambda middle: float(np.linalg.norm(middle)))

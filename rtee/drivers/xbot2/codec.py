@@ -62,10 +62,7 @@ _pool.Add(_file())
 
 
 def _message(name: str) -> type[Any]:
-    found: type[Any] = message_factory.GetMessageClass(
-        _pool.FindMessageTypeByName(f"{_PACKAGE}.{name}")
-    )
-    return found
+    return message_factory.GetMessageClass(_pool.FindMessageTypeByName(f"{_PACKAGE}.{name}"))
 
 
 JointCommand = _message("JointCommand")
