@@ -124,25 +124,32 @@ class Motion:
             The sum of the largest displacements up to each station ``(s,)`` [m].
         """
         poses = [self._scene.relative_pose(pair, path.at(t)) for t in stations]
-        there = _stacked(poses)
-        back = _stacked([pose.inverse() for pose in poses])
-        couples = np.array([*product(*pair.shapes)]).T
-        most = self._displacements(couples[0], couples[1], there)
-        most = np.maximum(most, self._displacements(couples[1], couples[0], back))
+        there, back = _stacked(poses), _stacked([pose.inverse() for pose in poses])
+        first, second = np.array([*product(*pair.shapes)]).T
+        # The second link in the first one's frame, and the reverse, at once.
+        turns, places = (
+            np.repeat(np.stack(both, axis=-2), len(first), axis=-2)
+            for both in zip(there, back, strict=True)
+        )
+        most = self._displacements(
+            np.concatenate([first, second]), np.concatenate([second, first]), turns, places
+        )
         return np.concatenate([[0.0], np.cumsum(most)])
 
     def _displacements(
         self,
         first: NDArray[np.intp],
         second: NDArray[np.intp],
-        motion: tuple[FloatArray, FloatArray],
+        turns: FloatArray,
+        places: FloatArray,
     ) -> FloatArray:
         """Return the largest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
-        The points belong to the second shape of a couple, which moves. ``motion`` has the rotations
-        ``(3, 3, s)`` and positions ``(3, s)`` [m] of its body in that of the fixed shape.
+        The points belong to the second shape of a couple, which moves. ``turns`` and ``places`` are
+        the rotations ``(3, 3, c, s)`` and positions ``(3, c, s)`` [m] of its body in that of the
+        fixed shape.
         """
-        shapes, turns, places = self._placed, motion[0][:, :, None], motion[1][:, None]
+        shapes = self._placed
         fixed, moving = (_Placed(*(a[..., i, None] for a in shapes)) for i in (first, second))
         inward = fixed.rotations.swapaxes(0, 1)
         rotations = composed(composed(inward, turns), moving.rotations)
