@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
+from itertools import combinations, compress
+from operator import not_
 from typing import Final
 
 import numpy as np
@@ -71,6 +72,8 @@ def extract(
     primitives = kinematic_primitives(hand)
     form = canonical(hand)
     inspector = Inspector.of(form.hand, form.unit)
+    # Before the searches, whose processes inherit the shapes that are simplified here.
+    notes = _notes(inspector, form)
     pinches = _pinches(
         inspector, jobs or processors(), rank, progress or (lambda done, total: None)
     )
@@ -80,9 +83,8 @@ def extract(
     primitives.sort(
         key=lambda p: (order.index(p.kind), p.tips, [names.index(e) for e in p.elements])
     )
-    return Extraction(
-        tuple(primitives), time.perf_counter() - begun, _notes(inspector, form, pinches)
-    )
+    notes += _blocked_ways(form, pinches)
+    return Extraction(tuple(primitives), time.perf_counter() - begun, notes)
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
@@ -101,9 +103,14 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
             for pair, probe in probes.items()
             if probe.kind is PrimitiveKind.PINCH_TIGHT
         }
+        several = [partial(_of_several, group, tight, rank) for group in groups]
+        of_two = [partial(_of_two, pair, probe, rank) for pair, probe in probes.items()]
+        blocked = [probe.blocked for probe in probes.values()]
+        # A search of two tips for a clear posture takes about as long as one of three tips.
+        large = sum(len(group) > 3 for group in groups)
         tasks: list[Callable[[Inspector], FoundPinch | None]]
-        tasks = [partial(_of_several, group, tight, rank) for group in groups]
-        tasks += [partial(_of_two, pair, probe, rank) for pair, probe in probes.items()]
+        tasks = [*several[:large], *compress(of_two, blocked), *several[large:]]
+        tasks += compress(of_two, map(not_, blocked))
         pinches = workers.map(tasks, lambda done, total: progress(before + done, before + total))
     return [pinch for pinch in pinches if pinch is not None]
 
@@ -142,7 +149,7 @@ def _primitive(form: Canonical, pinch: FoundPinch) -> Primitive:
     )
 
 
-def _notes(inspector: Inspector, form: Canonical, pinches: Sequence[FoundPinch]) -> tuple[str, ...]:
+def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
     notes = list(inspector.scene.geometry.notes)
     extents = {
         s.link: float(np.ptp(s.box, axis=0).max()) / form.unit for s in inspector.scene.shapes
@@ -157,7 +164,16 @@ def _notes(inspector: Inspector, form: Canonical, pinches: Sequence[FoundPinch])
     if pairs:
         named = ", ".join(f"{a} and {b}" for a, b in sorted(map(sorted, pairs)))
         notes.append(f"these links touch at rest and are not checked against each other: {named}")
-    # Of the executed postures, and each pair of links once.
+    # `closed_rest` reads the original meshes, so call it only if tips are near each other.
+    closed = closed_rest(HandGeometry(form.source)) if _near_at_rest(inspector) else None
+    if closed is not None:
+        notes.append(closed.text)
+    return tuple(notes)
+
+
+def _blocked_ways(form: Canonical, pinches: Sequence[FoundPinch]) -> tuple[str, ...]:
+    """Return notes about links in the way of executed postures, each pair of links once."""
+    notes = []
     ways = {c.blocking: p for p in reversed(pinches) if (c := p.candidates[0]).blocking}
     for blocking, pinch in list(ways.items())[:_MOST_WAYS]:
         first, second = sorted(blocking)
@@ -167,10 +183,6 @@ def _notes(inspector: Inspector, form: Canonical, pinches: Sequence[FoundPinch])
             "they cannot do so on the real hand, write into its SRDF: "
             f'<disable_collisions link1="{first}" link2="{second}" reason="Never"/>'
         )
-    # `closed_rest` reads the original meshes, so call it only if tips are near each other.
-    closed = closed_rest(HandGeometry(form.source)) if _near_at_rest(inspector) else None
-    if closed is not None:
-        notes.append(closed.text)
     return tuple(notes)
 
 

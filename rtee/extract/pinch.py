@@ -8,6 +8,7 @@ from typing import Final
 
 from rtee.actions.types import PrimitiveKind
 from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
+from rtee.extract.collisions import CollisionChecker
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.distance_queries import TOUCH
 from rtee.extract.evidence import Inspector
@@ -47,12 +48,19 @@ class PinchProbe:
         postures: Postures as stored in which the tips touch, the deepest first; for a loose pinch,
             the one in which they are closest.
         explored: The posture ``(n,)`` of the deepest pose before polishing, for further searches.
+        best: The first of the postures with its evidence.
     """
 
     kind: PrimitiveKind
     minima: tuple[FloatArray, ...]
     postures: tuple[FloatArray, ...]
     explored: FloatArray
+    best: Candidate
+
+    @property
+    def blocked(self) -> bool:
+        """Whether other links are in the way, so that a clear posture must be searched for."""
+        return self.kind is PrimitiveKind.PINCH_TIGHT and not self.best.usable
 
 
 class PinchSearch:
@@ -82,37 +90,47 @@ class PinchSearch:
         if touching:
             explored = tuple(m.y for m in found.explored if m.value <= TOUCH)
             starts = explored or (space.coordinates(touching[0]),)
-            return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
+            return self._probed(starts, touching, space.posture(starts[0]))
         if self._could_meet():
             closest = self._closest([m.y for m in found.polished])
             # Tips that meet only at their limits may touch only once the posture is rounded.
             if pinch.touching(closest):
-                starts = (space.coordinates(closest),)
-                return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, (closest,), closest)
-            return PinchProbe(PrimitiveKind.PINCH_LOOSE, (), (closest,), closest)
+                return self._probed((space.coordinates(closest),), (closest,), closest)
+            return self._probed((), (closest,), closest)
         return None
+
+    def _probed(
+        self, starts: tuple[FloatArray, ...], postures: tuple[FloatArray, ...], explored: FloatArray
+    ) -> PinchProbe:
+        """Return what a probe has found; without starts for a search, the pinch is loose."""
+        kind = PrimitiveKind.PINCH_TIGHT if starts else PrimitiveKind.PINCH_LOOSE
+        self._scene.forget()  # evidence must not depend on the search
+        (best,) = self._candidates(postures[:1], self._checker())
+        return PinchProbe(kind, starts, postures, explored, best)
+
+    def _checker(self) -> CollisionChecker:
+        return self._inspector.checker(self._fingers, [TipEdge((0, 1), self._tips)])
+
+    def _candidates(
+        self, postures: Sequence[FloatArray], checker: CollisionChecker
+    ) -> list[Candidate]:
+        return [self._inspector.pinch(u, self._tips, checker) for u in postures]
 
     def finish(self, probe: PinchProbe) -> FoundPinch:
         """Return the pinch with its postures, ranked, and their evidence."""
-        inspector, most = self._inspector, _MOST[self._rank]
-        checker = inspector.checker(self._fingers, [TipEdge((0, 1), self._tips)])
-
-        def candidates_of(postures: Sequence[FloatArray]) -> list[Candidate]:
-            return [inspector.pinch(u, self._tips, checker) for u in postures]
-
-        candidates = candidates_of(probe.postures[:1])
-        if probe.kind is PrimitiveKind.PINCH_TIGHT and not candidates[0].usable:
+        checker, most, candidates = self._checker(), _MOST[self._rank], [probe.best]
+        if probe.blocked:
             for applied in (checker, checker.reduced):
                 clear = clear_postures(
-                    self._pinch, inspector.motion, applied, probe.minima, SearchBudget()
+                    self._pinch, self._inspector.motion, applied, probe.minima, SearchBudget()
                 )
                 # Keep one place for the deepest posture, clear or not.
-                candidates += candidates_of(clear[: most - 1])
+                candidates += self._candidates(clear[: most - 1], checker)
                 # Reduced margins are only for pinches without a posture of full margins.
                 if any(candidate.margin for candidate in candidates):
                     break
         # Further deep postures fill the remaining places.
-        candidates += candidates_of(probe.postures[1 : most + 1 - len(candidates)])
+        candidates += self._candidates(probe.postures[1 : most + 1 - len(candidates)], checker)
         names = tuple(finger.name for finger in self._fingers)
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
 

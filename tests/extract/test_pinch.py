@@ -10,7 +10,13 @@ from extract.models import APART, LENGTH, Model, box, figure_3, planar, sphere
 from rtee.actions.types import Primitive
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
+from rtee.extract.multi import MultiSearch
+from rtee.extract.pinch import PinchProbe, PinchSearch
+from rtee.extract.ranking import FoundPinch
+from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def pinches(hand: Hand, **options: object) -> dict[tuple[str, ...], Primitive]:
@@ -229,3 +235,24 @@ def test_progress_is_told(tmp_path: Path) -> None:
     extract(figure_3(4).load(tmp_path), progress=lambda done, total: told.append((done, total)))
     assert [done for done, _ in told] == list(range(1, len(told) + 1))
     assert told[-1][0] == told[-1][1]
+
+
+def test_pinches_in_the_way_of_other_links_are_searched_before_groups_of_three(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun: list[tuple[int, bool]] = []
+    finish, run = PinchSearch.finish, MultiSearch.run
+
+    def finished(self: PinchSearch, probe: PinchProbe) -> FoundPinch:
+        begun.append((2, probe.blocked))
+        return finish(self, probe)
+
+    def ran(self: MultiSearch) -> FoundPinch | None:
+        begun.append((len(self.fingers), True))
+        return run(self)
+
+    monkeypatch.setattr(PinchSearch, "finish", finished)
+    monkeypatch.setattr(MultiSearch, "run", ran)
+    extract(load_hand(CONFIG / "robotiq_3f"))
+    # Of its pairs, those with the middle finger have another link in the way.
+    assert begun == [(2, True), (2, True), (3, True), (2, False)]
