@@ -9,10 +9,13 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+
+from rtee.errors import install_line
 
 from .commands import EXTRACTED, LASTING, OFFLINE, ONLINE, RECORDED, Case, write_hand, wrong
 from .test_without_extras import HIDDEN, SHOW
@@ -28,6 +31,9 @@ pytestmark = [
 
 LARGEST = 200 * 2**20
 """What the online half may take of the disk of a robot PC [bytes]."""
+
+FROM_CHECKOUT = install_line("").partition("[")[0]
+"""Beginning of the command by which this process says to install an extra."""
 
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 COMPILED = ("teleop",)
@@ -68,7 +74,7 @@ class Installed:
     """The wheel in an environment of its own."""
 
     def __init__(self, version: str, wheel: Path, folder: Path) -> None:
-        python = interpreter(version)
+        python, self.wheel = interpreter(version), wheel
         do(python, "-m", "venv", folder / "venv")
         self.bin = folder / "venv" / "bin"
         self.folder = folder / "here"
@@ -107,7 +113,9 @@ class Installed:
         for case in cases:
             with self._start(case.words) as process:
                 said = process.communicate()[0]
-            found.append(wrong(case, process.returncode, said))
+            # An extra is installed from where rtee was: here from the wheel, not from the checkout.
+            says = case.says.replace(FROM_CHECKOUT, f'pip install "{self.wheel}')
+            found.append(wrong(replace(case, says=says), process.returncode, said))
         return [problem for problem in found if problem]
 
     def beside(self, case: Case, cases: Sequence[Case]) -> list[str]:
