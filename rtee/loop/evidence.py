@@ -316,7 +316,7 @@ class ContactMonitor:
             limit: Its effort limit [N·m | N].
         """
         watched = self._watched.get(i)
-        if watched is None or not measured.fresh[i]:
+        if watched is None:
             return False
         closing = watched.target - watched.start
         return rules.holds(

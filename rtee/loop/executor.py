@@ -562,10 +562,10 @@ class Executor:
         # An object held on the last millimetre counts as held, though the target is reached, too.
         held = any(self._contact.grasping(i) for i in targets)
         if not held and self._bears(run, stamp, measured):
-            if stamp - run.bears < _STEADY:
-                return
             # The object is thinner than the tolerance of a stall: only the effort reveals it.
-            held = True
+            held = any(self._contact.grasping(i) for i in targets)
+            if not held:
+                return
         if not held and not arrived and self._near(run, stamp, measured):
             if stamp - run.near < self._settings.stall.time:
                 return
@@ -620,6 +620,8 @@ class Executor:
         # A reflex that has stopped it decides what it does next.
         if i in self._reflexes.busy or not self._settled(run):
             return False
+        if not measured.fresh[i]:
+            return run.bears == run.bears  # as at its last measurement
         grip, contact, position = run.plan.grip, self._contact, measured.position
         word = measured.grasped[i] == 1
         nothing = grip is None or rules.may_be_nothing(
